@@ -1,10 +1,13 @@
 """Texts of robot programs in which numbers are replaced and all else stays byte for byte.
 
-Files are taken as latin-1, in which every byte is a character.
+Files are taken as latin-1, in which every byte is a character. A letter beyond it loses its accent
+in a comment of ours, or is transliterated. One that no table here has is written by its number, so
+that two names stay two.
 """
 
 from __future__ import annotations
 
+import unicodedata
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -12,6 +15,7 @@ from pathlib import Path
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 
 ENCODING = "latin-1"
+ASCII = 128  # so many characters
 MARK = "\xef\xbb\xbf"  # the byte order mark of UTF-8, which editors put first
 
 
@@ -72,3 +76,31 @@ def line_below(text: str, at: int, line: str) -> Edit:
     """Return the insertion of a line below that of the character ``at``, with its line end."""
     begin = text.find("\n", at) + 1
     return Edit(begin, begin, line + ("\r\n" if text[:begin].endswith("\r\n") else "\n"))
+
+
+_LETTERS = (
+    "а=a б=b в=v г=g д=d е=e ё=e ж=zh з=z и=i й=j к=k л=l м=m н=n о=o п=p р=r с=s т=t у=u ф=f х=kh "
+    "ц=ts ч=ch ш=sh щ=shch ъ=' ы=y ь=' э=e ю=yu я=ya є=ye і=i ї=yi ґ=g ђ=dj ј=j љ=lj њ=nj ћ=c џ=dz "
+    "α=a β=b γ=g δ=d ε=e ζ=z η=i θ=th ι=i κ=k λ=l μ=m ν=n ξ=x ο=o π=p ρ=r σ=s ς=s τ=t υ=y φ=f χ=ch "
+    "ψ=ps ω=o "
+    "ł=l đ=d ı=i œ=oe ŋ=n ħ=h –=- —=- ß=ss ø=o æ=ae °=deg"
+)
+
+
+def plain(text: str, below: int = 256) -> str:
+    """Return a text in the characters of `ENCODING`, or in the first ones, as `ASCII`."""
+    return "".join(_plain(each, below) for each in unicodedata.normalize("NFC", text))
+
+
+def _plain(letter: str, below: int) -> str:
+    if ord(letter) < below:
+        return letter
+    bare = unicodedata.normalize("NFKD", letter)
+    found = "".join(each for each in bare if not unicodedata.combining(each))
+    if found and all(ord(each) < below for each in found):
+        return found
+    letters = {pair[0]: pair[2:] for pair in _LETTERS.split()}
+    known = letters.get(letter.lower()) or letters.get(found.lower())
+    if known is None:
+        return f"U+{ord(letter):04X}"
+    return known.capitalize() if letter.isupper() else known

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from heapq import nlargest
 
-from drivers.standing import DEVICE
+from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
 SHARE = 0.05  # of the way; scales of real slides differ by far less

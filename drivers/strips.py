@@ -23,7 +23,7 @@ from drivers.canopen.process_image import strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standing import DEVICE
+from drivers.standstill import DEVICE
 from drivers.supervision import Patience, on_failure
 from drivers.wires.link import open_link
 from drivers.wires.tcp import Alarms

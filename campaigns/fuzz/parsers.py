@@ -26,7 +26,7 @@ from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.kuka import c3, krl
-from drivers.kuka.program_krl.reader import read_program
+from drivers.kuka.program_krl.files import read_program
 from drivers.leica import emscon
 from fakes.leica import emscon_packets
 from hilcell.alarms import Latch

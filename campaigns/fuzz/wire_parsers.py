@@ -18,7 +18,7 @@ from drivers.spatialanalyzer.t2sa import MEASURE, T2saBridge
 from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
-from drivers.universal_robots.program_urscript.reader import read_program
+from drivers.universal_robots.program_urscript.files import read_program
 from drivers.universal_robots.state import INPUTS, OUTPUTS, UrState, unlike
 from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB

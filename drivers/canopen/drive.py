@@ -20,7 +20,7 @@ from drivers.canopen.pdo import SYNCS
 from drivers.canopen.process_image import NO_MODE, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.motion_limits import MotionLimits
-from drivers.standing import DEVICE, Standing
+from drivers.standstill import DEVICE, Standing
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 

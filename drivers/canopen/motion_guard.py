@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from drivers.canopen.process_image import Snapshot
 from drivers.scale_guard import ScaleGuard
-from drivers.standing import DEVICE
-from drivers.standstill import Windows
+from drivers.standstill import DEVICE, Windows
 from hilcell.ports import Array, DeviceError
 
 

@@ -19,7 +19,7 @@ from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import Inbox, Mapping, Transmission
-from drivers.standing import DEVICE
+from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
 COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older

@@ -25,8 +25,7 @@ from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standing import DEVICE, check_travel
-from drivers.standstill import Windows
+from drivers.standstill import DEVICE, Windows, check_travel
 from drivers.strips import CountsPerMm, StripFeed, StripOptions, strip_of, summed
 from drivers.supervision import Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse

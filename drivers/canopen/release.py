@@ -20,8 +20,7 @@ from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel
-from drivers.standing import DEVICE
-from drivers.standstill import READINGS, Rest, Standstill, Windows
+from drivers.standstill import DEVICE, READINGS, Rest, Standstill, Windows
 from drivers.supervision import Patience, go_on
 from hilcell.ports import DeviceError
 

@@ -14,8 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from drivers.scale_guard import ScaleGuard
-from drivers.standing import DEVICE, Standing, check_travel
-from drivers.standstill import Windows
+from drivers.standstill import DEVICE, Standing, Windows, check_travel
 from drivers.strips import StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import (

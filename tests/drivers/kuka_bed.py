@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import standing, supervision
+from drivers import standstill, supervision
 from drivers.kuka import c3, robot_eki
 from drivers.kuka import external as kuka_external
 from drivers.kuka import robot as kuka_robot
@@ -43,7 +43,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
         (kuka_external, "SPEED_OVER_S", 10.0),  # the peer's slide is there within three looks
         (kuka_sweep, "DWELL_S", 0.002),  # in real time: the PC's own clock is stopped by then
         (kuka_sweep, "REST_S", 0.3),
-        (standing, "SETTLE_S", 0.3),
+        (standstill, "SETTLE_S", 0.3),
         (supervision, "time", time),
         (robot_eki, "time", time),
     ):

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers import standing, supervision
+from drivers import standstill, supervision
 from drivers.canopen import can_link, drive, rail_setup, release, sdo, slcan_bus
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import Clock, DeviceError
@@ -50,7 +50,7 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
     time = RailTime(peer)
     for module, name, value in (
         (drive, "STALL_S", 0.3),
-        (standing, "SETTLE_S", 0.3),
+        (standstill, "SETTLE_S", 0.3),
         (rail_setup, "FIND_S", 0.5),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),

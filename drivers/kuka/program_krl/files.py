@@ -1,13 +1,68 @@
-"""KRL programs on disk: ``NAME.src`` with its ``NAME.dat``, which are one program."""
+"""Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
+
+A program is ``NAME.src`` with its ``NAME.dat``. Only absolute motions to points that stand as
+numbers in it are corrected. A point that the program reads, changes or hands on besides moving to
+it would carry its correction to places that nobody has checked, so that such a program is refused.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence, Set
+from functools import cached_property, partial
 from pathlib import Path
+from typing import ClassVar
 
-from drivers.kuka.program_krl.program import DATA, Program
-from drivers.kuka.program_krl.reader import read_program
+import numpy as np
+
+from drivers.kuka.program_krl.data import (
+    AXES,
+    EXTERNAL,
+    POINTS,
+    POSE,
+    DataList,
+    Datum,
+    KrlError,
+    Statement,
+    Token,
+    closing,
+    declared,
+    number,
+    quoted,
+    statements,
+    text_of,
+)
+from drivers.kuka.program_krl.flow import ExternalRule, Stop, kept_postures
+from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
+from drivers.kuka.program_krl.program import DATA, Kept, Program, Target
+from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.program_text import source_text
 from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
+from hilcell.geometry.frames import pose_from_zyx
+
+ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
+JOINTWISE = ("PTP", "SPTP")
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
+NAMED = 5
+CONTROL = (
+    "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
+    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS", "DIV", "MOD", "SEC",
+    "PRIO", "DELAY", "DISTANCE", "PATH",
+)  # fmt: skip
+MOVES_NOTHING = (
+    "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
+    "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
+    "IR_STOPM",  # the controller's own, which each program declares for its stop messages
+    "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ASIN", "ATAN", "ATAN2", "ROUND", "FRAND",
+    "FORWARD", "INVERSE", "INV_POS", "CAST_TO", "CAST_FROM", "VARSTATE", "VARTYPE", "GETVARSIZE",
+    "STRADD", "STRCLEAR", "STRCOPY", "STRCOMP", "STRFIND", "STRLEN", "STRDECLLEN", "STRTOBOOL",
+    "STRTOINT", "STRTOREAL", "STRTOSTRING", "STRTOFRAME", "STRTOPOS", "STRTOE6POS", "STRTOAXIS",
+    "STRTOE6AXIS", "GET_SIG_INF", "GET_DECL_PLACE", "GETCYCDEF", "GETSYSSTATE", "GET_SYSTEM_DATA",
+    "IS_KEY_PRESSED", "ISMESSAGESET", "TIMER_LIMIT", "MBX_REC", "SYNC", "SYNCCMD", "WSPACEGIVE",
+    "WSPACETAKE", "SET_KRLMSG", "EXISTS_KRLMSG", "CLEAR_KRLMSG", "SET_KRLDLG", "EXISTS_KRLDLG",
+    "SET_KRLDLGANSWER", "GET_MSGBUFFER", "ERR_CLEAR", "ERR_RAISE", "DELETE_BACKWARD_BUFFER",
+)  # fmt: skip
 
 
 def load_program(path: Path) -> Program:
@@ -33,3 +88,468 @@ def _data_beside(path: Path) -> Path | None:
         names = ", ".join(sorted(each.name for each in found))
         raise SettingsError(str(path), [f"several data lists beside it: {names}; leave one"])
     return found[0] if found else None
+
+
+def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
+    """Return the program of a ``.src`` (name, text) and its ``.dat`` (name, text), if it has one.
+
+    Raises `SettingsError` with everything that cannot be corrected safely, by file and line.
+    """
+    name, content = data or (source, "")
+    found = DataList(name, statements(content)) if data else None
+    reader = _Reader(source, list(statements(text)), found)
+    reader.read()
+    if reader.problems:
+        raise SettingsError(source, reader.problems)
+    texts = {source: text} | ({name: content} if data else {})
+    targets, external = list(reader.targets.values()), reader.external
+    return Program(
+        texts,
+        targets,
+        reader.notes() + external.notes(),
+        reader.strokes(),
+        reader.base(),
+        reader.tool(),
+        external.slide(),
+        reader.kept(),
+    )
+
+
+class _Surely:
+    """Follows a program's statements and knows which may not be executed before its motions."""
+
+    CONDITIONAL: ClassVar = {
+        "IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR",
+    }  # fmt: skip
+
+    def __init__(self, moving: Set[str]) -> None:
+        """Take the own subprograms that move."""
+        self.first = self.program = ""
+        self._moving = moving
+        self._open: list[tuple[str, int]] = []
+        self._jump = self._exit = self._call = 0  # lines
+
+    def begin(self, program: str) -> None:
+        """Begin a program or subprogram; "" is a header that begins none."""
+        if program:
+            self.first, self.program = self.first or program, program
+            self._open, self._jump, self._exit = [], 0, 0
+
+    def take(self, statement: Statement) -> None:
+        """Take a statement below the header."""
+        if statement.head in self.CONDITIONAL:
+            self._open.append((statement.head, statement.line))
+        elif statement.head in self.CONDITIONAL.values() and self._open:
+            self._open.pop()
+        elif statement.head == "GOTO":
+            self._jump = self._jump or statement.line
+        elif statement.head == "EXIT":
+            self._exit = self._exit or statement.line
+        if statement.head in ("ENDLOOP", "ENDFOR", "ENDWHILE", "UNTIL"):
+            self._exit = 0
+        if any(token.word in self._moving for token in statement.tokens):
+            self._call = self._call or statement.line
+
+    @property
+    def doubt(self) -> str:
+        """Return why the statement may not be executed before the motions; "" where it is."""
+        if self.program != self.first:
+            return f"in {self.program}, not in {self.first}"
+        if self._open:
+            word, line = self._open[-1]
+            return f"within the {word} of line {line}"
+        if self._call:
+            return f"after line {self._call}, by which a subprogram may have moved"
+        if self._exit:
+            return f"after the EXIT of line {self._exit}"
+        return f"after the GOTO of line {self._jump}" if self._jump else ""
+
+
+class _Reader:
+    """Goes through the statements once for motions, and once more for other uses of points."""
+
+    def __init__(self, file: str, found: list[Statement], data: DataList | None) -> None:
+        self.targets: dict[str, Target] = {}
+        self._lacks_data = data is None
+        self._data = data or DataList(file, ())
+        self.problems = list(self._data.problems)
+        self._file, self._found = file, found
+        self._frames = FrameRule(self._data)
+        self._own = {each.begins for each in found if each.begins}
+        self._blocks = _blocks(found)
+        moves = {*MOTIONS, *STROKES, *self._blocks}
+        moving = {  # subprograms that move, or may: those that have a motion or call another
+            name
+            for name, block in self._blocks.items()
+            if any(token.word in moves for statement in block for token in statement.tokens)
+        }
+        self._stands, self._surely = StrokeRule(self._blocks, moving), _Surely(moving)
+        self._relative: list[Relative] = []
+        self._missing: list[str] = []  # names that the data list beside it would have
+        self._local = {name for each in found for name in _local(each)}
+        self._assigned = {name for each in found for name in _assigned(each)}
+        self._places: set[int] = set()  # where the names of targets stand in motions
+        self._moves_in: dict[str, int] = {}  # subprograms that move to a target, by the first line
+        self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
+        self._stops: dict[int, list[Stop]] = {}  # by the line of their motion
+
+    def read(self) -> None:
+        self._each(self._take)
+        if self._missing:
+            self.problems = [self._no_data()]  # the others follow from it
+            return
+        used = {target.name.partition("[")[0] for target in self.targets.values()}
+        self._each(partial(self._check_uses, used))
+        try:
+            self.problems += self.external.problems()
+        except KrlError as error:
+            self.problems.append(f"{self._file}: {error}")
+        self._check_called()
+        if not self.problems:
+            self.problems += check_modal(self._file, self._blocks, self._frames)
+        if not self.targets and not self.problems:
+            self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
+
+    def _each(self, act: Callable[[Statement], None]) -> None:
+        for statement in self._found:
+            try:
+                act(statement)
+            except KrlError as error:
+                self.problems.append(f"{self._file} line {statement.line}: {error}")
+
+    def _no_data(self) -> str:
+        stem = self._file.rpartition(".")[0] or self._file
+        names = list(dict.fromkeys(self._missing))
+        more = ", ..." if len(names) > NAMED else ""
+        return (
+            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:NAMED])}"
+            f"{more}; copy both files of the program into one folder"
+        )
+
+    def strokes(self) -> list[Stroke]:
+        """Return the strokes, each from a target that it may start at."""
+        keys = list(self.targets)
+        found = []
+        for each in self._relative:
+            target = self.targets[each.key]
+            R = pose_from_zyx(*(target.numbers[name].value for name in POSE))[:3, :3]
+            where = f"{each.word} ({self._file} line {each.line}) from {target.where}"
+            begin, end = (np.array([each.from_mm, each.shift_mm]) @ R.T).tolist()
+            found.append(Stroke(where, keys.index(each.key), tuple(end), tuple(begin)))
+        return found
+
+    @cached_property
+    def external(self) -> ExternalRule:
+        """Return where the external axes stand at the targets."""
+        return ExternalRule(self._file, self._blocks, self._stops, self.targets)
+
+    def kept(self) -> list[Kept]:
+        """Return the targets that are reached in the posture of a motion before."""
+        return kept_postures(self._file, self._blocks, self._stops, self.targets)
+
+    def base(self) -> StatedBase | None:
+        """Return the base whose place the program states."""
+        base = self._frames.base
+        if base is None or base.values is None:
+            return None
+        return StatedBase(f"{self._file} line {base.line}", base.values)
+
+    def tool(self) -> StatedTool | None:
+        """Return the tool that the program sets."""
+        tool = self._frames.tool
+        if tool is None:
+            return None
+        frame = None if tool.values is None else pose_from_zyx(*tool.values)
+        return StatedTool(f"{self._file} line {tool.line}", tool.text, tool.number, frame)
+
+    def notes(self) -> list[str]:
+        """Return the parts that were left as they are, and those that reach further."""
+        used = {target.name for target in self.targets.values()}
+        shared = [
+            name for name in used if name in self._data.data and self._data.data[name].is_global
+        ]
+        unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
+        unused = [
+            name
+            for name in unused
+            if name not in used and name.partition("[")[0] not in self._frames.frames_used
+        ]
+        remarks = [f"{what} (line {line})" for what, line in self._left.items()]
+        if (tool := self._frames.tool) is not None:
+            remarks.append(
+                f"its tool is {tool.text} (line {tool.line}): it must be that of the targets"
+            )
+        aside = dict.fromkeys(
+            str(each.line) for each in self._relative if each.shift_mm[:2] != each.from_mm[:2]
+        )
+        if aside:
+            remarks.append(
+                f"strokes that are not along z of the tool, the drill's axis in {{T}}: line "
+                f"{', '.join(aside)}; they are corrected as they stand"
+            )
+        remarks += [
+            f"{name} is GLOBAL: other programs that use it get its correction, too"
+            for name in sorted(shared)
+        ]
+        return remarks + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
+
+    # -- the first pass -----------------------------------------------------------------------
+
+    def _take(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        if _is_header(statement):
+            self._surely.begin(statement.begins)
+            return
+        self._surely.take(statement)
+        if any(token.text in ('"', "'") for token in tokens):
+            raise KrlError("a string does not end on its line")
+        if statement.head in STROKES:
+            self._frames.stroke(statement.line)
+            self._relative += self._stands.take(statement)
+            return
+        _refuse_motions(statement)
+        self._relative += self._stands.pass_by(statement)
+        colons = any(token.text == ":" for token in _outside_braces(tokens))
+        if colons and not statement.is_label:
+            raise KrlError("the geometric operator ':' computes a frame at run time")
+        if statement.head in ABSOLUTE:
+            self._motion(statement)
+        else:
+            self._frames.take(statement, self._surely.doubt)
+            self._check_calls(statement)
+
+    def _motion(self, statement: Statement) -> None:
+        self._stands.stands_at(())
+        self._moves_in.setdefault(self._surely.program, statement.line)
+        target, rest = _target(statement.tokens)
+        clause = _clause(rest)
+        name = text_of(target)
+        if target[0].text == "{":
+            inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
+            if set(inline.fields()) & set(JOINTS):
+                self._joint_target(statement, inline)
+                return
+            self._frames.move(statement.line, clause)
+            self._add({f"{statement.line}": inline}, statement)
+            self._stands.stands_at([f"{statement.line}"])
+            return
+        self._places.add(target[0].start)
+        if statement.head in JOINTWISE and self._stays(name, statement.line):
+            return
+        self._frames.move(statement.line, clause)
+        meant = {each.name: each for each in self._meant(target)}
+        self._add(meant, statement)
+        self._stands.stands_at(list(meant))
+
+    def _joint_target(self, statement: Statement, inline: Datum) -> None:
+        """Leave a first motion to all six joints as it is, a home move; refuse any other."""
+        stated = f"{statement.head} {quoted(inline.tokens)}"
+        numbers = {name: number(name, each) for name, each in inline.fields().items()}
+        if self.targets or statement.head not in JOINTWISE or not set(JOINTS) <= set(numbers):
+            raise KrlError(_JOINTS.format(stated))
+        values = {name: each.value for name, each in numbers.items()}
+        self._stops[statement.line] = [Stop("", values)]
+        self._left.setdefault(f"{stated}: joint targets are left unchanged", statement.line)
+
+    def _stays(self, name: str, line: int) -> bool:
+        """Whether this is a home move, or one to where the robot is, which are left unchanged."""
+        if name == "$AXIS_ACT":
+            return True
+        kind = self._data.kinds.get(name, "E6AXIS" if name in HOMES else "")
+        if kind not in AXES or name in self._local:
+            return False
+        if name not in HOMES:
+            raise KrlError(_JOINTS.format(name))
+        self._stops[line] = [Stop("", self._joints(name))]
+        self._left.setdefault(f"home move {name}: joint targets are left unchanged", line)
+        return True
+
+    def _joints(self, name: str) -> dict[str, float] | None:
+        """Return the numbers of a home of the data list; None where they are not known."""
+        if name not in self._data.data or name in self._assigned:
+            return None
+        fields = self._data.data[name].fields()
+        return {each: number(each, fields[each]).value for each in (*JOINTS, *EXTERNAL)
+                if each in fields}  # fmt: skip
+
+    def _meant(self, target: Sequence[Token]) -> list[Datum]:
+        """Return the points that a motion's target names: one, or any element of an array."""
+        base, name = target[0].word, text_of(target)
+        if base in self._local:
+            raise KrlError(f"{base} is a variable of the program: its place is not known")
+        names = [name] if name in self._data.data else []
+        if len(target) > 1 and target[2].kind != "number":
+            names = self._data.elements(base)
+        if not names and self._lacks_data:
+            self._missing.append(base)
+        if not names:
+            raise KrlError(f"{name} is not a point with numbers in the program's .dat file")
+        found = [self._data.data[each] for each in names]
+        if found[0].kind in AXES:
+            raise KrlError(_JOINTS.format(name))
+        if found[0].kind not in POINTS:
+            raise KrlError(f"{name} is {found[0].kind}, which is no point")
+        return found
+
+    def _add(self, meant: Mapping[str, Datum], motion: Statement) -> None:
+        """Take the targets, by key, that a motion goes to one of."""
+        self._stops[motion.line] = stops = list[Stop]()
+        for key, datum in meant.items():
+            known = self.targets.get(key)
+            target = self._target_of(datum, by_joints=motion.head in JOINTWISE)
+            if known is None or (known.posture is None and motion.head in JOINTWISE):
+                self.targets[key] = target
+            values = {name: each.value for name, each in target.numbers.items()}
+            stops.append(Stop(key, values, target.status))
+
+    def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
+        posture = status = None
+        try:
+            numbers = datum.numbers()
+            if by_joints:
+                posture, status = datum.posture(), datum.status()
+        except KrlError as error:
+            if datum.file == self._file:
+                raise
+            raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
+        return Target(datum.name, datum.file, datum.line, numbers, posture, status)
+
+    def _check_calls(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        for at, token in enumerate(tokens[:-1]):
+            called = token.kind == "word" and tokens[at + 1].text == "("
+            if not called or token.word in CONTROL:
+                continue
+            handed = tokens[at + 2 : closing(tokens, at + 1)]
+            points = [t.word for t in handed if self._data.kinds.get(t.word, "FDAT") != "FDAT"]
+            if points or any(t.text == "{" for t in handed):
+                raise KrlError(
+                    f"{token.word} is called with the motion parameter "
+                    f"{points[0] if points else quoted(handed)}: where it moves is not known"
+                )
+            known = token.word in self._own or token.word in MOVES_NOTHING
+            # Functions of EthernetKRL exchange data alone.
+            if not known and not token.word.startswith("EKI_"):
+                note = (
+                    f"{token.word} is another program: its motions are not corrected, and it must "
+                    "leave base, tool, slide and posture as they are"
+                )
+                self._left.setdefault(note, statement.line)
+
+    # -- the second pass ----------------------------------------------------------------------
+
+    def _check_uses(self, used: Set[str], statement: Statement) -> None:
+        if _is_header(statement):
+            return
+        for at, token in enumerate(statement.tokens):
+            if token.word in used and token.start not in self._places:
+                if assigned_at(statement.tokens, at):
+                    raise KrlError(f"{token.word} is changed at run time")
+                raise KrlError(
+                    f"{token.word} is used besides moving to it: its correction would go there too"
+                )
+
+    def _check_called(self) -> None:
+        """Refuse motions that another file calls, where the base and tool of this one count."""
+        stated = self._frames.base or self._frames.tool
+        for name, line in self._moves_in.items():
+            called = any(
+                token.word == name
+                for block, found in self._blocks.items()
+                if block != name
+                for statement in found
+                for token in statement.tokens
+            )
+            if stated is not None and name != self._surely.first and not called:
+                self.problems.append(
+                    f"{self._file} line {line}: {name} moves, and no statement of this file calls "
+                    f"it: it may run without the base and tool of line {stated.line}; set them in "
+                    f"{name}, in a file of its own"
+                )
+
+
+_JOINTS = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
+
+
+def _refuse_motions(statement: Statement) -> None:
+    """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
+    for at, token in enumerate(statement.tokens):
+        word = token.word
+        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, "CIRC", "SCIRC"):
+            raise KrlError(f"{word} is a relative motion: where it goes is not known")
+        if word in ("CIRC", "SCIRC"):
+            raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
+        if word in ("SPLINE", "PTP_SPLINE", "SPL"):
+            raise KrlError(f"{word}: splines are not corrected")
+        if word == "ASYPTP":
+            raise KrlError(f"{word} moves external axes: the slide would leave its station")
+        if word in ABSOLUTE and at:
+            raise KrlError(f"{word} within another statement is not understood")
+
+
+def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
+    """Return the tokens of a motion's target, and those after it."""
+    if len(tokens) < 2 or not (tokens[1].kind == "word" or tokens[1].text == "{"):
+        raise KrlError(f"{tokens[0].word} has no target that is understood")
+    end = 2
+    if tokens[1].text == "{":
+        end = closing(tokens, 1) + 1
+    elif len(tokens) > 2 and tokens[2].text == "[":
+        end = closing(tokens, 2) + 1
+    return tokens[1:end], tokens[end:]
+
+
+def _is_header(statement: Statement) -> bool:
+    """Whether the statement declares programs and their parameters, where ``:`` states a way."""
+    words = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
+    return statement.head in words or bool(statement.begins)
+
+
+def _clause(rest: Sequence[Token]) -> Sequence[Token]:
+    """Return what follows ``WITH`` after a target; refuse all else but approximations."""
+    approximations = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
+    while rest and (rest[0].word in approximations or rest[0].text == ","):
+        rest = rest[1:]
+    if rest and rest[0].word != "WITH":
+        raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
+    return rest[1:]
+
+
+def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
+    """Return the statements of each own program and subprogram below its header."""
+    blocks: dict[str, list[Statement]] = {}
+    current = ""
+    for statement in found:
+        current = statement.begins or current
+        if not statement.begins:
+            blocks.setdefault(current, []).append(statement)
+    return blocks
+
+
+def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
+    outside, depth = list[Token](), 0
+    for token in tokens:
+        depth += (token.text == "{") - (token.text == "}")
+        if depth == 0:
+            outside.append(token)
+    return outside
+
+
+def _local(statement: Statement) -> list[str]:
+    """Return the points that a statement declares in the program, and a header's parameters."""
+    if statement.begins:
+        return [token.word for token in statement.tokens[2:] if token.kind == "word"]
+    try:
+        _, variables = declared(statement)
+        return [name for name, _ in variables]
+    except KrlError:
+        return []
+
+
+def _assigned(statement: Statement) -> list[str]:
+    """Return the names that a statement gives another value, in part or as a whole."""
+    tokens = statement.tokens
+    try:
+        return [token.word for at, token in enumerate(tokens) if assigned_at(tokens, at)]
+    except KrlError:
+        return []

@@ -21,18 +21,22 @@ import re
 from collections.abc import Hashable, Mapping, Sequence
 from typing import NamedTuple
 
-from drivers.kuka.program_krl.data import POINTS, POSE, DataList, aggregate, number
-from drivers.kuka.program_krl.flow import Flow
-from drivers.kuka.program_krl.strokes import STROKES
-from drivers.kuka.program_krl.tokens import (
+from drivers.kuka.program_krl.data import (
+    POINTS,
+    POSE,
+    DataList,
     KrlError,
     Statement,
     Token,
+    aggregate,
     closing,
+    number,
     quoted,
     split,
     text_of,
 )
+from drivers.kuka.program_krl.flow import Flow
+from drivers.kuka.program_krl.strokes import STROKES
 
 BAS_FORM = "#FRAMES"
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
@@ -122,10 +126,10 @@ class FrameRule:
 
     def move(self, line: int, clause: Sequence[Token] = ()) -> None:
         """Take a motion to a Cartesian target and its ``WITH`` clause; raises `KrlError`."""
-        own = _form_of(clause, line)
-        form = own or self._form
+        own = _form_of(clause)
+        form = (own, line) if own else self._form
         tool_too = any(token.word == "$TOOL" for token in clause)
-        self.motions[line] = (own[0], own[0] * tool_too) if own else ("", "")
+        self.motions[line] = (own, own * tool_too)
         self._moved = self._moved or line
         if form is None:
             return
@@ -295,8 +299,8 @@ def assigned_at(tokens: Sequence[Token], at: int) -> bool:
     return at < len(tokens) and tokens[at].text == "="
 
 
-def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
-    """Return the frame data that a ``WITH`` clause names for base and tool alike."""
+def _form_of(clause: Sequence[Token]) -> str:
+    """Return the frame data that a ``WITH`` clause names for base and tool alike, "" for none."""
     parts = [text_of(part) for part in split(clause, ",")]
     framing = [p for p in parts if p.startswith(("$BASE", "$TOOL", "$IPO_MODE", *NEVER_SET))]
     form = (
@@ -306,13 +310,13 @@ def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
     matches = [re.fullmatch(form, part) for part in framing]
     names = {match[match.lastindex or 0] if match else "" for match in matches}
     if not names:
-        return None
+        return ""
     if len(names) > 1 or "" in names or not any(p.startswith("$BASE") for p in framing):
         raise KrlError(
             f"WITH {', '.join(framing)}: a motion's own base or tool; expected both from one frame "
             "data, as inline forms write them: set $BASE and $TOOL before the motions"
         )
-    return names.pop(), line
+    return names.pop()
 
 
 def _values(name: str, fields: Mapping[str, Sequence[Token]]) -> tuple[float, ...]:

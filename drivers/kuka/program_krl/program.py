@@ -15,10 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.kuka.program_krl.comments import plain
-from drivers.kuka.program_krl.data import POSE
-from drivers.kuka.program_krl.tokens import statements
-from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below
+from drivers.kuka.program_krl.data import POSE, statements
+from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below, plain
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics

@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
-from drivers.kuka.program_krl.data import aggregate, number
-from drivers.kuka.program_krl.tokens import KrlError, Statement, closing, quoted
+from drivers.kuka.program_krl.data import KrlError, Statement, aggregate, closing, number, quoted
 
 STROKES = ("LIN_REL", "SLIN_REL")
 MOTIONS = (

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from drivers.kuka.program_krl.comments import comment, plain
 from drivers.kuka.program_krl.data import POSE
 from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
-from drivers.program_text import ENCODING
+from drivers.program_text import ENCODING, plain
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.tool import REFLECTOR
+from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
@@ -45,6 +45,11 @@ def module_name(station: str) -> str:
     """Return a station's name as KRL allows it: letters, digits, underscores; a letter first."""
     plain = re.sub(r"\W", "_", station, flags=re.ASCII)
     return (plain if plain[0].isalpha() else f"S_{plain}")[:LONGEST_NAME]
+
+
+def comment(text: str) -> str:
+    """Return a line of comment, which `ENCODING` can write."""
+    return f"; {plain(clean(text))}"
 
 
 def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:

@@ -1,12 +1,458 @@
-"""URScript programs on disk: one file ``NAME.script``."""
+"""Reads a URScript program whose poses can be corrected safely; all else is refused, by line.
+
+Corrected are the poses of ``movej`` and ``movel`` that stand there as six numbers, or in a variable
+that is assigned once and used by motions alone. Every other statement must be one that is known
+neither to move the robot nor to change its TCP. Poses are those of the TCP in the robot's base {B};
+URScript knows no other base.
+
+A statement is a line, its comment left out and the texts of its strings blanked. It keeps the
+columns of its line, so that a number can be replaced and all else stays byte for byte. Names are
+sensitive to case.
+"""
 
 from __future__ import annotations
 
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from drivers.program_text import source_text
-from drivers.universal_robots.program_urscript.program import Program
-from drivers.universal_robots.program_urscript.reader import read_program
+import numpy as np
+
+from drivers.program_text import (
+    ASCII,
+    ENCODING,
+    MARK,
+    Edit,
+    Number,
+    edited,
+    formatted,
+    line_below,
+    plain,
+    source_text,
+)
+from hilcell.cell.settings import SettingsError
+from hilcell.clean import clean
+from hilcell.compensation.programs import StatedTool, Stroke
+from hilcell.geometry.frames import matrix, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.kinematics import Arm
+from hilcell.geometry.rotations import from_rotvec, to_rotvec
+from hilcell.ports import Array, HilcellError
+
+LONGEST_QUOTE = 80
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+POSE = re.compile(r"p\[\s*" + r"\s*,\s*".join(f"({NUMBER})" for _ in range(6)) + r"\s*\]", re.ASCII)
+_QUIET = re.compile(r"\"[^\"]*\"|#.*")
+
+
+class UrScriptError(HilcellError):
+    """A statement that is refused; the message says why, its reader says where."""
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """The code of one line, and the character of the file at which it starts."""
+
+    line: int
+    start: int
+    code: str
+    source: str
+
+    @property
+    def quoted(self) -> str:
+        """Return it as the file has it, for messages."""
+        text = clean(self.source)
+        return text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
+
+
+def statements(text: str) -> Iterator[Statement]:
+    """Yield the statements of a file."""
+    start = 0
+    for line, whole in enumerate(text.split("\n"), start=1):
+        code = _QUIET.sub(_blank, whole)
+        if not start and code.startswith(MARK):
+            code = " " * len(MARK) + code[len(MARK) :]
+        bare = code.strip()
+        if bare:
+            at = len(code) - len(code.lstrip())
+            source = whole[at : at + len(bare)]
+            yield Statement(line, start + at, bare, source)
+        start += len(whole) + 1
+
+
+def comments(text: str) -> Iterator[str]:
+    """Yield what stands behind a ``#``."""
+    for line in text.split("\n"):
+        for match in _QUIET.finditer(line):
+            if match.group().startswith("#"):
+                yield match.group()[1:]
+
+
+def _blank(match: re.Match[str]) -> str:
+    text = match.group()
+    return " " * len(text) if text.startswith("#") else f'"{" " * (len(text) - 2)}"'
+
+
+def split(text: str) -> list[str]:
+    """Split arguments at commas outside of all brackets; raises `UrScriptError`."""
+    parts, depth, begin = list[str](), 0, 0
+    for at, sign in enumerate(text):
+        depth += (sign in "([") - (sign in ")]")
+        if depth < 0:
+            break
+        if depth == 0 and sign == ",":
+            parts.append(text[begin:at])
+            begin = at + 1
+    if depth:
+        raise UrScriptError("its brackets do not close on its line")
+    return [*parts, text[begin:]]
+
+
+def pose(text: str, start: int) -> list[Number] | None:
+    """Return the numbers of ``p[x, y, z, rx, ry, rz]``, None where it is no such pose.
+
+    ``text`` begins at the character ``start`` of its file. Raises `UrScriptError` for a number
+    beyond any range.
+    """
+    match = POSE.fullmatch(text)
+    if match is None:
+        return None
+    found = [Number(match[n], start + match.start(n), start + match.end(n)) for n in range(1, 7)]
+    if not all(math.isfinite(each.value) for each in found):
+        raise UrScriptError("a number of its pose is not finite")
+    return found
+
+
+SUFFIX = ".script"
+MM = 1000.0
+DECIMALS = 6  # of m and rad
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A pose that motions use: its name, its line, its numbers x, y, z, rx, ry, rz."""
+
+    name: str
+    line: int
+    numbers: list[Number] = field(repr=False)
+
+    @property
+    def values(self) -> list[float]:
+        """Return the pose's numbers, m and rad."""
+        return [number.value for number in self.numbers]
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """The text of a file, its targets in the order of their first motion, and remarks on them.
+
+    ``tcp`` is the pose that the program sets, in m and rad, if it sets one.
+    """
+
+    file: str
+    text: str = field(repr=False)
+    targets: list[Target]
+    notes: list[str]
+    tcp: Target | None = None
+    in_root: bool = True
+    base: None = None
+    suffixes = (SUFFIX,)
+
+    @property
+    def strokes(self) -> list[Stroke]:
+        """Return none: relative motions are refused."""
+        return []
+
+    @property
+    def names(self) -> list[str]:
+        """Return the targets' names with file and line."""
+        return [f"{target.name} ({self.file} line {target.line})" for target in self.targets]
+
+    def values(self) -> Array:
+        """Return the targets (N, 6): X, Y, Z in mm, A, B, C in deg, in {B}."""
+        return zyx_from_pose(_frames([target.values for target in self.targets]))
+
+    @property
+    def tool(self) -> StatedTool | None:
+        """Return the TCP that the program sets."""
+        if self.tcp is None:
+            return None
+        numbers = ", ".join(each.text for each in self.tcp.numbers)
+        frame = _frames([self.tcp.values])[0]
+        return StatedTool(
+            f"{self.file} line {self.tcp.line}", f"set_tcp(p[{numbers}])", None, frame
+        )
+
+    @property
+    def needs_arm(self) -> str:
+        """Return nothing: whole turns do not matter, the controller moves to the nearest joints."""
+        return ""
+
+    def reflector_number(self, options: Mapping[str, Any]) -> None:
+        """Return none: a TCP has no number."""
+
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+        """Do nothing, as `needs_arm` says."""
+
+    @property
+    def remarks(self) -> list[str]:
+        """Return the comments of the file."""
+        return list(comments(self.text))
+
+    def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
+        """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6), in {B}, and a
+        remark below its first statement; nothing else differs.
+        """
+        edits = [_remark(self.text, remark)] if remark else []
+        for target, position in zip(self.targets, positions, strict=True):
+            numbers = list(position[:3] / MM)
+            if len(position) > 3:
+                numbers += _nearest(position, np.array(target.values[3:]))
+            edits += [
+                Edit(each.start, each.end, formatted(float(value), each.text, DECIMALS))
+                for each, value in zip(target.numbers, numbers, strict=False)
+            ]
+        return {self.file: edited(self.text, edits).encode(ENCODING)}
+
+
+def _frames(poses: list[list[float]]) -> Array:
+    """Return frames (N, 4, 4), mm, of poses (N, 6) of URScript."""
+    rows = np.array(poses)
+    return matrix(from_rotvec(rows[:, 3:]), MM * rows[:, :3])
+
+
+def _nearest(position: Array, before_rad: Array) -> list[float]:
+    """Return the rotation vector of a pose (6,): of the two that mean it, the nearer one."""
+    vector = to_rotvec(poses_from_zyx(position[None])[0, :3, :3])
+    angle = float(np.linalg.norm(vector))
+    other = vector * (1.0 - 2.0 * np.pi / angle) if angle else vector
+    nearer = min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad)))
+    found: list[float] = nearer.tolist()
+    return found
+
+
+def _remark(text: str, remark: str) -> Edit:
+    line = f"# {plain(remark, ASCII)}"
+    first = next(statements(text))
+    return line_below(text, first.start, f"  {line}")
+
+
+MOTIONS = ("movej", "movel")
+PARAMETERS = ("a", "v", "t", "r")  # behind the target, in their order
+WORDS = ("and", "or", "not", "xor", "True", "False", "return", "global", "local")
+HARMLESS = (
+    "sleep", "sync", "textmsg", "popup", "halt", "to_num", "to_str", "str_cat", "str_len", "abs",
+    "sqrt", "floor", "ceil", "pow", "sin", "cos", "tan", "d2r", "r2d", "random", "length",
+    "get_steptime", "is_steady", "stopj", "stopl", "force", "get_tcp_force", "set_digital_out",
+    "set_analog_out", "set_standard_digital_out", "set_standard_analog_out",
+    "set_configurable_digital_out", "set_tool_digital_out", "set_tool_voltage", "set_flag",
+    "get_flag", "get_digital_in", "get_digital_out", "get_analog_in", "get_standard_digital_in",
+    "get_standard_digital_out", "get_standard_analog_in", "get_configurable_digital_in",
+    "get_configurable_digital_out", "get_tool_digital_in", "get_tool_digital_out",
+    "get_tool_analog_in", "read_input_boolean_register", "read_input_integer_register",
+    "read_input_float_register", "write_output_boolean_register", "write_output_integer_register",
+    "write_output_float_register", "set_payload", "set_target_payload", "set_gravity",
+)  # fmt: skip
+_DEF = re.compile(r"def\s+(\w+)\s*\(([\w\s,]*)\)\s*:", re.ASCII)
+_BRANCH = re.compile(r"(?:if|elif|while)\b(.+):", re.ASCII)
+_ASSIGN = re.compile(r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII)
+_CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
+_NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
+
+
+def read_program(file: str, text: str) -> Program:
+    """Return the program; raises `SettingsError` with all that is refused, by line."""
+    reader = _Reader(list(statements(text)))
+    problems = reader.read()
+    if problems:
+        raise SettingsError(file, [f"{file} {problem}" for problem in problems])
+    if not reader.targets:
+        raise SettingsError(
+            file, [f"{file}: no movej or movel to a pose p[...]: nothing to correct"]
+        )
+    return Program(file, text, list(reader.targets.values()), reader.notes(), reader.tcp)
+
+
+class _Reader:
+    """Goes through the statements once for names, and once more for their uses."""
+
+    def __init__(self, found: list[Statement]) -> None:
+        self.targets: dict[str, Target] = {}
+        self.tcp: Target | None = None
+        self._found = found
+        self._poses: dict[str, Target] = {}
+        self._assigned: dict[str, list[int]] = defaultdict(list)
+        self._functions = set[str]()
+        self._moved = 0
+        self._open = list[int]()  # lines of the blocks that a statement stands in
+        self._main = 0  # the line of the first def
+
+    def read(self) -> list[str]:
+        """Return what is refused, by line."""
+        problems = dict[int, str]()
+        for take in (self._name, self._use):
+            for statement in self._found:
+                try:
+                    if statement.line not in problems:
+                        take(statement)
+                except UrScriptError as error:
+                    problems[statement.line] = f"{statement.quoted}: {error}"
+        if not problems:
+            problems = dict.fromkeys(self._open, "its block has no end")
+        return [f"line {line}: {problems[line]}" for line in sorted(problems)]
+
+    def notes(self) -> list[str]:
+        """Return notes on all that was left, and on conditions that nobody checks."""
+        left = [name for name in self._poses if name not in self.targets]
+        notes = [f"not used by a motion, left: {', '.join(left)}"] if left else []
+        if self.tcp is None:
+            notes.append("it sets no TCP: that of the installation must be the calibrated one")
+        notes.append(
+            "the controller computes the joints of a pose by its own calibrated kinematics: the "
+            "correction holds as far as these are the cell file's; `prepare` writes joints, which "
+            "do not depend on them"
+        )
+        return notes
+
+    def _name(self, statement: Statement) -> None:
+        """Collect the names that a statement defines."""
+        code = statement.code
+        if ";" in code or code.count('"') % 2:
+            raise UrScriptError("one statement a line is wanted, and strings that end on it")
+        split(code)
+        if match := _DEF.fullmatch(code):
+            self._functions.add(match[1])
+            for parameter in filter(None, (each.strip() for each in match[2].split(","))):
+                self._assigned[parameter].append(statement.line)
+        elif (match := _ASSIGN.fullmatch(code)) and not _BRANCH.fullmatch(code):
+            self._assigned[match[1]].append(statement.line)
+            numbers = pose(match[3], statement.start + match.start(3))
+            if numbers is not None and match[2] is None:
+                self._poses.setdefault(match[1], Target(match[1], statement.line, numbers))
+
+    def _use(self, statement: Statement) -> None:
+        code = statement.code
+        for word, _ in _NAME.findall(code):
+            if word in ("thread", "run", "join", "kill", "enter_critical", "exit_critical"):
+                raise UrScriptError(f"{word}: several threads may move the robot at once")
+        plain = r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*"
+        if self._block(statement) or re.fullmatch(plain, code, re.ASCII):
+            return
+        if match := _ASSIGN.fullmatch(code):
+            self._assign(match[1], match[2] or "", match[3])
+        elif match := _CALL.fullmatch(code):
+            self._call(statement, match)
+        elif code.startswith("return "):
+            self._check(code)
+        else:
+            raise UrScriptError("it is no statement that hilcell reads")
+
+    def _block(self, statement: Statement) -> bool:
+        """Whether the statement opens or ends a block; raises `UrScriptError`."""
+        code = statement.code
+        if match := _DEF.fullmatch(code):
+            if match[1] in (*HARMLESS, *MOTIONS, "set_tcp"):
+                raise UrScriptError(f"it gives {match[1]} another meaning")
+            self._main = self._main or statement.line
+        elif match := _BRANCH.fullmatch(code):
+            self._check(match[1])
+        elif code != "end":
+            return False
+        elif not self._open:
+            raise UrScriptError("no block is open")
+        if code == "end":
+            self._open.pop()
+        elif not code.startswith("elif"):
+            self._open.append(statement.line)
+        return True
+
+    def _assign(self, name: str, index: str, value: str) -> None:
+        if name in self._poses and index:
+            raise UrScriptError(f"it changes the pose {name} at run time")
+        if name not in self._poses or pose(value, 0) is None:
+            self._check(value)
+        self._check(index)
+
+    def _call(self, statement: Statement, match: re.Match[str]) -> None:
+        name, arguments = match[1], split(match[2])
+        at = statement.start + match.start(2) + len(arguments[0]) - len(arguments[0].lstrip())
+        if name in MOTIONS:
+            self._move(statement, name, arguments, at)
+        elif name == "set_tcp":
+            self._set_tcp(statement, arguments, at)
+        else:
+            self._check(statement.code)
+
+    def _move(self, statement: Statement, name: str, arguments: list[str], at: int) -> None:
+        if self.tcp is not None and self._open[:1] != [self._main]:
+            raise UrScriptError(
+                f"it moves outside of the program whose line {self.tcp.line} sets the TCP"
+            )
+        stated = arguments[0].strip()
+        numbers = pose(stated, at)
+        if numbers is not None:
+            where = f"{name} target"
+            self.targets[f"{where} {statement.start}"] = Target(where, statement.line, numbers)
+        else:
+            self.targets.setdefault(stated, self._variable(stated))
+        for position, argument in enumerate(arguments[1:]):
+            named = re.fullmatch(r"(\w+)\s*=(?!=)\s*(.*)", argument.strip(), re.ASCII)
+            if named is None and position >= len(PARAMETERS):
+                raise UrScriptError("it has more arguments than a, v, t, r behind its target")
+            key = named[1] if named else PARAMETERS[position]
+            value = named[2] if named else argument.strip()
+            if key not in PARAMETERS:
+                raise UrScriptError(f"{key} is no argument of {name} behind its target")
+            if key == "r" and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
+                raise UrScriptError(
+                    f"blend radius {value}: the robot passes the pose, and the correction changes "
+                    "where; wanted r=0"
+                )
+            self._check(value)
+        self._moved = self._moved or statement.line
+
+    def _variable(self, stated: str) -> Target:
+        """Return the pose that a variable holds; raises `UrScriptError`."""
+        if stated.startswith("["):
+            raise UrScriptError("a joint target: nothing there can be corrected; state a pose p[]")
+        if called := _CALL.match(stated):
+            raise UrScriptError(f"its target is computed at run time, by {called[1]}")
+        if stated not in self._poses:
+            raise UrScriptError("its target is no pose that stands in the program as six numbers")
+        lines = self._assigned[stated]
+        if len(lines) != 1:
+            stands = ", ".join(map(str, lines))
+            raise UrScriptError(f"{stated} is assigned in lines {stands}, wanted once")
+        return self._poses[stated]
+
+    def _set_tcp(self, statement: Statement, arguments: list[str], at: int) -> None:
+        numbers: list[Number] | None = pose(arguments[0].strip(), at)
+        if numbers is None or any(not each.strip().startswith('"') for each in arguments[1:]):
+            raise UrScriptError("its TCP does not stand there as six numbers p[...]")
+        found = Target("set_tcp", statement.line, numbers)
+        if self._open != [self._main]:
+            raise UrScriptError("it sets the TCP elsewhere than in the program's own statements")
+        if self._moved:
+            raise UrScriptError(f"it sets the TCP below the motion of line {self._moved}")
+        if self.tcp is not None and self.tcp.values != found.values:
+            raise UrScriptError(f"it changes the TCP that line {self.tcp.line} has set")
+        self.tcp = self.tcp or found
+
+    def _check(self, code: str) -> None:
+        """Refuse an expression that has to do with poses, or calls a function that is not known."""
+        if re.search(r"(?<!\w)p\s*\[", code, re.ASCII):
+            raise UrScriptError("a pose stands where hilcell does not follow it")
+        for word, called in _NAME.findall(code):
+            if word in self._poses:
+                raise UrScriptError(f"the pose {word} is used besides the motions to it")
+            if not called or word in WORDS or word in HARMLESS or word in self._functions:
+                continue
+            if word in MOTIONS:
+                raise UrScriptError(f"{word} must be a statement of its own")
+            raise UrScriptError(f"{word}() is not known to leave robot, TCP and poses as they are")
 
 
 def load_program(path: Path) -> Program:

@@ -12,10 +12,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.kuka.program_krl.comments import ASCII, plain
 from drivers.kuka.program_krl.writer import module_name
-from drivers.program_text import ENCODING
-from drivers.universal_robots.program_urscript.program import SUFFIX
+from drivers.program_text import ASCII, ENCODING, plain
+from drivers.universal_robots.program_urscript.files import SUFFIX
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import StationProgram

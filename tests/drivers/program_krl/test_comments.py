@@ -2,7 +2,8 @@
 
 import pytest
 
-from drivers.kuka.program_krl.comments import CODING, comment, plain
+from drivers.kuka.program_krl.writer import comment
+from drivers.program_text import ENCODING, plain
 
 
 @pytest.mark.parametrize(
@@ -19,7 +20,7 @@ from drivers.kuka.program_krl.comments import CODING, comment, plain
 )
 def test_a_name_is_written_in_letters_that_the_controller_shows(name: str, written: str) -> None:
     assert plain(name) == written
-    assert plain(name).encode(CODING).decode(CODING) == written
+    assert plain(name).encode(ENCODING).decode(ENCODING) == written
 
 
 def test_a_comment_is_one_line() -> None:

@@ -5,7 +5,7 @@ from unittest.mock import Mock
 import pytest
 
 from drivers.kuka.program_krl import frames
-from drivers.kuka.program_krl.reader import read_program
+from drivers.kuka.program_krl.files import read_program
 from tests.drivers.program_krl.test_program import P1, P2, one, refusal
 
 DAT = P1 + P2 + "".join(

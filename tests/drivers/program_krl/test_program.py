@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.kuka.program_krl.files import read_program
 from drivers.kuka.program_krl.program import DECIMALS, Program, turn_of
-from drivers.kuka.program_krl.reader import read_program
 from drivers.program_text import ENCODING, formatted
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array

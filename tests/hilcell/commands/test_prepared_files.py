@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.kuka.program_krl.reader import read_program
+from drivers.kuka.program_krl.files import read_program
 from hilcell.calibration.budget import DRILL
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
