@@ -11,15 +11,11 @@ from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.times import in_zone
 from hilcell.model.events import (
-    ChangesAccepted,
     Closing,
-    CommandRefused,
     Connected,
-    DeviceBack,
     Event,
     LinkCounted,
     OtherEvent,
-    StepBegun,
     after,
 )
 from hilcell.model.frame import Frame
@@ -155,16 +151,8 @@ def record_words(key: str, fact: Fact) -> str:
 def _event_words(event: Event | OtherEvent) -> str:
     """Return an event's own words, and such facts of it as they leave out."""
     match event:
-        case StepBegun():
-            return f"step {event.number} of {event.of}: {event.name}"
         case Connected(devices=devices):
             return event.text + after("; ".join(each.text for each in devices))
-        case DeviceBack():
-            return f"{event.what}: {event.device}"
-        case CommandRefused():
-            return f"{event.what}: {event.command} in {event.state}"
-        case ChangesAccepted():
-            return f"{event.what} by {event.by}: {'; '.join(event.changes)}"
         case Closing(problems=problems):
             return event.text + after("; ".join(problems.values()))
         case LinkCounted():

@@ -56,14 +56,14 @@ SAID: list[tuple[str, Fact, str]] = [
         "a stop was sent to all devices, but look at Tracker: gone",
     ),
     ("", events.Connected(devices=[DRIVE]), "devices connected: drive, serial 1"),
-    ("", events.DeviceBack(device="Rail"), "device back: Rail"),
+    ("", events.DeviceBack(device="Rail"), "device back: Rail answers again"),
     (
         "",
         events.CommandRefused(command="pause", state="paused"),
-        "command refused: pause in paused",
+        "command refused: pause is not possible while paused",
     ),
     ("", events.ChangesAccepted(changes=["a", "b"], by="Ann"), "changes accepted by Ann: a; b"),
-    ("", events.StepBegun(name="fit", number=6, of=7), "step 6 of 7: fit"),
+    ("", events.StepBegun(name="fit", number=6, of=7), "step 6 of 7 begins: fit"),
     (
         "",
         events.LinkCounted(frames=9, bad_lines=0, refused=0, malformed=0),
