@@ -18,8 +18,7 @@ from benchmarks.words import parser
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.model.events import AlarmsAcknowledged
-from hilcell.run.control import Control
-from hilcell.run.protocol import Status
+from hilcell.run.control import Control, Status
 from tests.hilcell.tui.sample_runs import RUN, sample_run, status
 from tests.whole.terminal import Terminal
 

@@ -24,8 +24,8 @@ from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_sweep
+from hilcell.run.mover import SweepOrder
 from hilcell.run.procedure import Result
-from hilcell.run.sweeping import SweepOrder
 from hilcell.typed import typed
 from procedures.plan import (
     check_range,

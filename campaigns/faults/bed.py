@@ -17,8 +17,7 @@ from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.errors import HilcellError
 from hilcell.journal.runs import JOURNAL
 from hilcell.run import device_status
-from hilcell.run.client import order
-from hilcell.run.protocol import Command
+from hilcell.run.control import Command, order
 from tests.whole.bench import SMALL, command, sets
 
 RUN = "x"

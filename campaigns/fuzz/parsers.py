@@ -38,8 +38,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
 from hilcell.programs.holes import read_holes
-from hilcell.run.control import _Handler
-from hilcell.run.protocol import LONGEST_REQUEST, Status
+from hilcell.run.control import LONGEST_REQUEST, Status, _Handler
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS

@@ -22,9 +22,8 @@ from hilcell.journal.find_run import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL
-from hilcell.run.client import order
+from hilcell.run.control import Command, order
 from hilcell.run.exits import EXIT_ABORTED
-from hilcell.run.protocol import Command
 
 FOLLOW_S = 0.1
 

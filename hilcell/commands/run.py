@@ -26,7 +26,7 @@ from hilcell.journal.runs import read_log
 from hilcell.journal.runs_folder import runs_option
 from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
-from hilcell.run.client import order
+from hilcell.run.control import order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
 from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE
 from hilcell.run.order import Attendance, Order, Resume

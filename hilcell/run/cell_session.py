@@ -21,11 +21,10 @@ from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, Clock
 from hilcell.run.meter import Meter
-from hilcell.run.mover import Mover, Straight
+from hilcell.run.mover import Mover, Straight, SweepOrder
 from hilcell.run.prompts import FLANGE
-from hilcell.run.remeasure import still_refused
 from hilcell.run.run_context import Ask, RunContext
-from hilcell.run.sweeping import SweepOrder, record_sweep
+from hilcell.run.states import still_refused
 from hilcell.run.watch import Watch
 
 STRAY_MM = 10.0  # of a pose in the measured base: nominal errors are far less, a lost zero is more
@@ -82,12 +81,12 @@ class CellSession:
         self._mover.park_robot()
 
     def sweep(self, order: SweepOrder) -> StreamRecorded:
-        """Sweep one axis with the tracker streaming, once in a run's life; see `record_sweep`."""
+        """Sweep one axis with the tracker streaming, once in a run's life; see `Mover.sweep`."""
         if order.key in self.log.streams:
             return self.log.streams[order.key]
         self.checkpoint()
         self._watch.prove_where_doubtful()
-        return record_sweep(self._run, self._mover, order)
+        return self._mover.sweep(order)
 
     def flange_point(
         self,

@@ -32,7 +32,7 @@ from hilcell.ports import (
     Tracker,
     TrackerReading,
 )
-from hilcell.run.protocol import DeviceStatus
+from hilcell.run.control import DeviceStatus
 
 REFRESH_S = 0.5
 

@@ -47,9 +47,8 @@ from hilcell.run.cell_lock import (
 from hilcell.run.control import Control
 from hilcell.run.exits import EXIT_STORAGE, exit_code
 from hilcell.run.order import Attendance, Order, Resume
-from hilcell.run.run_plan import NewRun, ResumedRun, RunPlan
+from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, accepted, cell_file
 from hilcell.run.runner import Runner, finish
-from hilcell.run.same_cell import Changes, accepted, cell_file
 from hilcell.run.signals import note_signals, stopped_by_signals
 from hilcell.typed import Json
 from hilcell.wire.record import Addresses, WireRecording

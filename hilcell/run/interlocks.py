@@ -1,6 +1,7 @@
 """Conditions before anything moves or is measured; pure checks on fresh readings.
 
-Each check raises `Blocked` with the reason in words; NaN never passes. hilcell is not a safety
+The readings are young enough, and are kept in the journal with the intent that they admit. Each
+check raises `Blocked` with the reason in words; NaN never passes. hilcell is not a safety
 function: these interlocks protect the measurement and the machine's peace, not people.
 """
 
@@ -9,24 +10,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
-from hilcell.ports import Array, DeviceError, RailReading, RobotReading
-from hilcell.run.protocol import Interlock
+from hilcell.model.events import ReadingTime
+from hilcell.ports import Array, Clock, DeviceError, RailReading, RobotReading
+from hilcell.run.control import Interlock
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
 OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take their own
-
-
 RAIL_BLOCKED, ROBOT_BLOCKED, MEASURE_BLOCKED = (
     "rail move blocked",
     "robot move blocked",
     "measurement blocked",
 )
-
-
 # By device: a reading that is too old, and a motion where there should be none.
 TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}
 MOVES = {"Rail": "HC-R41", "Robot": "HC-B31"}
@@ -34,6 +33,49 @@ MOVES = {"Rail": "HC-R41", "Robot": "HC-B31"}
 
 class Blocked(DeviceError):
     """An interlock forbids the motion or the measurement."""
+
+
+# -- readings that admit motions ------------------------------------------------------------------
+
+# A PC that did not run between a reading and its use has an old reading and a device that is
+# well. So it reads again; the interlocks judge the age of the new reading all the same.
+
+TRIES = 5
+SHARE = 0.8  # of the limit: the rest is left until the motion begins
+
+R = TypeVar("R", RailReading, RobotReading)
+
+
+def fresh(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
+    """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
+
+    Where none is, the last one is returned.
+    """
+    reading = read() if taken is None else taken
+    for _ in range(TRIES - 1):
+        if clock.pc_s() - reading.taken_s <= SHARE * limit_s:
+            break
+        reading = read()
+    return reading
+
+
+def time_of(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
+    """Return when a reading was taken, and how old it is."""
+    return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
+
+
+def seen(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
+    """Return a reading of the other device: it rests, and is held or where it may be."""
+    when = time_of(reading, now_s)
+    facts = {"taken_s": when.taken_s, "age_s": when.age_s, "ended_s": when.ended_s}
+    if isinstance(reading, RobotReading):
+        state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}
+    else:
+        state = {"strip_mm": reading.strip_mm, "powered": reading.powered}
+    return facts | {"still": reading.still} | state
+
+
+# -- checks ---------------------------------------------------------------------------------------
 
 
 def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s: float) -> None:
@@ -59,14 +101,7 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
 
 def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     """Refuse a robot that moves or is not at its safe pose."""
-    if not robot.still:
-        raise Blocked(
-            "HC-B31",
-            "Robot",
-            RAIL_BLOCKED,
-            "the robot is moving",
-            wanted="at rest at its safe pose",
-        )
+    _check_still(robot, RAIL_BLOCKED, wanted="at rest at its safe pose")
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
         worst = int(np.argmax(np.nan_to_num(off_deg, nan=np.inf)))
@@ -88,8 +123,12 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
 def check_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
     """Refuse a robot that moves: where its next motion starts is unknown."""
     check_age("Robot", ROBOT_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
+    _check_still(robot, ROBOT_BLOCKED)
+
+
+def _check_still(robot: RobotReading, operation: str, wanted: str = "at rest") -> None:
     if not robot.still:
-        raise Blocked("HC-B31", "Robot", ROBOT_BLOCKED, "the robot is moving", wanted="at rest")
+        raise Blocked("HC-B31", "Robot", operation, "the robot is moving", wanted=wanted)
 
 
 def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
@@ -155,6 +194,9 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
         )
 
 
+# -- for faces ------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True)
 class Sight:
     """The cell as displayed: last readings, devices that move now, the station that is held."""
@@ -185,10 +227,8 @@ def overview(cell: Cell, sight: Sight) -> list[Interlock]:
     def at_rest() -> None:
         held(MEASURE_BLOCKED)
         _check_known("Robot", MEASURE_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
-        if sight.robot is not None and not sight.robot.still:
-            raise Blocked(
-                "HC-B31", "Robot", MEASURE_BLOCKED, "the robot is moving", wanted="at rest"
-            )
+        if sight.robot is not None:
+            _check_still(sight.robot, MEASURE_BLOCKED)
 
     of_rail = [_judged("rail move", parked)] if cell.has_rail else []
     return [

@@ -23,10 +23,9 @@ from hilcell.ports import (
     RobotReading,
     TrackerReading,
 )
-from hilcell.run.interlocks import check_held, check_strip
+from hilcell.run.interlocks import check_held, check_strip, time_of
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt
-from hilcell.run.readings import time_of
 from hilcell.run.run_context import RunContext
 
 MEASURE_TRIES = 3

@@ -1,4 +1,7 @@
-"""Motions of slide and robot: each passes the interlocks with readings taken for it."""
+"""Motions of slide and robot: each passes the interlocks with readings taken for it.
+
+Among them is the slow sweep of one axis with the tracker streaming.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
+from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.cell.file import RailTable, Station
-from hilcell.model.events import FactoryLinks, ReadingTime, StationFoundHeld, StationHeld, StripBack
+from hilcell.journal.stream_file import StreamFile
+from hilcell.model.events import (
+    FactoryLinks,
+    ReadingTime,
+    StationFoundHeld,
+    StationHeld,
+    StreamRecorded,
+    StripBack,
+)
 from hilcell.ports import (
     Array,
     DeviceError,
@@ -19,16 +32,25 @@ from hilcell.ports import (
     RobotReading,
     StripLost,
 )
-from hilcell.run.collision import ComingPoses, FirstPass, below, check_way, stops_on_way
+from hilcell.run.collision import (
+    ComingPoses,
+    FirstPass,
+    below,
+    check_stated,
+    check_way,
+    stops_on_way,
+)
 from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,
     check_strip,
+    fresh,
     rail_may_move,
     robot_may_move,
+    seen,
+    time_of,
 )
 from hilcell.run.prompts import Look, Prompt
-from hilcell.run.readings import fresh, seen, time_of
 from hilcell.run.run_context import RunContext
 
 # The trap: the drive's encoder is blind to backlash. So the last motion always comes from the
@@ -115,6 +137,7 @@ def _check_strip_follows(
 
 
 FROZEN = "HC-S02"
+PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
 
 
@@ -124,6 +147,26 @@ class Straight:
 
     from_rad: Array
     speed_percent: float
+
+
+@dataclass(frozen=True)
+class SweepOrder:
+    """From joints (6,) one axis (0 to 5) to its end; the reflector begins at (3,) mm."""
+
+    key: str
+    start_rad: Array
+    axis: int
+    end_rad: float
+    speed_rad_s: float
+    near_mm: Array  # the tracker's frame
+    rate_hz: float
+
+    @property
+    def target_rad(self) -> Array:
+        """Return the joints (6,) at the end."""
+        joints_rad = self.start_rad.copy()
+        joints_rad[self.axis] = self.end_rad
+        return joints_rad
 
 
 class RobotMotion:
@@ -417,3 +460,52 @@ class Mover:
             check_way(self._run.cell, motion.strip_mm, before_rad, joints_rad, what)
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
+
+    # -- both, a reflector followed ------------------------------------------------------------
+
+    def sweep(self, order: SweepOrder) -> StreamRecorded:
+        """Go to the start, sweep where the slide stands, and return what the journal keeps of it.
+
+        Tracker and robot have no clock in common. So samples keep the tracker's own time and the
+        window of the cell's clock in which they arrived, joints the cell's clock before and after
+        they were asked for; the reader of the stream pairs them.
+        """
+        run = self._run
+        tracker, robot = streams_of(run.devices.tracker), sweeps_of(run.devices.robot)
+        check_joint_limits(run.cell, order.target_rad, order.key)
+        check_stated(run.cell, order.key)
+        self.robot_to(order.start_rad, order.key)
+        reflector = run.cell.tracker.reflector
+        joints_deg = np.degrees(order.target_rad)
+        with self.admitted() as motion:
+            motion.check_way(order.target_rad, order.key)
+        with self.admitted() as motion:
+            target = {"axis": order.axis + 1, "joints_deg": joints_deg}
+            run.intend(order.key, "robot.sweep", **target, seen=seen(*motion.slide()))
+            with (
+                StreamFile(run.folder, order.key) as file,
+                tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
+                robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
+            ):
+                stream.kickoff()
+                motion.begin(order.target_rad, order.key)
+                sweep.kickoff()
+                while not sweep.ended:
+                    run.clock.wait(PACE_S)
+                    file.take((), [sweep.collect()])
+                    file.take(stream.collect())
+                sweep.complete()
+                file.take(stream.complete())
+                measured = msgspec.structs.replace(
+                    file.finish(),
+                    set_up=run.log.set_ups.number,
+                    axis=order.axis + 1,
+                    speed_deg_s=float(np.degrees(sweep.speed_rad_s)),
+                    rate_hz=stream.rate_hz,
+                    start_deg=np.degrees(order.start_rad).tolist(),
+                    end_deg=joints_deg.tolist(),
+                    reflector=reflector,
+                    session=run.log.session,
+                )
+        run.add(measured)
+        return measured

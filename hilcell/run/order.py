@@ -163,9 +163,8 @@ class Resume(Signature):
         from hilcell.errors import HilcellError
         from hilcell.journal.runs import CALIBRATION
         from hilcell.journal.runs_folder import runs_option
-        from hilcell.run.remeasure import retake_refusal
-        from hilcell.run.run_plan import ResumedRun, check_attended
-        from hilcell.run.same_cell import NONE, Changes, changed_inputs
+        from hilcell.run.run_plan import NONE, Changes, ResumedRun, changed_inputs, check_attended
+        from hilcell.run.states import retake_refusal
 
         retakes = [key for key in self.retake if key not in log.retakes]
         if refusals := [why for key in retakes if (why := retake_refusal(log, key))]:

@@ -17,7 +17,7 @@ from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell
 from hilcell.errors import DeviceError, NoReading
 from hilcell.ports import Array, Clock
-from hilcell.run.protocol import PromptStatus
+from hilcell.run.control import PromptStatus
 
 LOOK_S = 0.5
 NOTHING_ASKED = "nothing is asked now"

@@ -36,6 +36,7 @@ from hilcell.model.events import (
 )
 from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
+from hilcell.run.control import Status
 from hilcell.run.exits import (
     EXIT_FAULT,
     EXIT_OK,
@@ -46,11 +47,9 @@ from hilcell.run.exits import (
 )
 from hilcell.run.interlocks import Sight, overview
 from hilcell.run.procedure import Procedure
-from hilcell.run.protocol import Status
-from hilcell.run.remeasure import retake_refusal
-from hilcell.run.same_cell import NONE, Changes
+from hilcell.run.run_plan import NONE, Changes
 from hilcell.run.signals import COMMANDS, signals_as_commands
-from hilcell.run.states import RUN, StateMachine
+from hilcell.run.states import RUN, StateMachine, retake_refusal
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 from hilcell.typed import Json

@@ -2,6 +2,10 @@
 
 A transition is written to the journal before it is taken, and the log has the state: a resumed
 run enters exactly the states that its journal ends with.
+
+The calibration's state also says which points may be measured again: those on which nothing was
+built that a retake would not rebuild. Points that wait stand in the journal: asked for by an
+event, done by the point's next record.
 """
 
 from __future__ import annotations
@@ -12,8 +16,10 @@ from typing import cast, get_args
 
 from transitions import EventData, Machine, MachineError, Transition
 
+from hilcell.journal.log import Log
 from hilcell.journal.run_journal import Records
 from hilcell.journal.states import CalibrationState, RunState
+from hilcell.model.point import Point
 from hilcell.ports import HilcellError
 
 
@@ -144,3 +150,38 @@ def mermaid(table: Table) -> str:
         for source in sources
     ]
     return "\n".join(lines)
+
+
+# -- points that may be measured again -------------------------------------------------------------
+
+UNTIL_FITTED = ("grid", "repeatability")
+ALWAYS = ("validate",)
+
+
+def retake_refusal(log: Log, key: str) -> str:
+    """Return why a point may not be re-measured, or nothing where it may."""
+    point = log.points.get(key)
+    if point is None:
+        return f"{key[:80]}: no such point was measured in this run"
+    if key in log.retakes:
+        return f"{key}: waits already to be re-measured"
+    return _bound(log, point)
+
+
+def still_refused(log: Log, key: str) -> str:
+    """Return why a point that waits may no longer be re-measured, or nothing where it may."""
+    return _bound(log, log.points[key])
+
+
+def _bound(log: Log, point: Point) -> str:
+    if point.id.kind in ALWAYS and _repeatable(point):
+        return ""
+    if not (point.id.kind in UNTIL_FITTED and _repeatable(point)):
+        return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
+    if log.calibration in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
+        return f"{point.key}: the correction was built with it; start a new run"
+    return ""
+
+
+def _repeatable(point: Point) -> bool:
+    return point.commanded_deg is not None and bool(point.station)

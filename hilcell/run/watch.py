@@ -58,8 +58,8 @@ from hilcell.run.floor_nests import (
 from hilcell.run.meter import Meter
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import Look, Prompt
-from hilcell.run.remeasure import retake_refusal
 from hilcell.run.run_context import RunContext
+from hilcell.run.states import retake_refusal
 
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 STRAIGHT_MM = 0.5  # a way between stations by the strip: its error, the rail's tilt and lean

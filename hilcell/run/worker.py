@@ -20,11 +20,11 @@ from hilcell.model.events import AnswerRefused, Connected, DeviceBack, DeviceLos
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
+from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
-from hilcell.run.protocol import PromptStatus
-from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets
+from hilcell.run.run_plan import NONE, Changes, accepted, changed_assets
 
 REST_S = 0.02
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
     from hilcell.alarms import Latch
-    from hilcell.run.protocol import Command, Subject
+    from hilcell.run.control import Command, Subject
     from hilcell.tui.engine.feed import RunUpdate
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
@@ -278,7 +278,7 @@ class RunActions:
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
         from hilcell.journal.words import in_words, key_words
-        from hilcell.run.remeasure import retake_refusal
+        from hilcell.run.states import retake_refusal
 
         session = self._application.session
         if session is None:

@@ -18,7 +18,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.identification.motion import SweepStream
 from hilcell.journal.curve_record import curve_of
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
-from hilcell.run import sweeping
+from hilcell.run import mover
 from procedures import axis_sweeps
 from procedures.axis_sweeps import (
     AxisSweeps,
@@ -115,7 +115,7 @@ def blocks(stream: SweepStream) -> list[StreamBlock]:
 
 @pytest.fixture
 def bed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bed:
-    monkeypatch.setattr(sweeping, "PACE_S", 0.0)
+    monkeypatch.setattr(mover, "PACE_S", 0.0)
     made = Bed(tmp_path, cell=SWEPT)
     robot = SweepingRobot(SWEPT, made.clock)
     made.devices = Devices(DeskRail(SWEPT, made.clock), robot, StreamingTracker(robot))

@@ -15,8 +15,8 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
+from hilcell.run.mover import SweepOrder
 from hilcell.run.stopping import SafeStop, close_all
-from hilcell.run.sweeping import SweepOrder
 
 START_RAD = np.radians([-10.0, -100.0, 110.0, 5.0, 40.0, 20.0])
 KEY = "sweep/A1/up"

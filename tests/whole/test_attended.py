@@ -24,7 +24,7 @@ from fakes.leica.emscon_packets import wide
 from hilcell.commands import run as run_command
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
-from hilcell.run.client import order
+from hilcell.run.control import order
 from tests.whole.bench import Engine, command, sets, simulation
 from tests.whole.terminal import Terminal
 from tests.whole.threaded import Event, ThreadedRun, is_state

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.ports import HilcellError
-from hilcell.run.client import order
-from hilcell.run.protocol import PromptStatus, Status
+from hilcell.run.control import PromptStatus, Status, order
 from tests.whole.bench import (
     SMALL,
     Simulation,

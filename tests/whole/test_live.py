@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from hilcell.journal.runs import read_log
-from hilcell.run import client, worker
-from hilcell.run.client import order
+from hilcell.run import control, worker
+from hilcell.run.control import order
 from tests.whole.bench import (
     SMALL,
     Engine,
@@ -48,7 +48,7 @@ def test_pause_resume_watch_from_other_processes(
     assert "as the operator asked" in shown.stdout
     engine.process.send_signal(signal.SIGSTOP)
     with monkeypatch.context() as patched:
-        patched.setattr(client, "ORDER_S", 0.02)  # nothing will come
+        patched.setattr(control, "ORDER_S", 0.02)  # nothing will come
         assert command("resume", engine.run, "--runs", tmp_path).returncode == 2
     engine.process.send_signal(signal.SIGCONT)
     screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.run.client import order
-from hilcell.run.protocol import PromptStatus
+from hilcell.run.control import PromptStatus, order
 from tests.whole.bench import sets, simulation
 from tests.whole.threaded import Event, ThreadedRun
 from tests.whole.trace import judge

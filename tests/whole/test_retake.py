@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.ports import HilcellError
-from hilcell.run.client import order
+from hilcell.run.control import order
 from procedures.revisits import visits
 from tests.whole.bench import SMALL, OwnCell, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns

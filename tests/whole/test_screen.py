@@ -15,7 +15,7 @@ import pytest
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.journal.runs import JOURNAL, read_log, run_folders
-from hilcell.run import client
+from hilcell.run import control
 from tests.whole.bench import LOOK_S, SMALL, command, sets, simulation, wait_gone
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
@@ -148,7 +148,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
 def test_an_engine_that_stands_still_is_silent_and_not_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(client, "ORDER_S", 0.1)  # of a command that is never answered
+    monkeypatch.setattr(control, "ORDER_S", 0.1)  # of a command that is never answered
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED)
         terminal.shows("► RUNNING")

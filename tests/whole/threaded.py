@@ -13,7 +13,7 @@ from subprocess import CompletedProcess
 from types import TracebackType
 from typing import Any, Self
 
-from hilcell.run.client import stop_engine
+from hilcell.run.control import stop_engine
 from tests.whole.bench import command
 
 Event = dict[str, Any]

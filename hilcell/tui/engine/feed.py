@@ -16,8 +16,7 @@ from pathlib import Path
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Record, StorageError, is_there, read_journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
-from hilcell.run.client import EngineClient, EngineLost, EngineSilent
-from hilcell.run.protocol import Status
+from hilcell.run.control import EngineClient, EngineLost, EngineSilent, Status
 from hilcell.tui.engine.run_view import EngineState
 
 QUIET_S = 0.5  # where no engine is at work, little happens

@@ -17,7 +17,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.model.events import StepBegun
 from hilcell.model.point import CONTROL, Point
-from hilcell.run.protocol import PromptStatus, Status
+from hilcell.run.control import PromptStatus, Status
 from hilcell.run.states import RUN
 
 if TYPE_CHECKING:

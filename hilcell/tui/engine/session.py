@@ -21,9 +21,8 @@ from hilcell.alarms.acknowledged import acknowledged_in
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
 from hilcell.model.events import AlarmsAcknowledged
-from hilcell.run.client import EngineClient, stop_engine
+from hilcell.run.control import Command, EngineClient, Subject, stop_engine
 from hilcell.run.forecast import Forecast
-from hilcell.run.protocol import Command, Subject
 from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
 

@@ -14,7 +14,7 @@ from hilcell.journal.states import WAITING
 from hilcell.journal.times import local_words, time_words
 from hilcell.journal.words import in_words
 from hilcell.model.events import NOT_KNOWN
-from hilcell.run.protocol import DeviceStatus, Interlock
+from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.terminal.capabilities import Glyphs

@@ -25,7 +25,7 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.words import in_words
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
-from hilcell.run.protocol import PromptStatus
+from hilcell.run.control import PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines
 from hilcell.tui.plots import Canvas

@@ -37,8 +37,8 @@ from hilcell.model.plan import Step
 from hilcell.model.point import CONTROL, HOW, Point, Sent
 from hilcell.model.records import Ended, Intended, StateChanged
 from hilcell.model.verdicts import Verdict
+from hilcell.run.control import DeviceStatus
 from hilcell.run.forecast import Ahead
-from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import (
     BLANK,

@@ -20,9 +20,9 @@ from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Journal, Record, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.control import Status
 from hilcell.run.engine import Ending, Engine
-from hilcell.run.protocol import Status
-from hilcell.run.same_cell import Changes
+from hilcell.run.run_plan import Changes
 from tests.hilcell.report.journals import Writer
 from tests.whole.bench import command as command_of
 

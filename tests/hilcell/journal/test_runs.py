@@ -49,7 +49,7 @@ import json, os, sys
 from pathlib import Path
 from hilcell.journal.index import read_index
 from hilcell.journal import engine_file, log
-from hilcell.run import client  # nothing more can be loaded once rights are given away
+from hilcell.run import control  # nothing more can be loaded once rights are given away
 from hilcell.journal.find_run import find_run
 from hilcell.journal.runs import read_log
 from hilcell.tui.app import run_to_open
@@ -64,7 +64,7 @@ except Exception as error:
     print(f"{type(error).__name__}: {error}")
 print(run_to_open(runs, ""))
 try:
-    client.order(runs / "2", "pause")
+    control.order(runs / "2", "pause")
 except Exception as error:
     print(f"{type(error).__name__}: {error}")
 """

@@ -18,8 +18,8 @@ from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.ports import NoReading
 from hilcell.run.procedure import Procedure
+from hilcell.run.run_plan import NONE, Changes
 from hilcell.run.runner import Runner
-from hilcell.run.same_cell import NONE, Changes
 from tests.hilcell.run.rig import DeskClock, DeskRail, DeskRobot, DeskTracker, desk
 
 QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}

@@ -12,9 +12,8 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import EngineFile, live_engine
-from hilcell.run import client as client_module
-from hilcell.run.client import EngineClient, EngineLost, EngineSilent, order, stop_engine
-from hilcell.run.protocol import Status
+from hilcell.run import control
+from hilcell.run.control import EngineClient, EngineLost, EngineSilent, Status, order, stop_engine
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 
 MANY_STOPS = 2000  # their answers fill any buffer
@@ -23,7 +22,7 @@ MANY_STOPS = 2000  # their answers fill any buffer
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait a tenth of a second for an engine that will not answer."""
-    monkeypatch.setattr(client_module, "ANSWER_S", 0.1)
+    monkeypatch.setattr(control, "ANSWER_S", 0.1)
 
 
 def connected(folder: Path) -> EngineClient:

@@ -12,7 +12,7 @@ from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.geometry.clearance import placed_mm
 from hilcell.journal.journal import Record
 from hilcell.ports import Array, DeviceError, RobotReading
-from hilcell.run import sweeping
+from hilcell.run import mover
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import (
     check_path,
@@ -313,11 +313,11 @@ def test_a_robot_that_cannot_park_on_a_clear_way_stays(post: Bed) -> None:
 def test_a_sweep_through_a_volume_is_not_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: Cell, code: str
 ) -> None:
-    monkeypatch.setattr(sweeping, "streams_of", lambda tracker: tracker)
-    monkeypatch.setattr(sweeping, "sweeps_of", lambda robot: robot)
+    monkeypatch.setattr(mover, "streams_of", lambda tracker: tracker)
+    monkeypatch.setattr(mover, "sweeps_of", lambda robot: robot)
     bed = Bed(tmp_path, cell=cell)
     bed.robot.joints_rad = LEFT
-    order = sweeping.SweepOrder("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
+    order = mover.SweepOrder("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
 
     def go(session: CellSession, number: int) -> None:
         session.sweep(order)

@@ -15,15 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import hilcell.run.client as client_module
+import hilcell.run.control as client_module
 from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.journal.journal import StorageError
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_name, locked
-from hilcell.run.client import order
-from hilcell.run.control import Control
-from hilcell.run.protocol import COMMANDS, TIMELESS, Command, Request, Status
+from hilcell.run.control import COMMANDS, TIMELESS, Command, Control, Request, Status, order
 from tests.hilcell.run.bed import Screen, until
 from tests.hilcell.run.rig import hang
 

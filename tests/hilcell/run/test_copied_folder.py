@@ -7,8 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hilcell.journal.engine_file import live_engine
-from hilcell.run.client import EngineClient
-from hilcell.run.control import Control
+from hilcell.run.control import Control, EngineClient
 from tests.hilcell.run.test_control import Recorder
 
 

@@ -136,7 +136,7 @@ def test_a_resumed_run_journals_the_agreement_and_its_order(
     order = home(tmp_path)
     with NewEngine(order, order.check(print), print) as engine:
         engine.run(Heard())
-    monkeypatch.setattr("hilcell.run.same_cell.__version__", "0.0")
+    monkeypatch.setattr("hilcell.run.run_plan.__version__", "0.0")
     folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
     plan = again.check(folder, read_log(folder), somebody=True)
     assert (plan.goes_on, len(plan.changes.inputs)) == (True, 1)

@@ -12,7 +12,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.ports import Clock, RailReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.readings import TRIES, fresh
+from hilcell.run.interlocks import TRIES, fresh
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure

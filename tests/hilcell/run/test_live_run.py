@@ -9,7 +9,7 @@ import pytest
 import hilcell.run.runner as runner_module
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.cell_session import CellSession
-from hilcell.run.protocol import DeviceStatus
+from hilcell.run.control import DeviceStatus
 from hilcell.run.states import RUN
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, hang, procedure

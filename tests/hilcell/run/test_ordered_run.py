@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 
 import hilcell.run.worker as worker_module
-from hilcell.run.client import order
-from hilcell.run.control import Control
-from hilcell.run.protocol import Command
+from hilcell.run.control import Command, Control, order
 from tests.hilcell.run.bed import Bed, Live, Screen, until
 from tests.hilcell.run.rig import Points, procedure
 

@@ -12,8 +12,7 @@ from hilcell.journal.log import Log
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
-from hilcell.run.remeasure import retake_refusal, still_refused
-from hilcell.run.states import CALIBRATION
+from hilcell.run.states import CALIBRATION, retake_refusal, still_refused
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import procedure
 

@@ -16,7 +16,7 @@ from hilcell.journal.runs import read_log
 from hilcell.model.events import Connected
 from hilcell.ports import DeviceError, Identity
 from hilcell.run.cell_session import CellSession
-from hilcell.run.same_cell import Changes, cell_file, changed_assets, changed_inputs
+from hilcell.run.run_plan import Changes, cell_file, changed_assets, changed_inputs
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.bed import Bed, Live
 from tests.hilcell.run.rig import Points, procedure

@@ -23,7 +23,7 @@ from textual.screen import Screen
 from textual.strip import Strip
 from textual.worker import WorkerCancelled
 
-from hilcell.run.protocol import Command, Subject
+from hilcell.run.control import Command, Subject
 from hilcell.tui.app import HilcellApp, RunActions
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session

@@ -14,8 +14,8 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
 from hilcell.model.records import Kind
+from hilcell.run.control import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.run.prompts import seat_prompt
-from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.verdicts import FITTED, plain

@@ -9,7 +9,7 @@ from typing import Self
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.run.protocol import Status
+from hilcell.run.control import Status
 from tests.hilcell.tui.engine_peer import STATUS
 
 

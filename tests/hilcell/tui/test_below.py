@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Verdict
+from hilcell.run.control import Interlock
 from hilcell.run.forecast import Ahead, Forecast
-from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import Stack
 from hilcell.tui.terminal.capabilities import UNICODE

@@ -15,7 +15,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import CALIBRATION
 from hilcell.model.point import PointId
-from hilcell.run.client import EngineLost, EngineSilent
+from hilcell.run.control import EngineLost, EngineSilent
 from hilcell.tui.engine import feed as feeds
 from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate, utc_now
 from hilcell.tui.engine.run_view import EngineState

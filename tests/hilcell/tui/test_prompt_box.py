@@ -7,7 +7,7 @@ import pytest
 from textual.pilot import Pilot
 
 from hilcell.model.records import StateChanged
-from hilcell.run.protocol import DeviceStatus, PromptStatus
+from hilcell.run.control import DeviceStatus, PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.prompt import enter_line, prompt_picture, prompt_task

@@ -17,8 +17,8 @@ from hilcell.journal.log import Log
 from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.records import Ended
+from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.run.forecast import UnderWay
-from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
 from hilcell.tui.text import devices

@@ -12,7 +12,6 @@ from textual.pilot import Pilot
 
 from hilcell.journal.journal import Record
 from hilcell.model.events import AlarmsAcknowledged
-from hilcell.run import client
 from hilcell.run.control import Control
 from hilcell.tui.engine.feed import RunUpdate, utc_now
 from hilcell.tui.engine.run_view import EngineState
@@ -30,7 +29,7 @@ PERIOD_S = 0.02
 def asking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """A run that asks, because the beam is broken; screens may attend."""
     monkeypatch.setitem(beds.PLAN, "cell", msgspec.to_builtins(beds.CELL))
-    monkeypatch.setattr(client, "ANSWER_S", 600.0)  # a slow machine is not silent
+    monkeypatch.setattr("hilcell.run.control.ANSWER_S", 600.0)  # a slow machine is not silent
     bed = Bed(tmp_path, unattended=False)
     bed.tracker.answer = broken_beam(10**6)
     with Live(bed, procedure(Points(1))) as live:

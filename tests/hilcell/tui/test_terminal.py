@@ -17,7 +17,7 @@ import pytest
 
 from hilcell.journal.journal import Journal, Record
 from hilcell.journal.runs import CALIBRATION, JOURNAL
-from hilcell.run.protocol import Status
+from hilcell.run.control import Status
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.sample_runs import fresh, sample_run, status
 from tests.hilcell.tui.terminal_colours import colours_of

@@ -8,7 +8,7 @@ import msgspec
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
-from hilcell.run.protocol import Status
+from hilcell.run.control import Status
 from hilcell.tui.engine.feed import RunUpdate
 from tests.hilcell.tui.sample_runs import PROMPT, fresh
 
