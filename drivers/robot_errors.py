@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from drivers.motion_limits import MotionLimits
+from drivers.wires.tcp import Alarms
 from hilcell.ports import Array, DeviceError, DeviceRefused
 
 DEVICE = "Robot"
+ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 
 
 def failed(

@@ -33,7 +33,7 @@ QUAINT = re.compile(
 )
 TRAPS = {  # a motion or a result that would be wrong without notice; all else is a plain reason
     "drivers/canopen/cia402.py": "a motion counts as ended that has not begun",
-    "drivers/wires/keep_alive.py": "a stop is lost",
+    "drivers/kuka/controller.py": "a stop is lost",
     "drivers/canopen/process_image.py": "a stop is undone",
     "drivers/kuka/program_krl/data.py": "a target is relative in disguise",
     "drivers/kuka/program_krl/program.py": "an axis turns by 360 deg",

@@ -25,7 +25,7 @@ from drivers.canopen.cia301 import NodeState
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
-from drivers.kuka import c3, krl
+from drivers.kuka import krl, robot_c3
 from drivers.kuka.program_krl.files import read_program
 from drivers.leica import emscon
 from fakes.leica import emscon_packets
@@ -110,11 +110,11 @@ def tracker_samples() -> Iterable[bytes]:
 
 
 def robot(data: bytes) -> None:
-    tag, _size = c3.decode_header(data[:4].ljust(4, b"\0"))
+    tag, _size = robot_c3.decode_header(data[:4].ljust(4, b"\0"))
     body = data[4:]
-    if not 6 <= len(body) <= c3.MAX_BODY:
+    if not 6 <= len(body) <= robot_c3.MAX_BODY:
         return  # `decode_header` has refused it
-    value = c3.decode_body(tag, body).value
+    value = robot_c3.decode_body(tag, body).value
     with suppress(krl.KrlError):
         krl.parse(value)
     krl.numbers(value, AXES)
@@ -359,7 +359,7 @@ PARSERS = {
     parser.name: parser
     for parser in (
         Parser("tracker", tracker, (emscon.EmsconError,), tracker_samples),
-        Parser("robot", robot, (c3.C3Error, krl.KrlError), robot_samples),
+        Parser("robot", robot, (robot_c3.C3Error, krl.KrlError), robot_samples),
         Parser("sdo", sdo_replies, (HilcellError,), sdo_samples),
         Parser("can", can_frames, (HilcellError, can.CanError), can_samples),
         Parser("journal-record", journal_record, (ValueError, TypeError), record_samples),

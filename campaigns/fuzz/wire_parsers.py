@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
-from drivers.kuka import eki
+from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
 from drivers.spatialanalyzer.t2sa import MEASURE, T2saBridge
@@ -64,7 +64,11 @@ def documents(data: bytes) -> None:
     """States of EthernetKRL: command -7 is answered, then the next one by what is left."""
     channel = object.__new__(EkiChannel)
     channel.attend = lambda: None
-    channel._device, channel._root, channel._link = "Robot", eki.STATE, cast("Any", Wire(data))
+    channel._device, channel._root, channel._link = (
+        "Robot",
+        eki.STATE,
+        cast("Any", Wire(data)),
+    )
     channel._lock, channel._received, channel._dead = threading.Lock(), b"", ""
     for number in (ASKED, ASKED - 1):
         state = channel.ask(number, eki.command(number, eki.Kind.ASK))

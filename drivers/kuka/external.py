@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers.kuka.controller import PROGRESS, SlidingController
-from drivers.kuka.health import SLIDE
+from drivers.kuka.controller import PROGRESS, SLIDE, SlidingController
 from drivers.kuka.robot import POLL_S, STALL_S, KukaOptions, KukaRobot
 from drivers.motion_limits import MotionLimits
 from hilcell.ports import AxisReading, Clock, DeviceError, DeviceRefused, Identity

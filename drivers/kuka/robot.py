@@ -10,28 +10,34 @@ while a brake slips.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import cycle
-from typing import Annotated
+from typing import Annotated, Self
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.kuka.controller import PROGRAM_VERSION, PROGRESS, Controller, integer
-from drivers.kuka.health import (
+from drivers.kuka.controller import (
     AXES,
     FRAME,
     HEALTH,
+    LOST,
+    PROGRAM_VERSION,
+    PROGRESS,
     SLIDE,
+    STOPPED,
+    Access,
+    Controller,
     frame_text,
+    integer,
     joints_text,
     refused_motion,
     unwell,
 )
-from drivers.kuka.sweep import KukaSweep, give_back_left_behind, leave_at_rest
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision, on_failure
@@ -41,8 +47,11 @@ from hilcell.ports import (
     Array,
     Clock,
     DeviceError,
+    HilcellError,
     Identity,
+    JointSample,
     RobotReading,
+    Stopped,
     says_simulated,
 )
 from hilcell.wire.channel import Host
@@ -60,6 +69,12 @@ STILL_MM = 0.01
 ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
 PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
+OVERRIDE, PERCENT = "$OV_PRO", 100
+SWEEP_PROGRESS_DEG = 0.002
+BRAKED_S = 3.0  # wire deadline: from a brake to standstill
+BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
+STILL_DEG = 0.0005
+SWEEP_POLL_S = 0.05  # while the end is waited for
 
 
 class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -407,3 +422,212 @@ class KukaRobot:
         controller, self._controller = self._controller, None
         if controller is not None:
             controller.close()
+
+
+class KukaSweep:
+    """Satisfies `hilcell.ports.Sweep`: one axis turned slowly, with its joints read meanwhile.
+
+    Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
+    1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers
+    its old value (HC_OV_OLD) and the lowered one (HC_OV_SET); every way out of a sweep and every
+    connect give it back, at rest only, and only where nobody has changed it meanwhile.
+    """
+
+    def __init__(
+        self,
+        robot: KukaRobot,
+        clock: Clock,
+        axis: int,
+        end_deg: float,
+        speed_deg_s: float,
+        full_deg_s: Array,
+    ) -> None:
+        """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
+        if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
+            raise DeviceError(
+                "HC-B28",
+                DEVICE,
+                "sweep",
+                f"axis {axis + 1} to {end_deg} deg",
+                wanted="an axis of 1 to 6, a finite angle",
+            )
+        full = float(full_deg_s[axis])
+        if not full / PERCENT**2 <= speed_deg_s <= full:
+            raise DeviceError(
+                "HC-B28",
+                DEVICE,
+                "sweep",
+                f"{speed_deg_s} deg/s",
+                wanted=f"{full / PERCENT**2:.4f} to {full:g} deg/s",
+                fields={"speed_deg_s": speed_deg_s},
+            )
+        self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
+        self._robot, self._clock = robot, clock
+        self._axis, self._end_deg = axis, end_deg
+        self._speed_deg_s, self._full_deg_s = speed_deg_s, full
+        self._target_deg = np.zeros(6)
+        self._velocity = self._override = PERCENT
+        self._variable, self._number, self._under_way = PROGRESS, 0, False
+        self._round: Iterator[tuple[str, ...]] = iter(())
+        self._limits = MotionLimits(0.0, STALL_S, SWEEP_PROGRESS_DEG)
+
+    def __enter__(self) -> Self:
+        """Set the speed; nothing moves."""
+        robot, controller = self._robot, self._robot.wire()
+        controller.look()
+        robot.check(*HEALTH, OVERRIDE)
+        self._variable, self._round = controller.measured, cycle(controller.rounds)
+        found = integer(controller, OVERRIDE)
+        share = self._speed_deg_s / self._full_deg_s
+        self._velocity, self._override = split_speed(share, found)
+        self.speed_rad_s = float(
+            np.radians(self._full_deg_s) * self._velocity * self._override / PERCENT**2
+        )
+        self._target_deg = robot.stands_at().copy()
+        distance_deg = np.zeros(6)
+        distance_deg[self._axis] = self._end_deg - self._target_deg[self._axis]
+        self._target_deg[self._axis] = self._end_deg
+        planned = planned_s(distance_deg, np.full(6, self._full_deg_s), self._velocity)
+        self._limits = MotionLimits(planned, STALL_S, SWEEP_PROGRESS_DEG)
+        if self._override != found:
+            try:
+                controller.lower_override(found, self._override)
+            except BaseException as error:
+                self._give_back(error)
+                raise
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Brake a motion under way and give the override back."""
+        self._give_back(error)
+
+    def kickoff(self) -> None:
+        """Start the motion."""
+        self._under_way = True
+        self._number = self._robot.command(self._target_deg, self._velocity)
+
+    def collect(self) -> JointSample:
+        """Ask for the joints once, and look whether all is well and the motion has ended."""
+        controller, before_s = self._robot.wire(), self._clock.now_s()
+        controller.look()
+        joints_deg = controller.numbers(self._variable, AXES)
+        after_s = self._clock.now_s()
+        self._look()
+        return JointSample(np.radians(joints_deg), before_s, after_s)
+
+    def complete(self) -> RobotReading:
+        """Wait for the end of the motion; return the reading at rest."""
+        while not self.ended:
+            self._clock.wait(SWEEP_POLL_S)
+            self._look()
+        reading = self._robot.rest(self._target_deg)
+        self._under_way = False
+        return reading
+
+    def _look(self) -> None:
+        if self.ended:
+            return
+        if self._robot.acknowledged(self._number):
+            self.ended = True
+            return
+        names = next(self._round)
+        self._robot.check_round(names, self._limits, self._number)
+        if OVERRIDE not in names:
+            return
+        if (found := integer(self._robot.wire(), OVERRIDE)) != self._override:
+            raise DeviceError(
+                "HC-B40",
+                DEVICE,
+                "sweep",
+                f"$OV_PRO is {found}",
+                wanted=f"{self._override}",
+                act="the override was changed at the panel during the sweep; sweep again",
+                fields={"override": found, "wanted_override": self._override},
+            )
+
+    def _give_back(self, error: BaseException | None) -> None:
+        """Leave the robot at rest with its override as it was."""
+        self._robot.unwatch()
+        try:
+            with self._robot.wire().undisturbed() as access:
+                if self._under_way:
+                    access.brake()
+                    await_rest(access)
+                access.give_back_override()
+            if self._under_way and not isinstance(error, Stopped):
+                self._robot.take_back()
+        except HilcellError as failure:  # a stop, too, would hide the error
+            if error is None:
+                raise
+            error.add_note(f"not all was taken back: {failure}; the next connect does it")
+
+
+def split_speed(share: float, override: int) -> tuple[int, int]:
+    """Return HC_VEL and $OV_PRO whose product comes nearest to a share of full speed from below.
+
+    The operator's ``override`` is never raised; of equal ones the highest is taken.
+    """
+    wanted = share * PERCENT**2 * (1.0 + 1e-9)
+    pairs = [
+        (velocity * lowered, lowered, velocity)
+        for velocity in range(1, PERCENT + 1)
+        if (lowered := min(override, int(wanted / velocity))) >= 1
+    ]
+    _, lowered, velocity = max(pairs)
+    return velocity, lowered
+
+
+def give_back_left_behind(access: Access) -> None:
+    """Give back an override that a dead engine left lowered; its sweep is braked first."""
+    if not access.lowered_override():
+        return
+    if integer(access, "HC_SEQ") != integer(access, "HC_ACK"):
+        access.brake()
+        await_rest(access)
+    access.give_back_override()
+
+
+def leave_at_rest(access: Access, joints: str, names: Sequence[str]) -> None:
+    """Brake until all axes stand, by two looks; also while a stop is on.
+
+    The stop is written again at each look: the one that waited for no answer may be lost.
+    """
+    patience, over = Patience(BRAKED_S), False
+    before, pause = np.full(len(names), np.inf), threading.Event()
+    while not over:
+        over = patience.over()
+        access.brake()
+        access.look()
+        now = np.array(access.numbers(joints, tuple(names)))
+        if bool(np.all(np.abs(now - before) <= STILL_DEG)):
+            return
+        before = now
+        pause.wait(BRAKED_DWELL_S)
+    raise _restless("close")
+
+
+def await_rest(access: Access) -> None:
+    """Wait until the program has taken the stop and no axis moves; also while a stop is on."""
+    patience, over = Patience(BRAKED_S), False
+    before_deg, pause = np.full(6, np.inf), threading.Event()
+    while not over:
+        over = patience.over()
+        access.look()
+        now_deg = np.array(access.numbers(PROGRESS, AXES))
+        stands = bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG))
+        if stands and integer(access, "HC_ERR") in (STOPPED, LOST):
+            return
+        before_deg = now_deg
+        pause.wait(BRAKED_DWELL_S)
+    raise _restless("sweep")
+
+
+def _restless(operation: str) -> DeviceError:
+    return DeviceError(
+        "HC-B41",
+        DEVICE,
+        operation,
+        f"not at rest {BRAKED_S:.0f} s after the brake",
+        act="see the panel, resume",
+        fields={"waited_s": BRAKED_S},
+    )

@@ -1,49 +1,217 @@
-"""A KUKA robot through EthernetKRL: commands and states as XML documents, see `drivers.kuka.eki`.
+"""A KUKA robot through EthernetKRL: commands and states as XML documents over TCP.
 
 The controller is the server of two channels. Its submit program ``eki_krl/hilcell_eki.src`` answers
 each command of the first with its state, also while the robot moves or its program is halted, and
 brakes by the second; motions are made by ``krl/hilcell.src``, as with `drivers.kuka.robot_c3`.
 The commands of the thread that watches a motion are signs of life.
+
+Nothing on the wire states a length: a document ends with the closing tag of its root. Each command
+carries all values, because EthernetKRL keeps a queue for each value, and one that is left out
+shifts all that follow. Each answer is a state of the controller, with the Id of the command that it
+answers: motions have ids above 0, all other commands below. Only Finished_Id says that a motion has
+ended. An answer to an earlier command may come late, or before the one that is awaited: it is never
+used.
+
+A state is a flat document of elements with attributes, perhaps behind `<?xml ..?>`, which says
+nothing more. So no document type, entity or comment is ever needed: a document that has one is
+refused before it is parsed. Controllers differ in capitals, and write booleans as words or as 0, 1.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
+from xml.parsers import expat
 
-from drivers.kuka import eki, krl
+from drivers.kuka import krl
 from drivers.kuka.controller import (
+    AXES,
+    HEALTH,
+    LIFE_S,
     PROGRAM_VERSION,
     PROGRESS,
+    SLIDE,
+    KeepAlive,
     integer,
     override_held,
     unreadable,
 )
 from drivers.kuka.external import SlidingKukaRobot
-from drivers.kuka.health import HEALTH, LIFE_S, SLIDE
 from drivers.kuka.robot import KukaOptions
-from drivers.robot_errors import DEVICE
+from drivers.robot_errors import ALARMS, DEVICE
 from drivers.supervision import Patience, go_on, on_failure
-from drivers.wires.keep_alive import KeepAlive
-from drivers.wires.tcp import POLL_S, Alarms, TcpLink
+from drivers.wires.tcp import POLL_S, TcpLink
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError
 from hilcell.wire.channel import Port
 
-# An answer to an earlier command may come late, or before the one that is awaited: it is never
-# used. The controller serves one client a channel and opens it again a moment after a client has
-# gone, so connecting is tried for a while.
+STATE, STOPPED = "RobotState", "RobotStopState"  # roots
+LONGEST = 8192  # bytes of a document; a state has about 1000
 
+# Variable of the controller: element and attribute.
+SINGLE = {
+    "HC_SEQ": ("Command", "Motion_Id"),
+    "HC_ACK": ("Command", "Finished_Id"),
+    "HC_STOP": ("Command", "Stopped"),
+    "HC_ERR": ("Error", "Code"),
+    "HC_OV_OLD": ("Override", "Old"),
+    "$MODE_OP": ("Status", "Mode_Op"),
+    "$PERI_RDY": ("Status", "Peri_Rdy"),
+    "$STOPMESS": ("Status", "StopMess"),
+    "$ALARM_STOP": ("Status", "Alarm_Stop"),
+    "$USER_SAF": ("Status", "User_Saf"),
+    "$PRO_STATE1": ("Status", "Pro_State1"),
+    "$OV_PRO": ("Status", "Ov_Pro"),
+    "$ACT_TOOL": ("Tool", "Number"),
+    "$ACT_BASE": ("Base", "Number"),
+    "$EX_AX_NUM": ("Slide", "Count"),
+    "$AXIS_JUS[7]": ("Slide", "Mastered"),
+    "HC_HELD": ("Slide", "Held"),
+    "$TRAFONAME[]": ("Robot", "Model"),
+    "$KR_SERIALNO": ("Robot", "Serial"),
+    "HC_VER": ("Robot", "Program"),
+    "HE_VER": ("Robot", "Documents"),
+}
+BOOLEANS = {
+    "HC_STOP", "HC_HELD", "$AXIS_JUS[7]", "$PERI_RDY", "$STOPMESS", "$ALARM_STOP", "$USER_SAF",
+}  # fmt: skip
+STRUCTURES = {
+    "$AXIS_ACT": "Pos",
+    "$AXIS_ACT_MEAS": "Pos",
+    "$POS_ACT": "Pos",
+    "$TOOL": "Tool",
+    "$BASE": "Base",
+}
+
+# The controller serves one client a channel and opens it again a moment after a client has gone, so
+# connecting is tried for a while.
 DOCUMENTS_VERSION = 1
 ANSWER_S = 2.0
 OPEN_S = 3.0  # the channel of a client that has gone is open again
 AGAIN = 5  # times POLL_S from one try to the next
 RECEIVE = 4096
-ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
+LARGEST_ID = 1_000_000_000
+LIFE_MS = round(1000 * LIFE_S)
+
+
+class Kind(IntEnum):
+    """Types of a command."""
+
+    ASK = 0
+    MOVE = 1
+    BRAKE = 2
+    RELEASE = 3
+    LOWER = 4
+    GIVE_BACK = 5
+    HOLD_SLIDE = 6
+    FREE_SLIDE = 7
+    MOVE_SLIDE = 8
+
+
+class EkiError(ValueError):
+    """Bytes that are no document of the controller's program."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """One answer: attributes as text, by element; names are without capitals."""
+
+    elements: Mapping[str, Mapping[str, str]]
+
+    def text(self, element: str, attribute: str) -> str:
+        """Return an attribute."""
+        try:
+            return self.elements[element.casefold()][attribute.casefold()]
+        except KeyError:
+            raise EkiError(f"{element}/@{attribute} is missing") from None
+
+    def single(self, name: str) -> krl.Value:
+        """Return a single variable of the controller."""
+        value = krl.parse(self.text(*SINGLE[name]))
+        return bool(value) if name in BOOLEANS and value in (0, 1) else value
+
+    def numbers(self, name: str, components: Sequence[str]) -> list[float]:
+        """Return components of a structure."""
+        element = STRUCTURES[name]
+        found = ", ".join(f"{each} {self.text(element, each)}" for each in components)
+        return krl.numbers(f"{{{element}: {found}}}", tuple(components))
+
+
+def command(
+    number: int,
+    kind: Kind,
+    *,
+    axes: Sequence[float] = (0.0,) * 6,
+    e1: float = 0.0,
+    percent: int = 1,
+    life_ms: int = 0,
+) -> bytes:
+    """Return a command; ``axes`` (6,) in deg, ``e1`` in mm or deg."""
+    places = dict(zip((*AXES, SLIDE), (*axes, e1), strict=True))
+    for name, value in places.items():
+        if not math.isfinite(value):
+            raise EkiError(f"{name} {value} is not finite")
+    position = " ".join(f'{name}="{value:.6f}"' for name, value in places.items())
+    return (
+        f'<RobotCommand Id="{number}" Type="{kind}" Percent="{percent}" Life="{life_ms}">'
+        f"<Pos {position}></Pos></RobotCommand>"
+    ).encode("ascii")
+
+
+def stop_command(number: int, *, brake: bool) -> bytes:
+    """Return a document of the stop's channel; without ``brake`` it only asks for an answer."""
+    return f'<RobotStop Id="{number}" Brake="{int(brake)}"></RobotStop>'.encode("ascii")
+
+
+def split(received: bytes, root: str) -> tuple[list[bytes], bytes]:
+    """Return the whole documents that were received, and the rest."""
+    end = f"</{root}>"
+    pieces = re.split(f"({end})".encode("ascii"), received, flags=re.IGNORECASE)
+    for each in pieces[::2]:
+        if len(each) > LONGEST:
+            raise EkiError(f"{len(each)} bytes without {end}, {LONGEST} are possible")
+    *whole, rest = pieces[::2]
+    return [begun.lstrip() + close for begun, close in zip(whole, pieces[1::2], strict=True)], rest
+
+
+def parse(document: bytes, root: str) -> tuple[int, State]:
+    """Return the Id and the contents of an answer; raises `EkiError`."""
+    if prolog := re.match(rb"<\?xml\s[^<>]{0,100}\?>\s*", document):
+        document = document[prolog.end() :]
+    if not document.isascii() or re.search(rb"<[!?]", document):
+        raise EkiError(f"a declaration, or bytes that are no ASCII: {document[:60]!r}")
+    elements: dict[str, dict[str, str]] = {}
+    path: list[str] = []
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        tag = tag.casefold()
+        path.append(tag)
+        if len(path) > 2 or path[0] != root.casefold() or tag in elements:
+            raise EkiError(f"{'/'.join(path)[:80]} is out of place")
+        elements[tag] = {name.casefold(): value for name, value in attributes.items()}
+        if len(elements[tag]) != len(attributes):
+            raise EkiError(f"{tag[:80]} has an attribute twice")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = lambda _tag: path.pop()
+    try:
+        parser.Parse(document, True)
+    except expat.ExpatError as error:
+        raise EkiError(f"no XML: {error}: {document[:60]!r}") from error
+    state = State(elements)
+    number = state.text("Command", "Id")
+    if not re.fullmatch(r"-?[0-9]{1,10}", number):
+        raise EkiError(f"Command/@Id {number[:20]!r} is no whole number")
+    return int(number), state
 
 
 class EkiChannel:
@@ -61,7 +229,7 @@ class EkiChannel:
         self._dead = ""
         self.used_s = time.monotonic()
 
-    def ask(self, number: int, document: bytes) -> eki.State:
+    def ask(self, number: int, document: bytes) -> State:
         """Send a command and return its answer; raises `DeviceError`."""
         operation = f"motion {number}" if number > 0 else "command"
         with self._lock:
@@ -89,7 +257,7 @@ class EkiChannel:
     def _attend(self) -> None:
         self.attend()
 
-    def _answer(self, number: int, operation: str) -> eki.State:
+    def _answer(self, number: int, operation: str) -> State:
         patience, others = Patience(ANSWER_S), 0
         while True:
             for found, state in self._documents(operation):
@@ -105,12 +273,12 @@ class EkiChannel:
                 )
             self._received += piece
 
-    def _documents(self, operation: str) -> list[tuple[int, eki.State]]:
+    def _documents(self, operation: str) -> list[tuple[int, State]]:
         """Take the whole documents out of what was received; an unusable one ends the use."""
         try:
-            whole, self._received = eki.split(self._received, self._root)
-            return [eki.parse(document, self._root) for document in whole]
-        except eki.EkiError as error:
+            whole, self._received = split(self._received, self._root)
+            return [parse(document, self._root) for document in whole]
+        except EkiError as error:
             self._dead = str(error)
             raise DeviceError(
                 "HC-B49",
@@ -146,10 +314,6 @@ def open_channel(
             time.sleep(POLL_S)
 
 
-LARGEST_ID = 1_000_000_000
-LIFE_MS = round(1000 * LIFE_S)
-
-
 class EkiController:
     """Satisfies `drivers.kuka.controller.SlidingController`; a look is an exchange of documents."""
 
@@ -163,15 +327,15 @@ class EkiController:
         opened = partial(open_channel, DEVICE, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(LARGEST_ID)
-        self._state: eki.State | None = None
+        self._state: State | None = None
         self._life_ms = 0
-        probe, stop_probe = eki.command(0, eki.Kind.ASK), eki.stop_command(0, brake=False)
-        self._line = opened(options.port, eki.STATE, robot.attend, probe)
+        probe, stop_probe = command(0, Kind.ASK), stop_command(0, brake=False)
+        self._line = opened(options.port, STATE, robot.attend, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line = opened(options.stop_port, eki.STOPPED, go_on, stop_probe)
+            self._stop_line = opened(options.stop_port, STOPPED, go_on, stop_probe)
         self._keeper = KeepAlive(
-            (self._stop_line,), lambda line: line.ask(0, eki.stop_command(0, brake=False))
+            (self._stop_line,), lambda line: line.ask(0, stop_command(0, brake=False))
         )
 
     def look(self) -> None:
@@ -182,31 +346,31 @@ class EkiController:
         """Return a single value of the state."""
         try:
             return self._known().single(name)
-        except (eki.EkiError, krl.KrlError) as error:
+        except (EkiError, krl.KrlError) as error:
             raise unreadable(name, error) from error
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
         """Return components of a structure of the state."""
         try:
             return self._known().numbers(name, components)
-        except (eki.EkiError, krl.KrlError) as error:
+        except (EkiError, krl.KrlError) as error:
             raise unreadable(name, error) from error
 
     def text(self, name: str) -> str:
         """Return a text of the state."""
         try:
-            return clean(self._known().text(*eki.SINGLE[name]).strip())
-        except eki.EkiError as error:
+            return clean(self._known().text(*SINGLE[name]).strip())
+        except EkiError as error:
             raise unreadable(name, error) from error
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""
         axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
-        self._start(number, eki.Kind.MOVE, speed_percent, axes=axes, e1=e1)
+        self._start(number, Kind.MOVE, speed_percent, axes=axes, e1=e1)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Send a motion of E1 alone."""
-        self._start(number, eki.Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
+        self._start(number, Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
@@ -218,7 +382,7 @@ class EkiController:
 
     def hold_slide(self, held: bool) -> None:
         """Send whether E1 may move."""
-        self._send(eki.Kind.HOLD_SLIDE if held else eki.Kind.FREE_SLIDE)
+        self._send(Kind.HOLD_SLIDE if held else Kind.FREE_SLIDE)
 
     def slide(self) -> tuple[float, bool]:
         """Return where E1 is, and whether it is held, of one state."""
@@ -233,21 +397,21 @@ class EkiController:
 
     def brake(self) -> None:
         """Send a stop over the channel of commands."""
-        self._send(eki.Kind.BRAKE)
+        self._send(Kind.BRAKE)
 
     def release(self) -> None:
         """Send that the stop is over, where there is one."""
         if self.value("HC_STOP") is not False:
-            self._send(eki.Kind.RELEASE)
+            self._send(Kind.RELEASE)
 
     def lower_override(self, found: int, wanted: int) -> None:
         """Have the controller keep the old value and set the new one."""
-        self._send(eki.Kind.LOWER, wanted)
+        self._send(Kind.LOWER, wanted)
         override_held(integer(self, "$OV_PRO"), wanted)
 
     def give_back_override(self) -> None:
         """Have the controller set the old value, where nobody has changed the lowered one."""
-        self._send(eki.Kind.GIVE_BACK)
+        self._send(Kind.GIVE_BACK)
 
     def lowered_override(self) -> bool:
         """Whether the controller keeps an old value."""
@@ -264,7 +428,7 @@ class EkiController:
 
     def stop(self) -> None:
         """Send the stop over its own channel."""
-        self._stop_line.send_unheard(eki.stop_command(1, brake=True))
+        self._stop_line.send_unheard(stop_command(1, brake=True))
 
     def check(self) -> None:
         """Raise what the keep-alive has found."""
@@ -276,25 +440,25 @@ class EkiController:
         for line in (self._line, self._stop_line):
             line.close()
 
-    def _known(self) -> eki.State:
-        return self._state or self._send(eki.Kind.ASK)
+    def _known(self) -> State:
+        return self._state or self._send(Kind.ASK)
 
     def _start(
         self,
         number: int,
-        kind: eki.Kind,
+        kind: Kind,
         percent: int,
         *,
         axes: Sequence[float] = (0.0,) * 6,
         e1: float = 0.0,
     ) -> None:
-        motion = eki.command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
+        motion = command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
         self._state = self._line.ask(number, motion)
 
-    def _send(self, kind: eki.Kind, percent: int = 1) -> eki.State:
+    def _send(self, kind: Kind, percent: int = 1) -> State:
         self._number = -1 - (-self._number) % LARGEST_ID
         life_ms, self._life_ms = self._life_ms, 0
-        document = eki.command(self._number, kind, percent=percent, life_ms=life_ms)
+        document = command(self._number, kind, percent=percent, life_ms=life_ms)
         self._state = self._line.ask(self._number, document)
         return self._state
 

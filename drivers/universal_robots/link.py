@@ -18,7 +18,7 @@ from itertools import takewhile
 
 import numpy as np
 
-from drivers.robot_errors import DEVICE
+from drivers.robot_errors import ALARMS, DEVICE
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
@@ -31,10 +31,9 @@ from drivers.universal_robots.state import (
     UrState,
     unlike,
 )
-from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.tcp import TcpLink
 from hilcell.ports import DeviceError, DeviceRefused
 
-ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 ANSWER_S = 3.0
 SILENT_S = 1.0  # without a package
 LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from drivers import standstill, supervision
-from drivers.kuka import c3, robot_eki
 from drivers.kuka import external as kuka_external
 from drivers.kuka import robot as kuka_robot
-from drivers.kuka import sweep as kuka_sweep
+from drivers.kuka import robot_c3, robot_eki
 from drivers.kuka.robot_c3 import KukaC3Robot
 from hilcell.cell.file import Joint
 from hilcell.ports import Clock
@@ -33,7 +32,7 @@ ALARMS = {
 def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
     time = WireTime()
     for module, name, value in (
-        (c3, "REPLY_S", 0.3),
+        (robot_c3, "REPLY_S", 0.3),
         (robot_eki, "ANSWER_S", 0.3),
         (robot_eki, "OPEN_S", 0.05),
         (kuka_robot, "STALL_S", 0.3),
@@ -41,8 +40,8 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
         (kuka_robot, "CATCH_UP_S", 0.2),
         (kuka_external, "STALL_S", 0.3),
         (kuka_external, "SPEED_OVER_S", 10.0),  # the peer's slide is there within three looks
-        (kuka_sweep, "DWELL_S", 0.002),  # in real time: the PC's own clock is stopped by then
-        (kuka_sweep, "REST_S", 0.3),
+        (kuka_robot, "BRAKED_DWELL_S", 0.002),  # in real time: the PC's own clock is stopped
+        (kuka_robot, "BRAKED_S", 0.3),
         (standstill, "SETTLE_S", 0.3),
         (supervision, "time", time),
         (robot_eki, "time", time),

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import supervision
-from drivers.kuka import c3
-from drivers.kuka.c3 import C3Connection, C3Error
+from drivers.kuka import robot_c3 as c3
+from drivers.kuka.robot_c3 import C3Connection, C3Error
 from hilcell.ports import DeviceError, Stopped
 from tests.drivers.peers import Server, WireTime, scripted, wire_time
 

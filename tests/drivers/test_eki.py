@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.kuka import eki
-from drivers.kuka.eki import EkiError
+from drivers.kuka import robot_eki as eki
 from drivers.kuka.krl import KrlError
+from drivers.kuka.robot_eki import EkiError
 
 SHORT = b'<RobotState><Command Id="17" Finished_Id="5"/><Pos A1="1.5" A2="nan"/></RobotState>'
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from drivers.kuka import health as kuka_health
+from drivers.kuka import controller
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.robot_c3 import KukaC3Robot
 from drivers.supervision import LATE_S
@@ -23,7 +23,7 @@ SIGN = "write $TIMER[10]"
 def test_each_motion_gets_signs_and_a_standing_robot_none(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kuka_health, "EVERY_S", 0.0)
+    monkeypatch.setattr(controller, "EVERY_S", 0.0)
     robot.move_to(TARGET_RAD, 30.0)
     assert peer.requests.count(SIGN) == 3  # one a look
     assert peer.variables["$TIMER[10]"] == "-1500"
@@ -40,8 +40,8 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 
 def test_signs_cost_five_exchanges_a_second() -> None:
     """A PC that is late reports that itself before the robot brakes."""
-    assert kuka_health.EVERY_S == 0.2
-    assert kuka_health.LIFE_S > LATE_S + kuka_health.EVERY_S
+    assert controller.EVERY_S == 0.2
+    assert controller.LIFE_S > LATE_S + controller.EVERY_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.kuka.robot import split_speed
 from drivers.kuka.robot_c3 import KukaC3Robot
-from drivers.kuka.sweep import split_speed
 from hilcell.ports import DeviceError, JointSample, NoReading, Stopped, Sweep, Sweeps
 from tests.drivers.kuka_bed import peer, robot, robot_for, time
 from tests.drivers.kuka_peer import KukaPeer

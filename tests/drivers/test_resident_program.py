@@ -6,9 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from drivers.kuka import eki
-from drivers.kuka.controller import PROGRAM_VERSION
-from drivers.kuka.health import AXES, FRAME, LIFE_S, SLIDE, TIMER
+from drivers.kuka import robot_eki as eki
+from drivers.kuka.controller import AXES, FRAME, LIFE_S, PROGRAM_VERSION, SLIDE, TIMER
 from tests.drivers.kuka_peer import VARIABLES
 
 

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.kuka import c3
-from drivers.kuka import health as kuka_health
+from drivers.kuka import controller, robot_c3
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.robot_c3 import KukaC3Robot
-from drivers.wires import keep_alive
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
 from tests.drivers.kuka_bed import ALARMS, TARGET_RAD, peer, robot, robot_for, time
@@ -80,7 +78,7 @@ def test_all_that_is_watched_is_seen_within_eight_polls(
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B23"
     polls = " ".join(peer.requests[began:]).split("read HC_ACK")[1:]
     assert len(polls) > 24
-    for name in (*kuka_health.HEALTH, "$OV_PRO", "$AXIS_ACT"):
+    for name in (*controller.HEALTH, "$OV_PRO", "$AXIS_ACT"):
         seen = [number for number, poll in enumerate(polls) if f"{name} " in poll]
         assert seen[0] < 8
         assert max(np.diff(seen)) <= 8
@@ -131,7 +129,7 @@ def test_a_pc_that_does_not_look_while_it_moves_stops(
 def test_a_pc_that_was_late_at_rest_goes_on(
     robot: KukaC3Robot, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(c3, "REPLY_S", 30.0)  # the controller answers
+    monkeypatch.setattr(robot_c3, "REPLY_S", 30.0)  # the controller answers
     time.silence(2.0)
     assert robot.read().still
 
@@ -415,8 +413,8 @@ def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, time: Wire
 def test_idle_connections_are_kept_and_a_loss_is_reported(
     peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keep_alive, "IDLE_S", 0.02)
-    monkeypatch.setattr(keep_alive, "LOOK_S", 0.01)
+    monkeypatch.setattr(controller, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller, "IDLE_LOOK_S", 0.01)
     robot = robot_for(peer, time)
     robot.connect()
     soon(lambda: peer.requests.count("read $MODE_OP") >= 5)

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.kuka import eki, robot_eki
+from drivers.kuka import controller, robot_eki
 from drivers.kuka.robot_eki import KukaEkiRobot
-from drivers.wires import keep_alive
 from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
 from tests.drivers.eki_peer import EkiPeer
 from tests.drivers.kuka_bed import ALARMS, JOINTS, TARGET_RAD, time
@@ -58,7 +57,7 @@ def test_identity(peer: EkiPeer, time: WireTime) -> None:
     assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
     assert identity.address == f"127.0.0.1:{peer.server.port}"
     assert identity.firmware == "hilcell.src 4"
-    assert {command["Type"] for command in peer.commands} == {str(eki.Kind.ASK)}
+    assert {command["Type"] for command in peer.commands} == {str(robot_eki.Kind.ASK)}
 
 
 def test_a_move_is_one_document_that_only_its_finished_id_confirms(
@@ -69,8 +68,12 @@ def test_a_move_is_one_document_that_only_its_finished_id_confirms(
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
     look, motion, *others = peer.commands[began:]
-    assert look["Type"] == str(eki.Kind.ASK)
-    assert (motion["Id"], motion["Type"], motion["Percent"]) == ("8", str(eki.Kind.MOVE), "30")
+    assert look["Type"] == str(robot_eki.Kind.ASK)
+    assert (motion["Id"], motion["Type"], motion["Percent"]) == (
+        "8",
+        str(robot_eki.Kind.MOVE),
+        "30",
+    )
     assert (motion["A3"], motion["Life"]) == ("95.500000", "1500")
     assert all(int(other["Id"]) < 0 for other in others)
     assert len(others) <= 6
@@ -173,9 +176,9 @@ def test_a_stop_gets_through_while_a_call_hangs(
 def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
     peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keep_alive, "IDLE_S", 0.02)
-    monkeypatch.setattr(keep_alive, "LOOK_S", 0.01)
-    monkeypatch.setattr(keep_alive, "time", time)
+    monkeypatch.setattr(controller, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller, "IDLE_LOOK_S", 0.01)
+    monkeypatch.setattr(controller, "time", time)
     robot = robot_for(peer, time)
     robot.connect()
     peer.stop_server.drop()

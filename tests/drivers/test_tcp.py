@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers import supervision
-from drivers.kuka.c3 import C3Connection
+from drivers.kuka.robot_c3 import C3Connection
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.supervision import Patience, go_on
 from drivers.universal_robots.dashboard import GREETING, Dashboard

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from drivers.kuka.c3 import decode_body, encode_write
+from drivers.kuka.robot_c3 import decode_body, encode_write
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_script import exchanges

@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 
 from drivers.canopen.rail import CanopenRail
-from drivers.kuka.c3 import REPLY_S, decode_header
-from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.kuka.robot_c3 import REPLY_S, KukaC3Robot, decode_header
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from drivers.supervision import Patience
 from hilcell.conformance.verdicts import Port

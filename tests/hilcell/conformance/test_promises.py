@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka import health
+from drivers.kuka import controller
 from hilcell.cell.file import load_cell
 from hilcell.conformance import bench, wire_faults
 from hilcell.conformance.kit import PROMISES, driver_cell, promises_of
@@ -110,7 +110,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
     monkeypatch.setattr(bench, "PACE", 1.5 * bench.PACE)
-    monkeypatch.setattr(wire_faults, "GONE_S", health.LIFE_S + 0.5)
+    monkeypatch.setattr(wire_faults, "GONE_S", controller.LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 
