@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fakes.faults import UNTIL_CLEARED, Value
-from fakes.kuka.external_axis import RAIL_DRIVER
+from fakes.kuka.controller import RAIL_DRIVER
 from hilcell.cell.file import Cell
 from hilcell.ports import Exercise
 

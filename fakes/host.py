@@ -19,7 +19,7 @@ from fakes.faults import Faults, load_faults
 from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant, ReplayPlant
-from fakes.wires.listener import Listener
+from fakes.wires import Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.errors import HilcellError, with_place

@@ -14,6 +14,7 @@ from typing import Protocol
 from fakes.faults import Faults
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant, ReplayPlant
+from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.devices import TABLES, load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -27,6 +28,12 @@ class Site:
     plant: Plant | ReplayPlant
     faults: Faults
     time: PlantTime
+
+    def slide(self) -> RailTruth:
+        """Return the rail; raises `SettingsError` for a cell without one."""
+        if isinstance(self.plant.rail, RailTruth):
+            return self.plant.rail
+        raise SettingsError("rail", ["this cell has no slide to simulate"])
 
 
 class SimulatedDevice(Protocol):

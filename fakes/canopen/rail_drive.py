@@ -11,9 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum, IntEnum
 
-from fakes.canopen.dictionary import Abort, Entry, SdoAbortError
-from fakes.canopen.pdo import INVALID, Mapping, ReceivePdo, TransmitPdo
-from fakes.canopen.slave import CanopenSlave, ErrorKind, NodeIdentity
+from fakes.canopen.slave import (
+    INVALID,
+    Abort,
+    CanopenSlave,
+    Entry,
+    ErrorKind,
+    Mapping,
+    NodeIdentity,
+    ReceivePdo,
+    SdoAbortError,
+    TransmitPdo,
+)
 from fakes.faults import Faults
 from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth

@@ -11,20 +11,15 @@ from __future__ import annotations
 
 from functools import partial
 
-from fakes.canopen import rail_drive, rail_strip
-from fakes.canopen.rail_drive import RailDrive
-from fakes.canopen.rail_strip import RailStrip
-from fakes.canopen.sdo import HEADER, abort_reply
-from fakes.canopen.slave import SYNC_COB_ID, CanopenSlave
+from fakes.canopen.rail_drive import NODE, RailDrive
+from fakes.canopen.slave import HEADER, SYNC_COB_ID, CanopenSlave, abort_reply
 from fakes.canopen.slcan_gateway import BusThread, SlcanGateway, is_serial
 from fakes.faults import Faults, Value
 from fakes.site import Site
-from fakes.strips.line import StripLine
-from fakes.strips.wire import StripBus, strip_wire
+from fakes.strips.wire import STRIP_NODE, RailStrip, StripBus, StripLine, strip_wire
 from fakes.time import PlantTime
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError
 
 HEARTBEATS = range(0x700, 0x780)
 # Values of the faults whose own value only says that they strike.
@@ -134,7 +129,7 @@ class RailServer:
     def _receive(self, cob_id: int, data: bytes) -> None:
         now_s = self._bus.now_s()
         self._delay_s = 0.0
-        sdo_requests = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
+        sdo_requests = (0x600 + NODE, 0x600 + STRIP_NODE)
         sdo_read = b"\x40"
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
@@ -191,7 +186,7 @@ class RailServer:
             self._drive.trip_limit(int(switch))
         node = take("rail.node_reset")
         if node is not None:
-            self._reset(_number(node, rail_drive.NODE), now_s)
+            self._reset(_number(node, NODE), now_s)
         if take("rail.vanish") is not None:
             self._gateway.close()
 
@@ -206,7 +201,7 @@ class RailServer:
             return True
         lost = self._faults.take("rail.heartbeat_loss")
         if lost is not None:
-            self._silent.add(_number(lost, rail_drive.NODE))
+            self._silent.add(_number(lost, NODE))
         return node not in self._silent
 
 
@@ -216,9 +211,7 @@ def _number(value: Value, default: int) -> int:
 
 def serve(site: Site, port: int) -> RailServer:
     """Return the rail of a simulated cell on its bus; raises `SettingsError` without a slide."""
-    rail = site.plant.rail
-    if not isinstance(rail, RailTruth):
-        raise SettingsError("rail", ["this cell has no slide to simulate"])
+    rail = site.slide()
     options = site.cell.rail.options
     stated, serial = options.get("strip"), is_serial(options.get("channel")) and not port
     line = strip_wire(rail, site.faults, dict(stated)) if stated else None

@@ -12,14 +12,447 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
-from fakes.canopen.dictionary import Entry, ObjectDictionary
-from fakes.canopen.pdo import ReceivePdo, TransmitPdo
-from fakes.canopen.sdo import SdoServer
+Value = int | str
+
+# SDO abort codes, CiA 301 table 22.
+
+
+class Abort(IntEnum):
+    """SDO abort codes, CiA 301 table 22."""
+
+    TOGGLE_NOT_ALTERNATED = 0x05030000
+    UNKNOWN_COMMAND = 0x05040001
+    READ_ONLY = 0x06010002
+    NO_SUCH_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_TOO_LONG = 0x06040042
+    WRONG_LENGTH = 0x06070010
+    VALUE_RANGE = 0x06090030
+    DEVICE_STATE = 0x08000022
+
+
+class SdoAbortError(Exception):
+    """The node refuses an access with a code of CiA 301 table 22."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"SDO abort 0x{code:08X}")
+        self.code = code
+
+
+@dataclass(slots=True)
+class Entry:
+    """One sub-index. ``kind`` is a `struct` letter (b B h H i I) or ``s`` for a visible string.
+
+    ``read`` replaces the stored value; ``write`` is asked before a value is stored and may raise
+    `SdoAbortError`; ``allowed`` are the only values that may be written.
+    """
+
+    kind: str
+    value: Value = 0
+    access: str = "rw"
+    mappable: bool = False
+    allowed: range | tuple[int, ...] | None = None
+    read: Callable[[], Value] | None = None
+    write: Callable[[int], None] | None = None
+
+    @property
+    def size(self) -> int:
+        """Return the length in bytes of a number."""
+        return struct.calcsize("<" + self.kind)
+
+    def encode(self) -> bytes:
+        """Return the present value as it goes over the wire."""
+        value = self.value if self.read is None else self.read()
+        if isinstance(value, str):
+            return value.encode("ascii")
+        return struct.pack("<" + self.kind, value)
+
+    def decode(self, data: bytes) -> Value:
+        """Return the value of ``data``; raises `SdoAbortError` on a wrong length."""
+        if self.kind == "s":
+            return data.decode("ascii", errors="replace")
+        if len(data) != self.size:
+            raise SdoAbortError(Abort.WRONG_LENGTH)
+        value: int = struct.unpack("<" + self.kind, data)[0]
+        return value
+
+
+class ObjectDictionary:
+    """All objects of a node, by index and sub-index."""
+
+    def __init__(self) -> None:
+        self._entries: dict[tuple[int, int], Entry] = {}
+        self._indices: set[int] = set()
+        self._defaults: dict[tuple[int, int], Value] = {}
+
+    def add(self, index: int, sub: int, entry: Entry) -> Entry:
+        """Add an object; its present value is the one that a reset restores."""
+        self._entries[index, sub] = entry
+        self._indices.add(index)
+        self._defaults[index, sub] = entry.value
+        return entry
+
+    def add_array(self, index: int, *entries: Entry) -> None:
+        """Add a record or array: sub-index 0 holds the highest sub-index."""
+        self.add(index, 0, Entry("B", len(entries), "ro"))
+        for sub, entry in enumerate(entries, start=1):
+            self.add(index, sub, entry)
+
+    def entry(self, index: int, sub: int) -> Entry:
+        """Return an object; raises `SdoAbortError`."""
+        if index not in self._indices:
+            raise SdoAbortError(Abort.NO_SUCH_OBJECT)
+        no_such_subindex = 0x06090011
+        if (index, sub) not in self._entries:
+            raise SdoAbortError(no_such_subindex)
+        return self._entries[index, sub]
+
+    def number(self, index: int, sub: int = 0) -> int:
+        """Return the stored number of an object."""
+        value = self._entries[index, sub].value
+        if not isinstance(value, int):
+            raise TypeError(f"object {index:04X}:{sub:02X} holds {value!r}, not a number")
+        return value
+
+    def set(self, index: int, sub: int, value: Value) -> None:
+        """Change a value from inside the device, with any access."""
+        self._entries[index, sub].value = value
+
+    def upload(self, index: int, sub: int) -> bytes:
+        """Read an object over the wire; raises `SdoAbortError`."""
+        entry = self.entry(index, sub)
+        write_only = 0x06010001
+        if entry.access == "wo":
+            raise SdoAbortError(write_only)
+        return entry.encode()
+
+    def check_writable(self, index: int, sub: int) -> Entry:
+        """Return an object that may be written over the wire; raises `SdoAbortError`."""
+        entry = self.entry(index, sub)
+        if entry.access == "ro":
+            raise SdoAbortError(Abort.READ_ONLY)
+        return entry
+
+    def download(self, index: int, sub: int, data: bytes) -> None:
+        """Write an object over the wire; raises `SdoAbortError`."""
+        entry = self.check_writable(index, sub)
+        value = entry.decode(data)
+        if isinstance(value, int):
+            if entry.allowed is not None and value not in entry.allowed:
+                raise SdoAbortError(Abort.VALUE_RANGE)
+            if entry.write is not None:
+                entry.write(value)
+        entry.value = value
+
+    def restore(self, indices: range) -> None:
+        """Put the values of ``indices`` back to those at power-on."""
+        for key, value in self._defaults.items():
+            if key[0] in indices:
+                self._entries[key].value = value
+
+
+HEADER = struct.Struct("<BHB")
+ABORT = 0x80
+TOGGLE = 0x10
+
+
+@dataclass(slots=True)
+class _Transfer:
+    index: int
+    sub: int
+    data: bytes
+    announced: int | None = None
+    toggle: int = 0
+
+    def check_toggle(self, command: int) -> None:
+        if command & TOGGLE != self.toggle:
+            raise SdoAbortError(Abort.TOGGLE_NOT_ALTERNATED)
+        self.toggle ^= TOGGLE
+
+
+def abort_reply(index: int, sub: int, code: int) -> bytes:
+    """Return the 8 bytes that refuse an access."""
+    return HEADER.pack(ABORT, index, sub) + struct.pack("<I", code)
+
+
+class SdoServer:
+    """Answers the requests of one SDO channel."""
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self._upload: _Transfer | None = None
+        self._download: _Transfer | None = None
+
+    def reset(self) -> None:
+        """Forget the transfer under way."""
+        self._upload = self._download = None
+
+    def answer(self, request: bytes) -> bytes | None:
+        """Return the reply to ``request``; an abort of the client gets none."""
+        if len(request) != 8:
+            return None
+        command, index, sub = HEADER.unpack_from(request)
+        if command == ABORT:
+            self.reset()
+            return None
+        try:
+            return self._dispatch(command, index, sub, request)
+        except SdoAbortError as refusal:
+            transfer = self._upload or self._download
+            if command >> 5 in {0, 3} and transfer is not None:
+                index, sub = transfer.index, transfer.sub
+            self.reset()
+            return abort_reply(index, sub, refusal.code)
+
+    def _dispatch(self, command: int, index: int, sub: int, request: bytes) -> bytes:
+        specifier = command >> 5
+        if specifier == 2:
+            return self._initiate_upload(index, sub)
+        if specifier == 1:
+            return self._initiate_download(command, index, sub, request)
+        if specifier == 3 and self._upload is not None:
+            return self._upload_segment(self._upload, command)
+        if specifier == 0 and self._download is not None:
+            return self._download_segment(self._download, command, request)
+        raise SdoAbortError(Abort.UNKNOWN_COMMAND)
+
+    def _initiate_upload(self, index: int, sub: int) -> bytes:
+        self.reset()
+        data = self._dictionary.upload(index, sub)
+        if 1 <= len(data) <= 4:
+            command = 0x43 | (4 - len(data)) << 2
+            return HEADER.pack(command, index, sub) + data.ljust(4, b"\0")
+        self._upload = _Transfer(index, sub, data)
+        return HEADER.pack(0x41, index, sub) + struct.pack("<I", len(data))
+
+    def _upload_segment(self, transfer: _Transfer, command: int) -> bytes:
+        transfer.check_toggle(command)
+        segment, transfer.data = transfer.data[:7], transfer.data[7:]
+        reply = (command & TOGGLE) | (7 - len(segment)) << 1 | (0 if transfer.data else 1)
+        if not transfer.data:
+            self._upload = None
+        return bytes([reply]) + segment.ljust(7, b"\0")
+
+    def _initiate_download(self, command: int, index: int, sub: int, request: bytes) -> bytes:
+        self.reset()
+        expedited, sized = bool(command & 2), bool(command & 1)
+        if expedited:
+            length = 4 - (command >> 2 & 3) if sized else self._natural_length(index, sub)
+            self._dictionary.download(index, sub, request[4 : 4 + length])
+        else:
+            self._dictionary.check_writable(index, sub)
+            announced = struct.unpack_from("<I", request, 4)[0] if sized else None
+            self._download = _Transfer(index, sub, b"", announced)
+        return HEADER.pack(0x60, index, sub) + bytes(4)
+
+    def _download_segment(self, transfer: _Transfer, command: int, request: bytes) -> bytes:
+        transfer.check_toggle(command)
+        transfer.data += request[1 : 8 - (command >> 1 & 7)]
+        longest = 4096
+        if len(transfer.data) > longest:
+            raise SdoAbortError(Abort.WRONG_LENGTH)
+        if command & 1:
+            if transfer.announced not in {None, len(transfer.data)}:
+                raise SdoAbortError(Abort.WRONG_LENGTH)
+            self._dictionary.download(transfer.index, transfer.sub, transfer.data)
+            self._download = None
+        return bytes([0x20 | command & TOGGLE]) + bytes(7)
+
+    def _natural_length(self, index: int, sub: int) -> int:
+        entry = self._dictionary.entry(index, sub)
+        return 4 if entry.kind == "s" else entry.size
+
+
+INVALID, NO_RTR = 1 << 31, 1 << 30
+SYNC_TYPES = range(241)
+EVENT_TYPES = range(254, 256)
+Mapping = tuple[tuple[int, int], ...]
+
+
+class Pdo:
+    """The communication and mapping parameters of one PDO, and the data that they describe."""
+
+    def __init__(
+        self,
+        dictionary: ObjectDictionary,
+        communication: int,
+        mapping: int,
+        cob_id: int,
+        mapped: Mapping,
+        transmission: int = 255,
+    ) -> None:
+        self._dictionary = dictionary
+        self._communication, self._mapping = communication, mapping
+        types = (*SYNC_TYPES, *EVENT_TYPES)
+        dictionary.add_array(
+            communication,
+            Entry("I", NO_RTR | cob_id, write=self._change_cob_id),
+            Entry("B", transmission, allowed=types),
+            Entry("H", 0, write=self._while_invalid),
+            Entry("B", 0),
+            Entry("H", 0),
+        )
+        dictionary.add(mapping, 0, Entry("B", len(mapped), write=self._change_count))
+        for number in range(8):
+            value = self._coded(*mapped[number]) if number < len(mapped) else 0
+            dictionary.add(mapping, number + 1, Entry("I", value, write=self._change_mapping))
+
+    @property
+    def valid(self) -> bool:
+        """Whether the PDO is switched on."""
+        return not self._dictionary.number(self._communication, 1) & INVALID
+
+    @property
+    def cob_id(self) -> int:
+        """Return the identifier of its frames."""
+        return self._dictionary.number(self._communication, 1) & 0x7FF
+
+    @property
+    def transmission(self) -> int:
+        """Return the transmission type."""
+        return self._dictionary.number(self._communication, 2)
+
+    @property
+    def event_timer_s(self) -> float:
+        """Return the event timer, 0 for none."""
+        return self._dictionary.number(self._communication, 5) / 1000.0
+
+    def mapped(self) -> list[tuple[int, int]]:
+        """Return the mapped objects in order."""
+        count = self._dictionary.number(self._mapping, 0)
+        values = (self._dictionary.number(self._mapping, sub) for sub in range(1, count + 1))
+        return [(value >> 16, value >> 8 & 0xFF) for value in values]
+
+    def assemble(self) -> bytes:
+        """Return the present data of the mapped objects."""
+        return b"".join(self._dictionary.entry(*key).encode() for key in self.mapped())
+
+    def distribute(self, data: bytes) -> bool:
+        """Write received data to the mapped objects; a frame that is too short changes nothing."""
+        entries = [(key, self._dictionary.entry(*key).size) for key in self.mapped()]
+        if len(data) < sum(size for _, size in entries):
+            return False
+        for (index, sub), size in entries:
+            # A PDO has no answer: where a value is refused, the node keeps the old one.
+            with suppress(SdoAbortError):
+                self._dictionary.download(index, sub, data[:size])
+            data = data[size:]
+        return True
+
+    def _coded(self, index: int, sub: int) -> int:
+        return index << 16 | sub << 8 | 8 * self._dictionary.entry(index, sub).size
+
+    def _change_cob_id(self, value: int) -> None:
+        old = self._dictionary.number(self._communication, 1)
+        if self.valid and (value ^ old) & 0x3FFFFFFF:
+            raise SdoAbortError(Abort.DEVICE_STATE)
+        if not value & NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
+            raise SdoAbortError(Abort.VALUE_RANGE)
+
+    def _while_invalid(self, _value: int) -> None:
+        if self.valid:
+            raise SdoAbortError(Abort.DEVICE_STATE)
+
+    def _change_mapping(self, _value: int) -> None:
+        if self.valid or self._dictionary.number(self._mapping, 0):
+            raise SdoAbortError(Abort.DEVICE_STATE)
+
+    def _change_count(self, count: int) -> None:
+        self._while_invalid(count)
+        if count > 8:
+            raise SdoAbortError(Abort.VALUE_RANGE)
+        bits = 0
+        for sub in range(1, count + 1):
+            bits += self._checked_bits(self._dictionary.number(self._mapping, sub))
+        if bits > 64:
+            raise SdoAbortError(Abort.PDO_TOO_LONG)
+
+    def _checked_bits(self, value: int) -> int:
+        try:
+            entry = self._dictionary.entry(value >> 16, value >> 8 & 0xFF)
+        except SdoAbortError:
+            raise SdoAbortError(Abort.NO_SUCH_OBJECT) from None
+        bits = value & 0xFF
+        if not entry.mappable or bits != 8 * entry.size:
+            raise SdoAbortError(Abort.NOT_MAPPABLE)
+        return bits
+
+
+class TransmitPdo(Pdo):
+    """A PDO that the node sends: on SYNC, on a change, or by its event timer."""
+
+    def __init__(
+        self,
+        dictionary: ObjectDictionary,
+        number: int,
+        cob_id: int,
+        mapped: Mapping,
+        transmission: int = 255,
+    ) -> None:
+        super().__init__(dictionary, 0x1800 + number, 0x1A00 + number, cob_id, mapped, transmission)
+        self._syncs = 0
+        self._sent: bytes | None = None
+        self._sent_s = 0.0
+
+    def rewind(self) -> None:
+        """Start again, as on entering OPERATIONAL."""
+        self._syncs, self._sent, self._sent_s = 0, None, 0.0
+
+    def at_sync(self) -> bytes | None:
+        """Return the data due at this SYNC."""
+        kind = self.transmission
+        if kind not in SYNC_TYPES or not self.valid:
+            return None
+        self._syncs += 1
+        data = self.assemble()
+        due = data != self._sent if kind == 0 else self._syncs % kind == 0
+        self._sent = data if due else self._sent
+        return data if due else None
+
+    def at_event(self, now_s: float) -> bytes | None:
+        """Return the data due now, by the event timer or because it changed."""
+        if self.transmission not in EVENT_TYPES or not self.valid:
+            return None
+        data, timer_s = self.assemble(), self.event_timer_s
+        if data == self._sent and not (timer_s and now_s >= self._sent_s + timer_s):
+            return None
+        self._sent, self._sent_s = data, now_s
+        return data
+
+    def next_s(self) -> float:
+        """Return when the event timer runs out."""
+        if self.transmission in EVENT_TYPES and self.valid and self.event_timer_s:
+            return self._sent_s + self.event_timer_s
+        return float("inf")
+
+
+class ReceivePdo(Pdo):
+    """A PDO that the node takes: at once, or held back until the next SYNC."""
+
+    def __init__(
+        self, dictionary: ObjectDictionary, number: int, cob_id: int, mapped: Mapping
+    ) -> None:
+        super().__init__(dictionary, 0x1400 + number, 0x1600 + number, cob_id, mapped)
+        self._held: bytes | None = None
+
+    def take(self, data: bytes) -> bool:
+        """Take a frame; False when it is shorter than the mapping."""
+        if self.transmission in SYNC_TYPES:
+            self._held = data
+            return True
+        return self.distribute(data)
+
+    def at_sync(self) -> bool:
+        """Write the frame that was held back; False when it is shorter than the mapping."""
+        data, self._held = self._held, None
+        return data is None or self.distribute(data)
+
 
 NMT_COB_ID, SYNC_COB_ID = 0x000, 0x080
 

@@ -8,13 +8,10 @@ unasked until the channel is open.
 
 from __future__ import annotations
 
-import os
-import pty
 import select
 import socket
 import threading
 import time
-import tty
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
@@ -22,44 +19,7 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.time import PAUSE_S, OwnTime
-from fakes.wires.listener import HOST, listen
-
-
-class SerialEnd:
-    """A serial device's end of a line, which a pseudo terminal stands for; it has no connections.
-
-    Bytes that nobody takes are lost, as on any UART; the line stays when its user goes. Used like
-    a client's socket, by one thread.
-    """
-
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
-        self._ours, self._theirs = pty.openpty()
-        tty.setraw(self._theirs)
-        os.set_blocking(self._ours, False)
-        self.path = os.ttyname(self._theirs)
-        self._open = True
-
-    def fileno(self) -> int:
-        """Return the descriptor to wait for."""
-        return self._ours
-
-    def recv(self, size: int, /) -> bytes:
-        """Return bytes that have come."""
-        return os.read(self._ours, size)
-
-    def sendall(self, data: bytes, /) -> None:
-        """Send bytes; those that the line does not take in time are lost."""
-        while data and select.select([], [self._ours], [], self._patience_s)[1]:
-            data = data[os.write(self._ours, data) :]
-
-    def close(self) -> None:
-        """Unplug the device."""
-        if self._open:
-            self._open = False
-            os.close(self._ours)
-            os.close(self._theirs)
-
+from fakes.wires import HOST, RECEIVE, SerialEnd, listen
 
 LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
@@ -192,7 +152,7 @@ class SlcanGateway:
         if client is None:
             return
         try:
-            data = client.recv(4096)
+            data = client.recv(RECEIVE)
         except OSError:
             data = b""
         if not data:

@@ -3,7 +3,7 @@
 Big-endian. Request ``tag u16 | length of the rest u16 | type u8 | nameLen u16 | name [| valueLen
 u16 | value]``, reply ``tag | length | type | valueLen | value | error u16 | ok u8``. As the
 original it closes a client after 30 s of silence, serves ten at most, and leaves unknown types
-unanswered. Unlike it, it puts split requests together. Replies leave as `segments` says.
+unanswered. Unlike it, it puts split requests together. Replies leave as `fakes.wires` says.
 """
 
 from __future__ import annotations
@@ -14,13 +14,9 @@ import threading
 from collections.abc import Callable
 
 from fakes.faults import Faults, Vanished
-from fakes.kuka.controller import KrlController
-from fakes.kuka.external_axis import external_axis
-from fakes.kuka.krl import KrlError
-from fakes.motion_faults import Harms
+from fakes.kuka.controller import KrlController, KrlError, controller_of
 from fakes.site import Site
-from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import RECEIVE, Answers, Segments
+from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0
@@ -138,13 +134,6 @@ def _parse(request: bytes) -> tuple[int, str, str] | None:
         return kind, name.decode("ascii"), text.decode("ascii")
     except (struct.error, UnicodeDecodeError):
         return None
-
-
-def controller_of(site: Site) -> KrlController:
-    """Return the controller of a simulated cell, whichever wire leads to it."""
-    plant = site.plant
-    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion, plant.grow, plant.loosen)
-    return KrlController(site.cell, plant.robot, site.faults, harms, slide=external_axis(site))
 
 
 def serve(site: Site, port: int) -> C3Server:

@@ -8,31 +8,175 @@ motion is under way, unless it is set back before it reaches zero.
 
 from __future__ import annotations
 
+import math
+import re
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Vanished
-from fakes.kuka.external_axis import ExternalAxis
-from fakes.kuka.krl import (
-    KrlError,
-    aggregate,
-    boolean,
-    members,
-    parse_aggregate,
-    parse_boolean,
-    parse_integer,
-    parse_rounded,
-)
-from fakes.kuka.life_timer import LifeTimer
-from fakes.motion_faults import Harms, strike
+from fakes.faults import Faults, Harms, Vanished, strike
+from fakes.site import Site
+from fakes.time import LifeTimer
 from fakes.truth.controller_arm import controller_arm, flicker
+from fakes.truth.noise import Dither
+from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
+
+_AGGREGATE = re.compile(r"^\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}$", re.DOTALL)
+_NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
+
+
+class KrlError(ValueError):
+    """A text that KRL would not take."""
+
+
+def members(values: Mapping[str, float | int]) -> str:
+    """Return the text of a structure's members; integers stay so, reals get five decimals."""
+    return ", ".join(
+        f"{name} {value}" if isinstance(value, int) else f"{name} {round(value, 5) + 0.0:.5f}"
+        for name, value in values.items()
+    )
+
+
+def aggregate(kind: str, values: Mapping[str, float | int], *more: str) -> str:
+    """Return a structure's text; ``more`` are texts of further members."""
+    return f"{{{kind}: {', '.join([members(values), *more])}}}"
+
+
+def raw_members(text: str) -> dict[str, str]:
+    """Return the members of a structure as text; raises `KrlError`."""
+    match = _AGGREGATE.match(text.strip())
+    if match is None:
+        raise KrlError(text)
+    parts = (part.split() for part in match[2].split(","))
+    return {name: value for name, value in parts if value}
+
+
+def boolean(value: bool) -> str:
+    """Return TRUE or FALSE."""
+    return "TRUE" if value else "FALSE"
+
+
+def parse_boolean(text: str) -> bool:
+    """Return the value of TRUE or FALSE; raises `KrlError`."""
+    try:
+        return {"TRUE": True, "FALSE": False}[text.strip().upper()]
+    except KeyError:
+        raise KrlError(text) from None
+
+
+def parse_integer(text: str) -> int:
+    """Return the value of an INT; raises `KrlError`."""
+    try:
+        return int(text.strip())
+    except ValueError:
+        raise KrlError(text) from None
+
+
+def parse_rounded(text: str) -> int:
+    """Return a number for an INT to which a REAL may be assigned; raises `KrlError`."""
+    if not _NUMBER.match(text.strip()) or not math.isfinite(float(text)):
+        raise KrlError(text)
+    return math.floor(float(text) + 0.5)
+
+
+def parse_aggregate(text: str, kind: str) -> dict[str, float]:
+    """Return the members of a structure of ``kind``, which the text may leave out."""
+    match = _AGGREGATE.match(text.strip())
+    if match is None or (match[1] or kind).upper() != kind:
+        raise KrlError(text)
+    found: dict[str, float] = {}
+    for part in match[2].split(","):
+        name, _, number = part.strip().partition(" ")
+        if not _NUMBER.match(number.strip()):
+            raise KrlError(text)
+        found[name.upper()] = float(number)
+    return found
+
+
+RAIL_DRIVER = "kuka-e1"
+AXES = tuple(f"A{n}" for n in range(1, 7))
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+TOOL, BASE = 1, 0
+
+
+class ExternalAxis:
+    """External axis E1: the slide, with an absolute encoder and a brake.
+
+    Its controller's lock guards it.
+    """
+
+    STOP_MM_S2 = 800.0  # on a stop
+    DITHER_MM, DITHER_SCOPE = 0.001, 7
+
+    def __init__(
+        self,
+        rail: RailTruth,
+        faults: Faults,
+        lowest_mm: float,
+        highest_mm: float,
+        ramp_mm_s2: float,
+    ) -> None:
+        self._rail, self._faults, self._ramp_mm_s2 = rail, faults, ramp_mm_s2
+        self._lowest_mm, self._highest_mm = lowest_mm, highest_mm
+        self.held = True
+        self.moving = False
+        self._target_mm, self._speed_mm_s = 0.0, 0.0
+        self._dither = Dither(1, self.DITHER_SCOPE)
+        rail.master()
+
+    def inside(self, target_mm: float) -> bool:
+        """Whether a target lies within the software limits."""
+        return self._lowest_mm <= target_mm <= self._highest_mm
+
+    def move(self, target_mm: float, percent: int, override: float) -> None:
+        """Start for a target."""
+        factor = self._faults.number("robot.slide_fast") or 1.0
+        self._rail.brake(closed=False)
+        full_mm_s = 1890.0  # at 100 %
+        self._target_mm, self._speed_mm_s = target_mm, full_mm_s * percent / 100.0 * factor
+        self.moving = True
+        self.override(override)
+
+    def override(self, share: float) -> None:
+        """Change the speed of a motion under way; 0 makes it stand."""
+        if not self.moving:
+            return
+        if share > 0:
+            self._rail.move(self._target_mm, self._speed_mm_s * share, self._ramp_mm_s2)
+        else:
+            self._rail.quick_stop(self.STOP_MM_S2)
+
+    def stop(self) -> None:
+        """Brake, and forget the target; the slide is held from now on."""
+        self.held = True
+        if self.moving:
+            self._rail.quick_stop(self.STOP_MM_S2)
+            self.moving = False
+
+    def poll(self, share: float) -> RailState:
+        """Look at the slide; ``share`` is the override, of which 0 lets no motion end."""
+        state = self._rail.poll()
+        if not state.moving:
+            self.moving = self.moving and not share > 0
+            self._rail.brake(closed=self.held)
+        return state
+
+    @property
+    def seen_moving(self) -> bool:
+        """Whether the slide moves, without letting time pass."""
+        return not self._rail.still
+
+    def place_mm(self, state: RailState, *, alone: bool) -> float:
+        """Return the reading; at rest it dithers, by a step each time E1 is asked for ``alone``."""
+        if alone:
+            self._dither.step()
+        return state.encoder_mm + (0.0 if state.moving else self.DITHER_MM * self._dither.counts)
 
 
 class Motion(IntEnum):
@@ -55,15 +199,10 @@ class Error(IntEnum):
     STOPPED = 9
 
 
-FRAME = ("X", "Y", "Z", "A", "B", "C")
-TOOL, BASE = 1, 0
-
-
 class KrlController:
     """One robot's controller; ``read`` and ``write`` may come from several threads."""
 
     FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
-    AXES = tuple(f"A{n}" for n in range(1, 7))
     EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 
     def __init__(
@@ -81,7 +220,7 @@ class KrlController:
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
-        self._target_deg = dict(zip(self.AXES, cell.robot.home_deg, strict=True))
+        self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
         life_ms = 1500
         self._integers["HC_LIFE"] = life_ms
@@ -236,7 +375,7 @@ class KrlController:
         flicker_deg = 1e-4  # of each axis at rest
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + flicker_deg * off
-            axes = dict(zip(self.AXES, axes_deg.tolist(), strict=True))
+            axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
             return aggregate("E6AXIS", axes, self._external())
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm
@@ -332,7 +471,7 @@ class KrlController:
             return Error.UNKNOWN_COMMAND
         if (forbidden := self._slide_forbids()) != Error.OK:
             return forbidden
-        target_deg = np.array([self._target_deg[axis] for axis in self.AXES])
+        target_deg = np.array([self._target_deg[axis] for axis in AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
@@ -419,3 +558,17 @@ class KrlController:
             self._brake_all()
         if take("robot.override_zero") is not None:
             self._set_override(0)
+
+
+def controller_of(site: Site) -> KrlController:
+    """Return the controller of a simulated cell, whichever wire leads to it.
+
+    The slide of a cell whose rail is the robot's axis E1 is the controller's, too.
+    """
+    plant, table, slide = site.plant, site.cell.rail, None
+    if table.driver == RAIL_DRIVER and isinstance(plant.rail, RailTruth):
+        limit_mm = 0.5  # the software limits lie so far outside the travel
+        lowest_mm, highest_mm = table.travel_min_mm - limit_mm, table.travel_max_mm + limit_mm
+        ramp_mm_s2 = table.acceleration_mm_s2
+        slide = ExternalAxis(plant.rail, site.faults, lowest_mm, highest_mm, ramp_mm_s2)
+    return KrlController(site.cell, plant.robot, site.faults, plant, slide=slide)

@@ -1,8 +1,13 @@
-"""EthernetKRL server of a KUKA controller: two channels of XML documents over TCP.
+"""EthernetKRL on a KUKA controller, over TCP, and the submit program hilcell_eki.src that uses it.
 
-Each channel serves one client. That of the stop is looked at once in a cycle of the submit
-interpreter, and all that came until then is heard, even where the client has gone. States leave as
-`segments` says, and now and then the former one comes once more, in one segment with the next.
+The interface takes documents apart: each value that its configuration names goes into a queue of
+its own, so that one that is missing shifts all later ones. The program takes one value of each
+queue, acts by the variables of the robot program hilcell.src, and answers with a state.
+
+Each of the two channels serves one client. That of the stop is looked at once in a cycle of the
+submit interpreter, and all that came until then is heard, even where the client has gone. States
+leave as `fakes.wires` says, and now and then the former one comes once more, in one segment with
+the next.
 """
 
 from __future__ import annotations
@@ -10,17 +15,201 @@ from __future__ import annotations
 import select
 import socket
 import threading
+from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
+from xml.parsers import expat
 
 from fakes.faults import Faults, Vanished
-from fakes.kuka.c3_server import controller_of
-from fakes.kuka.controller import KrlController
-from fakes.kuka.eki_program import RECEIVED, STOP_RECEIVED, EkiProgram, Overflow, Queues
-from fakes.kuka.krl import KrlError
+from fakes.kuka.controller import (
+    AXES,
+    FRAME,
+    KrlController,
+    KrlError,
+    aggregate,
+    controller_of,
+    raw_members,
+)
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import RECEIVE, Answers, Segments
+from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments
+
+QUEUE = 16  # values; one more closes the connection
+RECEIVED = (
+    *(f"RobotCommand/@{name}" for name in ("Id", "Type", "Percent", "Life")),
+    *(f"RobotCommand/Pos/@{name}" for name in (*AXES, "E1")),
+)
+STOP_RECEIVED = ("RobotStop/@Id", "RobotStop/@Brake")
+STATUS = {
+    "Mode_Op": "$MODE_OP",
+    "Peri_Rdy": "$PERI_RDY",
+    "StopMess": "$STOPMESS",
+    "Alarm_Stop": "$ALARM_STOP",
+    "User_Saf": "$USER_SAF",
+    "Pro_State1": "$PRO_STATE1",
+    "Ov_Pro": "$OV_PRO",
+}
+COMMAND = {"Motion_Id": "HC_SEQ", "Finished_Id": "HC_ACK", "Stopped": "HC_STOP"}
+SLIDE = {"Count": "$EX_AX_NUM", "Mastered": "$AXIS_JUS[7]", "Held": "HC_HELD"}
+OTHERS = (
+    "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
+)  # fmt: skip
+PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
+
+
+class Overflow(Exception):
+    """A queue is full: the interface closes the connection."""
+
+
+class Queues:
+    """The received values of one channel, by their paths."""
+
+    def __init__(self, paths: tuple[str, ...]) -> None:
+        self._queues: dict[str, deque[str]] = {path: deque() for path in paths}
+
+    def clear(self) -> None:
+        """Forget everything, as a channel does that is opened."""
+        for queue in self._queues.values():
+            queue.clear()
+
+    def add(self, document: bytes) -> None:
+        """Take a document apart; raises `Overflow`, or `KrlError` for one that is no XML."""
+        path: list[str] = []
+
+        def begin(tag: str, attributes: dict[str, str]) -> None:
+            path.append(tag)
+            for name, text in attributes.items():
+                queue = self._queues.get(f"{'/'.join(path)}/@{name}")
+                if queue is not None:
+                    queue.append(text)
+                    if len(queue) > QUEUE:
+                        raise Overflow
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = begin
+        parser.EndElementHandler = lambda _tag: path.pop()
+        try:
+            parser.Parse(document, True)
+        except expat.ExpatError as error:
+            raise KrlError(str(error)) from error
+
+    def waiting(self) -> bool:
+        """Whether a value of the last path is there: the document has come whole."""
+        return bool(next(reversed(self._queues.values())))
+
+    def take(self) -> dict[str, str]:
+        """Return one value of each queue by its name, without those whose queue is empty."""
+        queues = self._queues.items()
+        return {path.rpartition("@")[2]: queue.popleft() for path, queue in queues if queue}
+
+
+class EkiProgram:
+    """One cycle of the submit program for each command."""
+
+    NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
+
+    def __init__(self, controller: KrlController, faults: Faults, time: PlantTime) -> None:
+        self._controller, self._faults, self._time = controller, faults, time
+
+    def command(self, values: dict[str, str]) -> bytes:
+        """Act by a command; return the state. Raises `KrlError` for one that is not whole."""
+        if len(values) < len(RECEIVED):
+            raise KrlError(f"{len(values)} of {len(RECEIVED)} values")
+        acts: dict[str, Callable[[dict[str, str]], None]] = {
+            "1": lambda _: self._start("1", {axis: float(values[axis]) for axis in AXES}, values),
+            "2": lambda _: self._controller.write("HC_STOP", "TRUE"),
+            "3": lambda _: self._controller.write("HC_STOP", "FALSE"),
+            "4": self._lower,
+            "5": self._give_back,
+            "6": lambda _: self._controller.write("HC_HELD", "TRUE"),
+            "7": lambda _: self._controller.write("HC_HELD", "FALSE"),
+            "8": lambda _: self._start("2", {"E1": float(values["E1"])}, values),
+        }
+        if int(values["Life"]) > 0:
+            self._controller.write("$TIMER[10]", "-" + values["Life"])
+        if values["Type"] in acts:
+            acts[values["Type"]](values)
+        wrong = int(self._faults.take("robot.tag_mismatch") is not None)
+        state = self._state(int(values["Id"]) + wrong)
+        document_s = 0.016  # to make and send a state, after its variables were read
+        self._time.spend(document_s)
+        return state
+
+    def stop(self, values: dict[str, str]) -> bytes:
+        """Act by a command of the stop's channel; return the answer."""
+        if values.get("Brake") != "0":  # only this text does not brake
+            self._controller.write("HC_STOP", "TRUE")
+        return _document("RobotStopState", {"Command": {"Id": values.get("Id", "0")}})
+
+    def lose(self) -> None:
+        """Brake a motion whose client has gone."""
+        started, ended = self._controller.read_all(("HC_SEQ", "HC_ACK"))
+        if started != ended:
+            self._controller.write("HC_STOP", "TRUE")
+
+    def _start(self, command: str, target: dict[str, float], values: dict[str, str]) -> None:
+        for name, text in (
+            ("HC_TGT", aggregate("E6AXIS", target)),
+            ("HC_VEL", values["Percent"]),
+            ("HC_CMD", command),
+            ("HC_LIFE", values["Life"]),
+            ("HC_SEQ", values["Id"]),
+        ):
+            self._controller.write(name, text)
+
+    def _lower(self, values: dict[str, str]) -> None:
+        before = self._controller.read("$OV_PRO")
+        for name, text in (
+            ("HC_OV_SET", values["Percent"]),
+            ("HC_OV_OLD", before),
+            ("$OV_PRO", values["Percent"]),
+        ):
+            self._controller.write(name, text)
+
+    def _give_back(self, _values: dict[str, str]) -> None:
+        before = self._controller.read("HC_OV_OLD")
+        if before != "0":
+            if self._controller.read("$OV_PRO") == self._controller.read("HC_OV_SET"):
+                self._controller.write("$OV_PRO", before)
+            self._controller.write("HC_OV_OLD", "0")
+
+    def _state(self, number: int) -> bytes:
+        texts = dict(zip(self.NAMES, self._controller.read_all(self.NAMES), strict=True))
+        axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
+        version = 1
+        return _document(
+            "RobotState",
+            {
+                "Command": {"Id": str(number)} | _named(COMMAND, texts),
+                "Pos": {name: axes[name] for name in (*AXES, "E1")}
+                | {name: pose[name] for name in (*FRAME, "S", "T")},
+                "Status": _named(STATUS, texts),
+                "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in FRAME},
+                "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in FRAME},
+                "Override": {"Old": texts["HC_OV_OLD"]},
+                "Slide": _named(SLIDE, texts),
+                "Robot": {
+                    "Model": texts["$TRAFONAME[]"].strip('"'),
+                    "Serial": texts["$KR_SERIALNO"],
+                    "Program": texts["HC_VER"],
+                    "Documents": str(version),
+                },
+                "Error": {"Code": texts["HC_ERR"]},
+            },
+        )
+
+
+def _named(names: dict[str, str], texts: dict[str, str]) -> dict[str, str]:
+    return {attribute: texts[name] for attribute, name in names.items()}
+
+
+def _document(root: str, elements: dict[str, dict[str, str]]) -> bytes:
+    body = ""
+    for element, each in elements.items():
+        attributes = " ".join(f'{name}="{text}"' for name, text in each.items())
+        body += f"<{element} {attributes}/>"
+    return f"<{root}>{body}</{root}>".encode("ascii", "replace")
+
 
 BOMB = (
     b'<!DOCTYPE RobotState [<!ENTITY a "1"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'

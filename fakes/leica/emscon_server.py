@@ -13,13 +13,11 @@ import threading
 import time as real_time
 
 from fakes.faults import Faults, Vanished
-from fakes.leica.emscon_device import EmsconDevice
+from fakes.leica.emscon_device import EmsconDevice, SampleStream
 from fakes.leica.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
-from fakes.leica.emscon_stream import SampleStream
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import Segments
+from fakes.wires import HOST, Listener, Segments
 
 
 class EmsconServer:

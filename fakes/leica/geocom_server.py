@@ -1,4 +1,8 @@
-"""A total station behind GeoCOM, on TCP or on a pseudo terminal in place of a serial line.
+"""A robotic total station behind GeoCOM, on TCP or on a pseudo terminal in place of a serial line.
+
+As with the original, lengths are metres and angles radians, Hz turns clockwise and V is zero at the
+zenith; few decimal places are sent until more are asked for; and a measured distance is kept until
+it is cleared, so that an angle without a new distance still comes with the old one.
 
 Empty lines end half a request and are not answered; ``c`` ends a motion and is answered by ``?``.
 An instrument works off one request after another. A line has no connection: an answer that
@@ -8,21 +12,326 @@ one program did not wait for reaches the next one.
 from __future__ import annotations
 
 import contextlib
-import os
-import pty
+import math
 import re
 import select
 import socket
 import threading
 import time as real_time
-import tty
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
 
 from fakes.faults import Faults, Vanished
-from fakes.leica.geocom_device import Answer, Code, GeocomDevice
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires.line_session import RECEIVE, Connection, LineSession, Wire
-from fakes.wires.listener import HOST, Listener
+from fakes.truth.tracker_truth import Instrument
+from fakes.truth.transforms import Array
+from fakes.wires import HOST, RECEIVE, Connection, LineSession, Listener, SerialEnd, Wire
+
+NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
+
+
+class Code(IntEnum):
+    """Return codes."""
+
+    OK = 0
+    INVALID = 2
+    NOT_IMPLEMENTED = 5
+    ABORTED = 8
+    BUSY = 13
+    TILTED = 22
+    INACCURATE = 1284
+    ANGLES_ONLY = 1285
+    DISTANCE_ERROR = 1292
+    NO_TARGET = 8710
+    SEVERAL = 8711
+    ATR_OFF = 8714
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A return code with its values, perhaps after plant time has passed."""
+
+    code: int = Code.OK
+    values: tuple[str, ...] = ()
+    after_s: float = 0.0
+    finish: Callable[[], Answer] | None = None
+
+
+@dataclass
+class _State:
+    places: int = 4
+    prism_m: float = 0.0
+    atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
+    edm_mode: int = 3
+    tilt: int = 1
+    corrections: tuple[float, ...] = (1, 1, 1, 1)  # the instrument has no such errors
+    atr: int = 0
+    face: int = 0
+    pointing: tuple[float, float] = (0.0, math.pi / 2)  # Hz, V in face 1
+    measured: tuple[float, float, float] | None = None  # Hz, V, distance
+    started: bool = False
+    target: str | None = None
+    time_ms: int = field(default=0)
+
+
+class GeocomDevice:
+    """One instrument; ``handle`` takes one request after another."""
+
+    TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
+
+    def __init__(self, instrument: Instrument, faults: Faults, prism_m: float = 0.0) -> None:
+        """``prism_m`` is the true constant of the prism that is mounted everywhere."""
+        self._instrument, self._faults, self._prism_m = instrument, faults, prism_m
+        self._state = _State()
+        state = self._state
+        self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
+            0: (0, Answer),
+            107: (1, self._keep("places", lambda places: 0 <= places <= 15)),
+            108: (0, lambda: Answer(values=(str(state.places),))),
+            110: (0, lambda: _whole(3, 0, 0)),
+            2003: (1, lambda mode: self._angles()),
+            2006: (1, self._keep("tilt", lambda on: on in (0, 1))),
+            2007: (0, lambda: _whole(state.tilt)),
+            2008: (2, self._start),
+            2014: (0, lambda: _whole(*map(int, state.corrections))),
+            2016: (4, self._set_corrections),
+            2020: (1, self._keep("edm_mode", lambda mode: 0 <= mode <= 14)),
+            2021: (0, lambda: _whole(state.edm_mode)),
+            2023: (0, lambda: self._reals(state.prism_m)),
+            2024: (1, self._set_prism),
+            2026: (0, lambda: _whole(state.face)),
+            2028: (4, self._set_atmosphere),
+            2029: (0, lambda: self._reals(*state.atmosphere)),
+            2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
+            2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
+            5003: (0, self._serial),
+            5004: (0, lambda: Answer(values=(f'"{NAME}"',))),
+            5034: (0, lambda: _whole(*FIRMWARE)),
+            9027: (5, lambda hz, v, exact, aim, dummy: self._turn(hz, v, aim)),
+            9028: (3, lambda exact, aim, dummy: self._change_face()),
+            9029: (3, lambda hz, v, dummy: self._aim(hz, v)),
+            9037: (3, lambda hz, v, dummy: self._aim(hz, v)),
+            18005: (1, self._keep("atr", lambda on: on in (0, 1))),
+            18006: (0, lambda: _whole(state.atr)),
+        }
+
+    def knows(self, rpc: int) -> bool:
+        """Whether there is such a procedure."""
+        return rpc in self._handlers
+
+    def handle(self, rpc: int, parameters: list[float]) -> Answer:
+        """Return the answer to a request."""
+        if not self.knows(rpc):
+            return Answer(Code.NOT_IMPLEMENTED)
+        count, handler = self._handlers[rpc]
+        if len(parameters) != count or not all(map(math.isfinite, parameters)):
+            return Answer(Code.INVALID)
+        return handler(*parameters)
+
+    def abort(self) -> None:
+        """End a motion or a measurement."""
+        self._state.started = False
+
+    # -- settings -------------------------------------------------------------------------------
+
+    def _keep(self, name: str, allowed: Callable[[float], bool]) -> Callable[[float], Answer]:
+        def handler(value: float) -> Answer:
+            if value != int(value) or not allowed(value):
+                return Answer(Code.INVALID)
+            setattr(self._state, name, int(value))
+            return Answer()
+
+        return handler
+
+    def _set_prism(self, constant_m: float) -> Answer:
+        self._state.prism_m = constant_m
+        return Answer()
+
+    def _set_corrections(self, *on: float) -> Answer:
+        if not set(on) <= {0, 1}:
+            return Answer(Code.INVALID)
+        self._state.corrections = on
+        return Answer()
+
+    def _set_atmosphere(self, *values: float) -> Answer:
+        if not 500 <= values[1] <= 1200:
+            return Answer(Code.INVALID)
+        self._state.atmosphere = values
+        return Answer()
+
+    def _serial(self) -> Answer:
+        return _whole(SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
+
+    # -- turning and aiming -----------------------------------------------------------------------
+
+    def _turn(self, hz: float, v: float, aim: float) -> Answer:
+        if not 0 <= v <= math.tau:
+            return Answer(Code.INVALID)
+        state = self._state
+        state.face = int(v > math.pi)
+        state.pointing = (hz % math.tau, v) if not state.face else _other_face(hz, v)
+        state.target = None
+
+        sight_rad = 1e-3  # beside which the distance meter still hits a prism
+
+        def finish() -> Answer:
+            return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
+
+        return Answer(after_s=self.TURN_S, finish=finish)
+
+    def _change_face(self) -> Answer:
+        self._state.face = 1 - self._state.face
+        return Answer(after_s=2 * self.TURN_S, finish=Answer)
+
+    def _aim(self, width: float, height: float) -> Answer:
+        if not self._state.atr:
+            return Answer(Code.ATR_OFF)
+        return Answer(after_s=self.AIM_S, finish=lambda: self._lock_on(width, height))
+
+    def _lock_on(self, width: float, height: float) -> Answer:
+        """Aim at the reflector closest to the line of sight, within a window."""
+        self._state.target = None
+        hz, v = self._state.pointing
+        inside = []
+        for at_mm in self._instrument.reflectors().values():
+            at_hz, at_v = _direction(at_mm)
+            off_hz, off_v = (
+                abs(((at_hz - hz) + math.pi) % math.tau - math.pi) * math.sin(v),
+                abs(at_v - v),
+            )
+            if off_hz <= width / 2 and off_v <= height / 2:
+                inside.append((math.hypot(off_hz, off_v), at_mm))
+        inside.sort(key=lambda each: each[0])
+        take = self._faults.take
+        if not inside or take("tracker.no_reflector") is not None:
+            return Answer(Code.NO_TARGET)
+        apart_rad = 1e-3  # two targets closer than this are several to the target recognition
+        if len(inside) > 1:
+            (_, one_mm), (_, other_mm) = inside[:2]
+            cosine = one_mm @ other_mm / (np.linalg.norm(one_mm) * np.linalg.norm(other_mm))
+            if math.acos(min(1.0, float(cosine))) < apart_rad:
+                return Answer(Code.SEVERAL)
+        name = self._instrument.find(inside[0][1], 1e-3)
+        if name is None:
+            return Answer(Code.NO_TARGET)
+        self._state.target = name
+        self._state.pointing = _direction(self._instrument.reflectors()[name])
+        return Answer()
+
+    # -- measuring ------------------------------------------------------------------------------
+
+    def _start(self, command: float, mode: float) -> Answer:
+        stop, distance, clear = 0, 1, 3
+        state = self._state
+        if command == clear:
+            state.measured, state.started = None, False
+            return Answer()
+        if command == stop:
+            state.started = False
+            return Answer()
+        if command != distance:
+            return Answer(Code.NOT_IMPLEMENTED)
+        if self._faults.take("tracker.vanish") is not None:
+            raise Vanished
+        if self._faults.take("tracker.busy") is not None:
+            return Answer(Code.BUSY)
+        state.started = True
+        return Answer()
+
+    def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
+        """Return the distance that was started, or the last one; angles alone where there is none.
+
+        It waits for a distance until ``wait_ms``, also for one that never comes.
+        """
+        state = self._state
+        if not state.started:
+            if state.measured is None:
+                return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
+            return form(*state.measured)
+        if wait_ms / 1000 < self.DISTANCE_S:
+            return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
+        return Answer(after_s=self.DISTANCE_S, finish=lambda: self._measured(form))
+
+    def _measured(self, form: Callable[..., Answer]) -> Answer:
+        state, take = self._state, self._faults.take
+        state.started = False
+        if take("tracker.no_distance") is not None:
+            return form(*state.pointing, 0.0)
+        if take("tracker.beam_break_before") is not None:
+            return Answer(Code.DISTANCE_ERROR)
+        if take("tracker.beam_break_after") is not None:
+            return Answer(Code.DISTANCE_ERROR)
+        found = None if state.target is None else self._instrument.measure(state.target)
+        if found is None:
+            return form(*state.pointing, 0.0)
+        hz, v = _direction(found.xyz_mm)
+        mm = 1000.0
+        distance_m = float(np.linalg.norm(found.xyz_mm)) / mm
+        distance_m += state.prism_m - self._prism_m
+        (_, pressure_mbar, dry_c, _), air = state.atmosphere, self._instrument.air()
+        true_ppm = _ppm(air.pressure_mbar, air.temperature_c)
+        distance_m *= 1.0 + 1e-6 * (_ppm(pressure_mbar, dry_c) - true_ppm)
+        state.measured = (hz, v, distance_m)
+        code = self._faults.number("tracker.geocom_code")
+        answer = form(*state.measured)
+        if code is None:
+            return answer
+        return Answer(int(code), answer.values if code in (1283, Code.INACCURATE) else ())
+
+    def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
+        if self._state.face:
+            hz, v = _other_face(hz, v)
+        values = self._reals(hz, v, distance_m).values
+        bad = self._faults.take("tracker.bad_number")
+        if bad is not None:
+            values = (str(bad), *values[1:])
+        return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, values)
+
+    def _coordinates(self, hz: float, v: float, distance_m: float) -> Answer:
+        """East, north and height, and their time, twice: of the last and of the running reading."""
+        across_m = distance_m * math.sin(v)
+        east, north = across_m * math.sin(hz), across_m * math.cos(hz)
+        each = (*self._reals(east, north, distance_m * math.cos(v)).values, str(self._time_ms()))
+        return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, (*each, *each))
+
+    def _angles(self) -> Answer:
+        hz, v = self._state.pointing
+        if self._state.face:
+            hz, v = _other_face(hz, v)
+        time = str(self._time_ms())
+        tilt = self._reals(0.0, 0.0, 0.0).values
+        values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
+        return Answer(values=values, after_s=self.ANGLE_S, finish=lambda: Answer(values=values))
+
+    def _time_ms(self) -> int:
+        self._state.time_ms += 100
+        return self._state.time_ms
+
+    def _reals(self, *values: float) -> Answer:
+        return Answer(values=tuple(f"{value:.{self._state.places}f}" for value in values))
+
+
+def _whole(*values: int) -> Answer:
+    return Answer(values=tuple(map(str, values)))
+
+
+def _direction(at_mm: Array) -> tuple[float, float]:
+    """Return Hz and V of a place in face 1: Hz turns from x to -y."""
+    x, y, z = at_mm
+    return math.atan2(-y, x) % math.tau, math.acos(z / math.hypot(x, y, z))
+
+
+def _other_face(hz: float, v: float) -> tuple[float, float]:
+    return (hz + math.pi) % math.tau, math.tau - v
+
+
+def _ppm(pressure_mbar: float, dry_c: float) -> float:
+    """Return the atmospheric correction of dry air; zero at 12 C and 1013.25 mbar, nearly."""
+    return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)
 
 
 class GeocomServer:
@@ -174,19 +483,10 @@ class _Session(LineSession):
         return True
 
 
-class _Line:
-    """A pseudo terminal in place of a serial line; both ends are kept open, as a cable is."""
-
+class _Line(SerialEnd):
     def __init__(self) -> None:
-        self._end, self._far = pty.openpty()
-        tty.setraw(self._far)
-        self.path = os.ttyname(self._far)
+        super().__init__()
         self.closing = threading.Event()
-        self._open = True
-
-    def sendall(self, data: bytes, /) -> None:
-        while data:
-            data = data[os.write(self._end, data) :]
 
     def receive(self, timeout_s: float | None) -> bytes:
         ends_s = None if timeout_s is None else real_time.monotonic() + timeout_s
@@ -195,15 +495,9 @@ class _Line:
             left_s = look_s if ends_s is None else min(look_s, ends_s - real_time.monotonic())
             if left_s <= 0:
                 return b""
-            if select.select([self._end], [], [], left_s)[0]:
-                return os.read(self._end, RECEIVE)
+            if select.select([self], [], [], left_s)[0]:
+                return self.recv(RECEIVE)
         raise ConnectionAbortedError
-
-    def close(self) -> None:
-        if self._open:
-            self._open = False
-            os.close(self._end)
-            os.close(self._far)
 
 
 def serve(site: Site, port: int) -> GeocomServer:

@@ -23,7 +23,7 @@ from fakes.replay.recorded_script import (
     first_of_each,
     landmarks,
 )
-from fakes.wires.listener import HOST, Listener
+from fakes.wires import HOST, Listener
 from hilcell.wire.recording import Piece
 
 LONGEST, SHOWN = 60, 24  # bytes of a question in a message, as text and in hex

@@ -1,21 +1,257 @@
-"""The wire of a strip that is not on its drive's: a serial line, or a CAN bus of its own."""
+"""The magnetic strip's sensor, behind each wire that it may have.
+
+On its drive's bus, or on a CAN bus of its own, it is a CiA 406 absolute linear encoder, 100
+counts/mm: `RailStrip`. On a serial line, or TCP on a stated port, it speaks SIKO's service
+commands: ``A0``, ``A1``, ``A2``, ``Z`` or ``X``, without an end of line; an answer ends with ``>``
+and CR, and now and then it comes in two pieces. Anything else is answered with ``?`` and CR.
+
+Absolute, so it needs no homing. Its reading flickers by a count to either side. A sensor without
+its magnet goes on answering with the last position; only its alarm shows it (bit 0 of 6503h and an
+EMCY, or of ``X``).
+"""
 
 from __future__ import annotations
 
-from fakes.canopen.rail_strip import NODE, RailStrip
-from fakes.canopen.slave import SYNC_COB_ID
+import contextlib
+import select
+import socket
+import threading
+from collections.abc import Callable
+
+from fakes.canopen.slave import (
+    INVALID,
+    SYNC_COB_ID,
+    CanopenSlave,
+    Entry,
+    ErrorKind,
+    Mapping,
+    NodeIdentity,
+    TransmitPdo,
+)
 from fakes.canopen.slcan_gateway import BusThread, SlcanGateway, is_serial
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.strips.line import StripLine
-from fakes.truth.rail_truth import RailTruth
-from hilcell.cell.settings import SettingsError
+from fakes.truth.noise import Dither
+from fakes.truth.rail_truth import RailState, RailTruth
+from fakes.wires import HOST, RECEIVE, Listener, Segments, SerialEnd
 
-# Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
+
+class StripSensor:
+    """The head of one strip; ``strike`` before each look."""
+
+    COUNTS_PER_MM = 100.0
+
+    def __init__(self, slide: RailState, faults: Faults) -> None:
+        self._faults = faults
+        self.position = round(slide.strip_mm * self.COUNTS_PER_MM)
+        self.velocity_mm_s = 0.0
+        self.missing = False  # the magnet
+        self._frozen = False
+        self._jump_mm = 0.0
+        flicker = 6
+        self._flicker = Dither(1, flicker)
+        self._jitter = 0
+
+    def observe(self, slide: RailState) -> None:
+        """Take the slide's state of now."""
+        self.velocity_mm_s = slide.velocity_mm_s
+        if not self._frozen and not self.missing:
+            at_mm = slide.strip_mm + self._jump_mm
+            self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
+
+    def strike(self) -> None:
+        """Let the faults of a look come and go."""
+        self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
+        self._frozen = self._faults.take("rail.strip_frozen") is not None
+        jitter = int(self._faults.number("rail.strip_jitter") or 0)
+        self._flicker.step()
+        # Under the fault it alternates, so that any two looks show both sides.
+        alternate = -jitter if self._jitter > 0 else jitter
+        self._jitter = alternate if jitter else self._flicker.counts
+        self.missing = self._faults.take("rail.missing_magnet") is not None
+
+
+ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
+
+
+class StripLine:
+    """Serves one strip on a line of its own."""
+
+    def __init__(
+        self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
+    ) -> None:
+        self._rail, self._faults, self._options = rail, faults, options
+        self._lock = threading.Lock()
+        self._sensor = StripSensor(rail.poll(), faults)
+        self._listener = Listener("strip", self._serve, port=port) if port else None
+        self._pty = None if port else Pty(self.answers)
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return the channel, as options of the driver."""
+        channel = f"socket://{HOST}:{self._listener.port}" if self._listener else ""
+        if self._pty is not None:
+            channel = self._pty.path
+        return {"strip": self._options | {"driver": "serial", "channel": channel}}
+
+    def start(self) -> None:
+        """Begin to serve."""
+        for each in (self._listener, self._pty):
+            if each is not None:
+                each.start()
+
+    def restore(self) -> None:
+        """Leave the sensor as it is: it has nothing to put right."""
+
+    def close(self) -> None:
+        """Stop serving."""
+        for each in (self._listener, self._pty):
+            if each is not None:
+                each.close()
+
+    def answers(self, pending: bytes) -> tuple[list[bytes], bytes]:
+        """Return the answers to commands, and the bytes of one that is not whole."""
+        found: list[bytes] = []
+        while pending:
+            size = 2 if pending[:1] in b"Aa" else 1
+            if len(pending) < size:
+                break
+            command, pending = pending[:size].upper(), pending[size:]
+            with self._lock:
+                answer = self._answer(command)
+            if self._faults.take("rail.strip_silent") is None:
+                found.append(answer.encode("ascii") + b"\r")
+        return found, pending
+
+    def _answer(self, command: bytes) -> str:
+        if command in ANSWERS:
+            return ANSWERS[command] + ">"
+        if command == b"Z":
+            self._sensor.strike()
+            self._sensor.observe(self._rail.poll())
+            return f"{self._sensor.position:+08d}>"
+        gap = 1 << 0
+        if command == b"X":
+            return f"0x{gap if self._sensor.missing else 0:02x}>"
+        return "?"
+
+    def _serve(self, client: socket.socket) -> None:
+        segments, pending = Segments(client), b""
+        while data := client.recv(RECEIVE):
+            answers, pending = self.answers(pending + data)
+            for answer in answers:
+                segments.send(answer)
+
+
+class Pty:
+    """The sensor at a serial line, which is opened again and again."""
+
+    def __init__(self, answers: Callable[[bytes], tuple[list[bytes], bytes]]) -> None:
+        self._answers = answers
+        self._end = SerialEnd()
+        self.path = self._end.path
+        self._wake, self._waker = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name="strip line")
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        with contextlib.suppress(OSError):
+            self._waker.send(b"\0")
+        if self._thread.is_alive():
+            self._thread.join()
+        for each in (self._end, self._wake, self._waker):
+            each.close()
+
+    def _run(self) -> None:
+        pending, sent = b"", 0
+        split_every = 5
+        while True:
+            ready, _, _ = select.select([self._end, self._wake], [], [])
+            if self._wake in ready:
+                return
+            answers, pending = self._answers(pending + self._end.recv(RECEIVE))
+            for answer in answers:
+                sent += 1
+                cut = 1 + sent % (len(answer) - 1) if sent % split_every == 0 else len(answer)
+                for piece in filter(None, (answer[:cut], answer[cut:])):
+                    self._end.sendall(piece)
+
+
+STRIP_NODE = 6
+IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
+
+
+class RailStrip(CanopenSlave):
+    """Node 6: says where the strip sees the slide."""
+
+    SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
+    INT16 = range(-(1 << 15), 1 << 15)
+    POSITION_ERROR = 1 << 0
+
+    def __init__(
+        self, slide: RailState, faults: Faults, send: Callable[[int, bytes], None]
+    ) -> None:
+        super().__init__(STRIP_NODE, IDENTITY, send)
+        self._sensor = StripSensor(slide, faults)
+        self._alarms = 0
+        self._add_objects()
+        self._add_pdos()
+
+    def observe(self, slide: RailState) -> None:
+        """Take the slide's state of now."""
+        self._sensor.observe(slide)
+
+    def strike(self) -> None:
+        """Let the faults of a SYNC come and go."""
+        self._sensor.strike()
+        alarms = self.POSITION_ERROR if self._sensor.missing else 0
+        encoder_fault = 0x7305
+        if alarms != self._alarms:
+            self.emergency(encoder_fault if alarms else 0, ErrorKind.DEVICE_PROFILE)
+        self._alarms = alarms
+
+    def _add_objects(self) -> None:
+        add, record = self.dictionary.add, self.dictionary.add_array
+        add(0x6000, 0, Entry("H", 0, allowed=(0,)))
+        add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._sensor.position))
+        step_nm = 10_000  # 6005:01 and 6501, in 0.001 um
+        record(0x6005, Entry("I", step_nm, "ro"), Entry("I", self.SPEED_STEP, "ro"))
+        record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
+        add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
+        add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
+        add(0x6501, 0, Entry("H", step_nm, "ro"))  # shorter than the profile's U32, as sold
+        add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
+        add(0x6504, 0, Entry("H", self.POSITION_ERROR, "ro"))
+        add(0x6505, 0, Entry("H", 0, "ro", mappable=True))
+        add(0x6506, 0, Entry("H", 0, "ro"))
+        add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
+
+    def _speed(self) -> int:
+        speed = round(self._sensor.velocity_mm_s * 100.0 / self.SPEED_STEP)
+        return min(max(speed, self.INT16[0]), self.INT16[-1])
+
+    def _change_cycle(self, period_ms: int) -> None:
+        # 6200h is the profile's name for the event timer of the first TPDO.
+        self.dictionary.set(0x1800, 5, period_ms)
+
+    def _add_pdos(self) -> None:
+        """Lay out the profile's defaults: 6004 by the cyclic timer, and on SYNC (off)."""
+        position: Mapping = ((0x6004, 0),)
+        self.transmit_pdos += [
+            TransmitPdo(self.dictionary, 0, 0x180 + STRIP_NODE, position),
+            TransmitPdo(self.dictionary, 1, 0x280 + STRIP_NODE | INVALID, position, transmission=1),
+        ]
 
 
 class StripBus:
-    """Serves one strip behind a gateway: on TCP, or on the serial line that its channel names."""
+    """Serves one strip behind a gateway: on TCP, or on the serial line that its channel names.
+
+    Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
+    """
 
     def __init__(
         self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
@@ -53,7 +289,7 @@ class StripBus:
             self._strip.boot(self._bus.now_s())
 
     def _hear(self, cob_id: int, data: bytes) -> None:
-        of_node = (SYNC_COB_ID, 0x600 + NODE)
+        of_node = (SYNC_COB_ID, 0x600 + STRIP_NODE)
         if cob_id in of_node and self._faults.take("rail.strip_silent") is not None:
             return
         if cob_id == SYNC_COB_ID:
@@ -73,7 +309,6 @@ def strip_wire(
 
 def serve(site: Site, port: int) -> StripLine | StripBus:
     """Return the strip of a cell whose slide is the robot's axis; raises `SettingsError`."""
-    rail = site.plant.rail
-    if not isinstance(rail, RailTruth):
-        raise SettingsError("rail", ["this cell has no slide to simulate"])
-    return strip_wire(rail, site.faults, dict(site.cell.rail.options.get("strip", {})), port=port)
+    return strip_wire(
+        site.slide(), site.faults, dict(site.cell.rail.options.get("strip", {})), port=port
+    )

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fakes.faults import Faults
+from fakes.faults import Faults, Harms
 from fakes.time import PlantTime
 from fakes.truth.arm_truth import ArmTruth
 from fakes.truth.machine import Machine, machine_of
@@ -35,7 +35,7 @@ from hilcell.ports import HilcellError
 FLANGE = "flange"
 
 
-class Plant:
+class Plant(Harms):
     """One simulated cell."""
 
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
@@ -210,13 +210,13 @@ def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:
         raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error
 
 
-class ReplayPlant:
+class ReplayPlant(Harms):
     """A plant that replays: commanded joints in, the recorded measurement out.
 
     The data are rows of commanded joints and measured positions in the tracker's frame; one pose
     may carry several reflectors. Where the robot stands on no recorded pose, nothing is found. The
-    rail stands where it was switched on. A replay has no floor and no slide nests. Raises
-    `SettingsError` where the data cannot be read.
+    rail stands where it was switched on. A replay has no floor and no slide nests, and no harm
+    changes the recorded data. Raises `SettingsError` where the data cannot be read.
     """
 
     def __init__(self, cell: Cell, data: Path, time: PlantTime, faults: Faults) -> None:
@@ -229,21 +229,6 @@ class ReplayPlant:
     def seat(self, place: str) -> None:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""
         raise ValueError("the reflectors of recorded data are where they were")
-
-    def slip_mount(self, along_mm: float) -> None:
-        """Do nothing: the recorded data have their own mount."""
-
-    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
-        """Leave the recorded data as they are."""
-
-    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
-        """Leave the recorded data as they are."""
-
-    def grow(self, um_m: float) -> None:
-        """Leave the recorded data as they are."""
-
-    def loosen(self, axis: int, slip_rad: float) -> None:
-        """Leave the recorded data as they are."""
 
 
 class ReplayTracker:

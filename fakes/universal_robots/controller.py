@@ -15,10 +15,8 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Vanished
-from fakes.kuka.life_timer import LifeTimer
-from fakes.motion_faults import Harms, strike
-from fakes.time import PlantTime
+from fakes.faults import Faults, Harms, Vanished, strike
+from fakes.time import LifeTimer, PlantTime
 from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.transforms import Array, rotation_vector

@@ -24,5 +24,5 @@ def cell() -> Cell:
 def own_time(monkeypatch: pytest.MonkeyPatch) -> OwnTime:
     """Return the time of the life timers that are made later."""
     time = OwnTime()
-    monkeypatch.setattr("fakes.kuka.life_timer.OwnTime", lambda: time)
+    monkeypatch.setattr("fakes.time.OwnTime", lambda: time)
     return time

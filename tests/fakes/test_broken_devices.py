@@ -15,7 +15,7 @@ from tests.hilcell.cell.packages import ENTRIES, WHOLE, install
 
 SERVE = "def serve(site, port): ..."
 FALLS = """
-from fakes.wires.listener import Listener
+from fakes.wires import Listener
 
 def fall(client):
     client.recv(1)

@@ -13,7 +13,6 @@ from fakes.faults import Faults
 from fakes.kuka import c3_server
 from fakes.kuka.c3_server import C3Server
 from fakes.kuka.controller import KrlController
-from fakes.motion_faults import Harms
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -37,7 +36,7 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant.robot, faults, Harms(plant.lose_zero))
+    controller = KrlController(cell, plant.robot, faults, plant)
     server = C3Server(controller, faults)
     with contextlib.closing(server):
         server.start()

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.canopen.dictionary import Entry, ObjectDictionary, SdoAbortError
-from fakes.canopen.sdo import SdoServer
+from fakes.canopen.slave import Entry, ObjectDictionary, SdoAbortError, SdoServer
 
 
 def server() -> tuple[SdoServer, ObjectDictionary]:

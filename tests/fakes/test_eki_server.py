@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import pytest
 
 from fakes.faults import Faults
-from fakes.kuka.controller import KrlController
-from fakes.kuka.eki_program import QUEUE, RECEIVED, Overflow, Queues
-from fakes.kuka.eki_server import EkiServer
-from fakes.kuka.krl import KrlError
-from fakes.motion_faults import Harms
+from fakes.kuka.controller import KrlController, KrlError
+from fakes.kuka.eki_server import QUEUE, RECEIVED, EkiServer, Overflow, Queues
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -94,7 +91,7 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant.robot, faults, Harms(plant.lose_zero))
+    controller = KrlController(cell, plant.robot, faults, plant)
     server = EkiServer(controller, faults, plant.time)
     with contextlib.closing(server):
         server.start()

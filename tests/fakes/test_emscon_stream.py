@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.leica.emscon_device import EmsconDevice
+from fakes.leica.emscon_device import EmsconDevice, SampleStream
 from fakes.leica.emscon_server import EmsconServer
-from fakes.leica.emscon_stream import SampleStream
 from fakes.time import EXCHANGE_S, PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell

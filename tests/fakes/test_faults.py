@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
 from fakes import faults as faults_module
-from fakes.faults import KNOWN, Faults, load_faults
+from fakes.faults import KNOWN, Faults, load_faults, strike
 from hilcell.cell.settings import SettingsError
 
 
@@ -66,9 +67,9 @@ def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_known_fault_is_asked_for_and_no_other() -> None:
-    folder = Path(faults_module.__file__).parent
-    sources = [file for file in folder.rglob("*.py") if file.name != "faults.py"]
-    text = "".join(file.read_text("utf-8") for file in sources)
+    table = Path(faults_module.__file__)
+    sources = [file.read_text("utf-8") for file in table.parent.rglob("*.py") if file != table]
+    text = "".join([*sources, inspect.getsource(strike)])
     asked = set(re.findall(r'"((?:rail|robot|tracker)\.[a-z_0-9]+)"', text))
     assert asked == set(KNOWN)
 

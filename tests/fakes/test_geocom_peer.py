@@ -16,8 +16,7 @@ from geocompy.geo import GeoCom
 from geocompy.geo.gctypes import GeoComCode
 
 from fakes.faults import Faults
-from fakes.leica.geocom_device import SERIAL, GeocomDevice
-from fakes.leica.geocom_server import GeocomServer
+from fakes.leica.geocom_server import SERIAL, GeocomDevice, GeocomServer
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell

@@ -9,8 +9,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
-from fakes.kuka.life_timer import LifeTimer
-from fakes.time import PlantTime
+from fakes.time import LifeTimer, PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.conftest import OwnTime

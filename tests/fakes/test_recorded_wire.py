@@ -14,7 +14,7 @@ from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_script import exchanges
 from fakes.replay.recorded_wire import RecordedWire
-from fakes.wires.listener import Listener
+from fakes.wires import Listener
 from hilcell.wire.channel import Socket, parse_channel
 from hilcell.wire.recording import Piece
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fakes.wires import segments
-from fakes.wires.segments import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
+from fakes import wires
+from fakes.wires import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
 
 
 class Wire:
@@ -29,7 +29,7 @@ def sent(count: int, size: int = 20) -> list[bytes]:
 @pytest.fixture(autouse=True)
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     found: list[float] = []
-    monkeypatch.setattr(segments, "time", SimpleNamespace(sleep=found.append))
+    monkeypatch.setattr(wires, "time", SimpleNamespace(sleep=found.append))
     return found
 
 

@@ -15,8 +15,14 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.spatialanalyzer.t2sa_device import WARM_UP_S, T2saDevice
-from fakes.spatialanalyzer.t2sa_server import T2saServer, fan, imported, serve, write
+from fakes.spatialanalyzer.t2sa_server import (
+    T2saDevice,
+    T2saServer,
+    fan,
+    imported,
+    serve,
+    write,
+)
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -83,7 +89,7 @@ def bridge(cell: Cell) -> Iterator[Bridge]:
 def client(bridge: Bridge) -> Iterator[Client]:
     with bridge.client() as client:
         assert client.ask("!LST:1") == "ACK-300 Tracker Interface Started: True"
-        bridge.time.advance(WARM_UP_S)
+        bridge.time.advance(T2saDevice.WARM_UP_S)
         yield client
 
 
@@ -119,9 +125,9 @@ def test_the_laser_warms_up(bridge: Bridge) -> None:
     with bridge.client() as client:
         assert client.ask("?LSTA") == "ACK-300 LOFF"
         client.ask("!LST:1")
-        assert client.ask("?LSTA") == f"ACK-300 WARM, {WARM_UP_S:.2f} seconds"
+        assert client.ask("?LSTA") == f"ACK-300 WARM, {T2saDevice.WARM_UP_S:.2f} seconds"
         assert client.ask("!MEAS_SINGLE_POINT:A;G;F2") == "ERR-338 Instrument is not ready."
-        bridge.time.advance(WARM_UP_S)
+        bridge.time.advance(T2saDevice.WARM_UP_S)
         client.measure("F2")
 
 
@@ -149,7 +155,7 @@ def test_a_halt_overtakes_a_measurement(cell: Cell, own: bool) -> None:
     slow = 0.01  # a measurement takes a minute
     with running(cell, slow) as bridge, bridge.client() as client, bridge.client() as other:
         client.ask("!LST:1")
-        bridge.time.advance(WARM_UP_S)
+        bridge.time.advance(T2saDevice.WARM_UP_S)
         client.write(b"!MEAS_SINGLE_POINT:A;G;F2\r\n")
         while not (said := other.ask("?LSTA")).startswith("ERR-201"):
             assert said == "ACK-300 LON"

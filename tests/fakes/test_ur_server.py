@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from fakes import wires
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from fakes.universal_robots import server as ur_server
 from fakes.universal_robots.server import UrServer
-from fakes.wires import listener
 from hilcell.cell.file import load_cell
 from tests.fakes.conftest import OwnTime
 from tests.fakes.rail_bench import until
@@ -146,7 +146,7 @@ def test_ur_rtde_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The peer knows one port: an address of its own keeps other tests from it."""
     number = os.getpid()
     host = f"127.{number // 65536 % 200 + 1}.{number // 256 % 256}.{number % 256}"
-    monkeypatch.setattr(listener, "HOST", host)
+    monkeypatch.setattr(wires, "HOST", host)
     with serving(30004, speed=1.0) as robot:
         words = (sys.executable, "-c", PEER, host, str(robot.port("dashboard")))
         done = subprocess.run(words, capture_output=True, text=True, check=True)

@@ -18,9 +18,10 @@ from typing import Any
 
 import pytest
 
-from fakes.canopen import rail_drive, rail_strip
+from fakes.canopen import rail_drive
 from fakes.kuka.controller import KrlController
 from fakes.leica.emscon_packets import wide
+from fakes.strips import wire
 from hilcell.commands import run as run_command
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
@@ -44,7 +45,7 @@ def machines(folder: Path, speed: float) -> Iterator[list[str]]:
     cell = folder / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
     with pytest.MonkeyPatch.context() as plates:
-        for module in (rail_drive, rail_strip):
+        for module in (rail_drive, wire):
             plates.setattr(module, "IDENTITY", replace(module.IDENTITY, name="of the plant"))
         plates.setattr(KrlController, "_identity", lambda self: f'"{self._arm.model}"')
         plates.setattr(

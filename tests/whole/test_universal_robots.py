@@ -22,7 +22,6 @@ from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
 from drivers.universal_robots.state import UrState
 from fakes.faults import Faults
-from fakes.motion_faults import Harms
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
@@ -96,8 +95,7 @@ PROVES_NOTHING = {
 def bench() -> Iterator[Bench]:
     faults, time = Faults(), PlantTime(10.0)
     plant = Plant(LAB, 1, time, faults)
-    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
-    controller = UrController(LAB, plant.robot, faults, time, harms)
+    controller = UrController(LAB, plant.robot, faults, time, plant)
     server = UrServer(controller, Site(LAB, plant, faults, time), 0)
     with contextlib.closing(server):
         server.start()

@@ -16,13 +16,11 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Vanished
-from fakes.kuka.life_timer import LifeTimer
-from fakes.motion_faults import Harms, strike
+from fakes.faults import Vanished, strike
 from fakes.site import Site
+from fakes.time import LifeTimer
 from fakes.truth.controller_arm import controller_arm, flicker
-from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import Segments
+from fakes.wires import HOST, Listener, Segments
 from hilcell.ports import Array
 
 COMMAND = re.compile(r"(\w+)\s*(?:\(([^()]*)\))?", re.ASCII)
@@ -36,10 +34,9 @@ class MecaController:
     """One robot's controller; its methods may come from several threads."""
 
     def __init__(self, site: Site) -> None:
-        plant = site.plant
         self._lock = threading.RLock()
-        self._motion, self._faults, self._time = plant.robot, site.faults, site.time
-        self._harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
+        self._motion, self._faults, self._time = site.plant.robot, site.faults, site.time
+        self._harms = site.plant
         self._arm = controller_arm(site.cell)
         self._smr_mm = np.array(site.cell.robot.smr_mm)
         self._low_deg = np.array([joint.min_deg for joint in site.cell.robot.joint])

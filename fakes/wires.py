@@ -1,0 +1,282 @@
+"""How simulated devices hear and answer: a server on TCP, a serial line, late and cut segments.
+
+A server on loopback has a blocking thread a client: the quickest answer Python gives. Bytes leave
+now and then late, and now and then in two segments. Real devices do both, and TCP promises neither
+promptness nor whole packets. The turns depend on how often was sent over the connection, so they
+are the same in each run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable
+from typing import Protocol
+
+from fakes.faults import Faults
+from hilcell.ports import HilcellError
+
+HOST = "127.0.0.1"
+RECEIVE = 4096
+LATE_EVERY, LATE_S = 47, 0.001
+SPLIT_EVERY = 7
+
+
+def listen(port: int) -> socket.socket:
+    """Return a socket that listens on ``port``, 0 for one that the system chooses.
+
+    Raises `HilcellError`.
+    """
+    try:
+        return socket.create_server((HOST, port))
+    except OSError as error:
+        raise HilcellError(
+            f"port {port} cannot be opened: {os.strerror(error.errno or 0)}; "
+            "choose another with --ports"
+        ) from error
+
+
+class Listener:
+    """Accepts clients on ``port``, 0 for one that the system chooses; hands each to ``serve``.
+
+    ``serve`` returns when the client is done; OSError from a broken connection ends it too.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        serve: Callable[[socket.socket], None],
+        *,
+        limit: int = 10,
+        port: int = 0,
+        accepted: Callable[[socket.socket], None] | None = None,
+    ) -> None:
+        """``accepted`` takes note of each client, in the order in which they come."""
+        self._name, self._serve, self._limit = name, serve, limit
+        self._accepted = accepted
+        self._socket = listen(port)
+        self.port: int = self._socket.getsockname()[1]
+        self._lock = threading.Lock()
+        self._clients: dict[socket.socket, threading.Thread] = {}
+        self._accepting = threading.Thread(target=self._accept, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to accept."""
+        self._accepting.start()
+
+    def hang_up(self) -> None:
+        """Close every socket without waiting; callable from a client's own thread."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        with self._lock:
+            clients = list(self._clients)
+        for client in clients:
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close every socket and wait for every thread."""
+        self.hang_up()
+        if self._accepting.is_alive():
+            self._accepting.join()
+        with self._lock:
+            threads = list(self._clients.values())
+        for thread in threads:
+            thread.join()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._socket.accept()
+            except OSError:
+                return
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            thread = threading.Thread(
+                target=self._run, args=(client,), name=f"{self._name} client", daemon=True
+            )
+            with self._lock:
+                if len(self._clients) >= self._limit:
+                    client.close()
+                    continue
+                self._clients[client] = thread
+            if self._accepted is not None:
+                self._accepted(client)
+            thread.start()
+
+    def _run(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            self._serve(client)
+        with self._lock:
+            del self._clients[client]
+
+
+class SerialEnd:
+    """A serial device's end of a line, which a pseudo terminal stands for; it has no connections.
+
+    Both ends are kept open, as a cable is: the line stays when its user goes. Used like a client's
+    socket, by one thread. Bytes that nobody takes within ``patience_s`` are lost, as on any UART.
+    """
+
+    def __init__(self, patience_s: float | None = None) -> None:
+        self._patience_s = patience_s
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.path = os.ttyname(self._theirs)
+        self._open = True
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+        return self._ours
+
+    def recv(self, size: int, /) -> bytes:
+        """Return bytes that have come."""
+        return os.read(self._ours, size)
+
+    def sendall(self, data: bytes, /) -> None:
+        """Send bytes; those that the line does not take in time are lost."""
+        while data and select.select([], [self._ours], [], self._patience_s)[1]:
+            data = data[os.write(self._ours, data) :]
+
+    def close(self) -> None:
+        """Unplug the device; a second close does nothing."""
+        if self._open:
+            self._open = False
+            os.close(self._ours)
+            os.close(self._theirs)
+
+
+class Client(Protocol):
+    """A socket, or what sends like one."""
+
+    def sendall(self, data: bytes, /) -> None:
+        """Send all of ``data``."""
+
+
+class Segments:
+    """The sending side of one connection."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self.sent = 0
+
+    def send(self, data: bytes) -> None:
+        """Send ``data``; raises `OSError`."""
+        self.sent += 1
+        if self.sent % LATE_EVERY == 0:
+            time.sleep(LATE_S)
+        apart_every, apart_s = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
+        if self.sent % SPLIT_EVERY == 0 and len(data) > 1:
+            cut = 1 + self.sent % (len(data) - 1)
+            self._client.sendall(data[:cut])
+            data = data[cut:]
+            if self.sent % apart_every == 0:
+                time.sleep(apart_s)
+        self._client.sendall(data)
+
+
+class Answers:
+    """The sending side of a robot's server: an answer as its faults want it, else by `Segments`."""
+
+    def __init__(self, faults: Faults, closing: threading.Event) -> None:
+        """``closing`` ends a wait for a late answer."""
+        self._faults, self._closing = faults, closing
+
+    def send(self, client: socket.socket, segments: Segments, answer: bytes) -> bool:
+        """Send an answer; return whether the client stays connected."""
+        take = self._faults.take
+        if take("robot.idle_close") is not None:
+            return False
+        if take("robot.half_open") is not None:
+            client.settimeout(None)
+            while client.recv(RECEIVE):  # nothing comes of it until the client has gone
+                pass
+            return False
+        if take("robot.no_reply") is not None:
+            return True
+        late_s = self._faults.number("robot.late_reply")
+        if late_s is not None:
+            self._closing.wait(late_s)
+        if take("robot.split_reply") is not None:
+            client.sendall(answer[: len(answer) // 2])
+            self._closing.wait(0.02)  # so that both halves are segments of their own
+            answer = answer[len(answer) // 2 :]
+        segments.send(answer)
+        return True
+
+
+class Wire(Client, Protocol):
+    """Both ways of one connection."""
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        """Return bytes, none after the timeout; raises `OSError` at the end."""
+
+
+class LineSession:
+    """Whole lines in, whole lines out; ``late`` are kept until the next answer."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire, self._segments = wire, Segments(wire)
+        self._pending = b""
+        self.lines: list[bytes] = []
+        self.late: list[bytes] = []
+
+    def say(self, line: bytes) -> None:
+        """Send a line."""
+        self._segments.send(line + b"\r\n")
+
+    def answer(self, line: bytes, faults: Faults) -> None:
+        """Send a line behind those kept before; a fault keeps it, too, or has it sent in two."""
+        if faults.take("tracker.late_result") is not None:
+            self.late.append(line)
+            return
+        self.say_late()
+        if faults.take("tracker.split_packet") is not None:
+            self._segments.send(line[:5])
+            time.sleep(0.02)  # so that both halves are segments of their own
+            line = line[5:]
+        self.say(line)
+
+    def say_late(self) -> None:
+        """Send the lines that were kept."""
+        for late in self.late:
+            self.say(late)
+        self.late.clear()
+
+    def line(self, timeout_s: float | None) -> bytes | None:
+        """Return the next line that is not empty, None after the timeout."""
+        if not self.lines:
+            self.receive(timeout_s)
+        return self.lines.pop(0) if self.lines else None
+
+    def receive(self, timeout_s: float | None) -> None:
+        """Take in bytes."""
+        *lines, self._pending = re.split(rb"[\r\n]", self._pending + self._wire.receive(timeout_s))
+        self.lines += [line for line in lines if line]
+
+
+class Connection:
+    """A client's TCP connection."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client, self.sendall = client, client.sendall
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        """Return bytes, none after the timeout; raises `OSError` at the end."""
+        self._client.settimeout(timeout_s)
+        try:
+            data = self._client.recv(RECEIVE)
+        except TimeoutError:
+            return b""
+        finally:
+            self._client.settimeout(None)
+        if not data:
+            raise ConnectionAbortedError
+        return data

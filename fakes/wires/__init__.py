@@ -1,1 +1,0 @@
-"""How servers hear and answer: threads, lines, late and cut segments."""
