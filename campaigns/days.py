@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.stop import plan_of
 from campaigns.spread import print_table
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import matrix

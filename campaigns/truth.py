@@ -16,7 +16,8 @@ from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth, _Shape
 from hilcell.calibration.file import compensate_targets, read_calibration
-from hilcell.calibration.frames import grid_of, world_from_tracker
+from hilcell.calibration.frames import world_from_tracker
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse, matrix, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse

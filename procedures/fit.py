@@ -14,7 +14,7 @@ from operator import attrgetter
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_of, outlying_vertices
+from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.correction import corrected

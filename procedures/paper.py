@@ -22,14 +22,8 @@ from numpy.typing import NDArray
 
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.calibration.errors import reduction as share_removed
-from hilcell.calibration.frames import (
-    Frames,
-    axis_6_height_mm,
-    circle_of,
-    grid_errors_mm,
-    grid_of,
-    grid_pairs,
-)
+from hilcell.calibration.frames import Frames, axis_6_height_mm, circle_of
+from hilcell.calibration.grid import grid_errors_mm, grid_of, grid_pairs
 from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import Idw

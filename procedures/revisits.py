@@ -22,7 +22,7 @@ from hilcell.calibration.diagnosis import (
     revisits,
     suspicions_of,
 )
-from hilcell.calibration.frames import grid_of, vertex_ids
+from hilcell.calibration.grid import grid_of, vertex_ids
 from hilcell.calibration.lost_motion import REVERSAL, reversal
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hilcell.calibration.frames import ORIENTED, grid_of, measured_of, outlying_vertices, vertex_ids
+from hilcell.calibration.grid import ORIENTED, grid_of, measured_of, outlying_vertices, vertex_ids
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, matrix

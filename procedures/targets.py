@@ -129,7 +129,7 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
     """Return the joints (N, 6) of the corrected targets; refuses as `hilcell compensate` does."""
     station = station_of(cell).name
     commands = compensate_targets(calibration, station, values, names)
-    T_W_B = np.array(calibration.stations[station].T_W_B)
+    T_W_B = calibration.base(station)
     try:
         return cell.robot.nominal().joints_for(inverse(T_W_B) @ poses_from_zyx(commands))
     except ReachError as error:

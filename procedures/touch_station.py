@@ -17,8 +17,8 @@ from operator import itemgetter
 import numpy as np
 
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.frames import grid_of
-from hilcell.calibration.in_use import NoCalibration, calibration_in, calibration_named
+from hilcell.calibration.grid import grid_of
+from hilcell.calibration.in_use import NoCalibration, calibration_in, calibration_named, used
 from hilcell.calibration.touch import (
     suspected,
     touch_ids,
@@ -26,7 +26,6 @@ from hilcell.calibration.touch import (
     touched_base,
     visit_covariance,
 )
-from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel

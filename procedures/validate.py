@@ -9,12 +9,12 @@ from itertools import product
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.bounds import coverages
+from hilcell.calibration.budget import coverages
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.errors import OTHERS, validation
 from hilcell.calibration.file import learnt_so_far
-from hilcell.calibration.frames import grid_of, measured_of
+from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.orientation import (
     MOVED_MM,

@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from hilcell.calibration.contribution import expanded_mm
-from hilcell.calibration.measurement_budget import budget_of
+from hilcell.calibration.measurement_budget import budget_of, expanded_mm
 from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance

@@ -13,10 +13,10 @@ import numpy as np
 from hilcell.calibration.budget import touched
 from hilcell.calibration.file import calibration_of
 from hilcell.calibration.form import Calibration, written_now
+from hilcell.calibration.in_use import used
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.recheck import Judgement, rechecked_run
 from hilcell.calibration.target_pass import folded, target_points
-from hilcell.calibration.visit import used
 from hilcell.journal.log import Log
 from hilcell.model.calibration import Provenance, Update
 from hilcell.model.frame import TouchedBase

@@ -25,12 +25,11 @@ from itertools import groupby
 import numpy as np
 
 from hilcell.calibration.causes import PENALTY, RISK, SPREAD, Pattern, patterns
-from hilcell.calibration.errors import visit_scatter
+from hilcell.calibration.errors import visit_noise, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
+from hilcell.calibration.frames import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import no_less_than_nought
-from hilcell.calibration.visit_noise import visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
@@ -282,7 +281,7 @@ def _hold(
     covariance (6, 6) of {B} there.
     """
     station = log.cell.station_named(points[0].station)
-    T_W_B = np.array(calibration.stations[station.name].T_W_B)
+    T_W_B = calibration.base(station.name)
     T_B_L = inverse(T_W_B) @ log.matrix("world")
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
     found = calibration.error_model().predict(poses)

@@ -21,7 +21,8 @@ from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.decision import judged_again
 from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity, written_now
-from hilcell.calibration.frames import Frames, measured_of
+from hilcell.calibration.frames import Frames
+from hilcell.calibration.grid import measured_of
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.tip import AT_REFLECTOR, Tip
@@ -224,7 +225,7 @@ def compensate_targets(
             f"{len(far)} targets are not in the cell, wanted within +-{MOST_MM:g} mm and deg: "
             f"{named}"
         )
-    T_W_B = np.array(calibration.stations[station].T_W_B)
+    T_W_B = calibration.base(station)
     poses = poses_from_zyx(targets)
     in_base = inverse(T_W_B) @ poses @ tip.T_D_T  # of {T}
     _refuse_turned(calibration, in_base, names)

@@ -12,7 +12,7 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
-from hilcell.calibration.influence import Uncertainty
+from hilcell.calibration.influence import NoBound, Uncertainty
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
@@ -144,11 +144,22 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     failed: dict[str, str]
     targets: Targets | None = None
 
+    @property
+    def budget(self) -> Uncertainty:
+        """Return the budget of corrected targets; raises `NoBound` where it states none."""
+        if self.uncertainty.missing:
+            raise NoBound(self.uncertainty.missing)
+        return self.uncertainty
+
     def grid(self) -> Grid:
         """Return the grid in {B}."""
         errors = np.array(self.grid_errors_mm)
         shape = (errors.shape[0], errors.shape[1], errors.shape[2])
         return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
+
+    def base(self, station: str) -> Array:
+        """Return {B} in {W} (4, 4) at a station."""
+        return np.array(self.stations[station].T_W_B)
 
     def poses_at(self, places_mm: Array) -> Array:
         """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""

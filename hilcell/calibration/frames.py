@@ -3,6 +3,9 @@
 {L} tracker, {W} world, {B} robot base, {S} slide: ``T_W_L`` comes from the floor nests, ``T_W_B``
 at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests.
 The robot stands rigidly on the slide, so eq 17 gives every station's base frame.
+
+How well a run knows its frames is a covariance (6, 6) of each: of the shift of the frame's origin
+(mm) and of a rotation vector about it (rad), with the axes of {W}, as in `hilcell.geometry.frames`.
 """
 
 from __future__ import annotations
@@ -12,23 +15,24 @@ from dataclasses import replace
 import numpy as np
 
 from hilcell.cell.file import Cell, Six, Station
-from hilcell.cell.plan import coarsest_pitch_mm
-from hilcell.compensation.grid import Grid, MeasuredGrid
-from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
-from hilcell.compensation.outliers import outlying
-from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.geometry.circles import Circle, base_frame, fit_circle
-from hilcell.geometry.frames import apply, inverse, matrix, three_point_frame
+from hilcell.geometry.frames import (
+    apply,
+    apply_each,
+    cross_matrix,
+    inverse,
+    rigid_fit,
+    three_point_frame,
+    three_point_frames,
+)
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.readings import Readings
-from hilcell.journal.curve_record import curve_of
-from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
+from hilcell.geometry.statistics import rectangular_variance
+from hilcell.journal.floor_before import FLOOR_NESTS
+from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.journal.set_ups import world_key
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
-
-ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's
 
 
 def base_at(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
@@ -127,90 +131,6 @@ def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
     return three_point_frame(*nominal_mm[:3]) @ inverse(three_point_frame(*measured_mm[:3]))
 
 
-def grid_of(cell: Cell) -> Grid:
-    """Return the cell's grid in {B}; a quick plan's is as coarse as it can be."""
-    size_mm, pitch_mm = np.array(cell.grid.size_mm), cell.grid.pitch_mm
-    if cell.plan.quick:
-        pitch_mm = coarsest_pitch_mm(cell.grid.cells, pitch_mm)
-    shape = np.round(size_mm / pitch_mm).astype(int) + 1
-    origin_mm = cell.grid.centre.matrix()[:3, 3] - size_mm / 2
-    return Grid(origin_mm, pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
-
-
-def grid_errors_mm(log: Log) -> Array:
-    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}.
-
-    Carried with {B} they are the transferred data of eq 17 at every station.
-    """
-    return measured_grid(log).errors_mm
-
-
-def measured_grid(log: Log) -> MeasuredGrid:
-    """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
-    points, grid = log.select("grid"), grid_of(log.cell)
-    i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
-    errors_mm: Array = np.full((*grid.shape, 3), np.nan)
-    covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
-    nominal_mm, actual_mm, covariance_mm2[i, j, k] = _static(log, points)
-    errors_mm[i, j, k] = actual_mm - nominal_mm
-    return MeasuredGrid(grid, errors_mm, covariance_mm2)
-
-
-def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
-    """Return nominal and actual positions (N, 3) in {B}, and the readings' covariances."""
-    T_B_W = inverse(log.matrix("base"))
-    T_B_L = T_B_W @ log.matrix("world")
-    nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
-    actual_mm = apply(T_B_L, positions_mm(points))
-    return apply(T_B_W, nominal_mm), actual_mm, covariances_mm2(points, T_B_L[:3, :3])
-
-
-def measured_of(log: Log) -> Measured:
-    """Return everything that the models learn from: poses as commanded, grid and free ones."""
-    points = [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
-    robot, joints_rad = log.cell.robot.nominal(), commanded_rad(points)
-    nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
-    nominal = matrix(forward(robot.arm, joints_rad)[:, :3, :3], nominal_mm)
-    poses = StaticPoses.of(joints_rad, nominal, actual_mm - nominal_mm, covariance_mm2)
-    curves = tuple(curve_of(record) for record in log.curves.values() if record.holds)
-    seats_mm = log.cell.robot.seats_mm
-    xyz_mm: Array = np.full((len(points), len(seats_mm), 3), np.nan)
-    own_mm2: Array = np.full((*xyz_mm.shape, 3), np.nan)
-    xyz_mm[:, 0], own_mm2[:, 0] = actual_mm, covariance_mm2
-    T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
-    for row, point in enumerate(points):
-        for n in range(1, len(seats_mm)):
-            seen = log.find(point.id.at_seat(n + 1))
-            if seen is not None:
-                xyz_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
-                own_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
-    readings = Readings(joints_rad, xyz_mm, np.nan_to_num(own_mm2))
-    return Measured(poses, measured_grid(log), MeasuredArm(robot, readings, seats_mm, curves))
-
-
-def vertex_ids(grid: Grid) -> list[PointId]:
-    """Return the identities of the vertices' points in the order of visit."""
-    return [PointId("grid", vertex=(int(i), int(j), int(k))) for i, j, k in grid.serpentine()]
-
-
-def outlying_vertices(log: Log) -> list[PointId]:
-    """Return the vertices whose error stands out from their neighbours'.
-
-    By less than the standard deviation that a reading may have none does.
-    """
-    cell = log.cell
-    found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
-    return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
-
-
-def grid_pairs(log: Log) -> Pairs:
-    """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
-    points = log.select("grid")
-    i, j, k = np.array([point.id.vertex for point in points]).T
-    nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
-    return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
-
-
 def frame_of_sweeps(
     cell: Cell, log: Log, swept_1: list[Point], swept_6: list[Point]
 ) -> tuple[Array, Circle, Circle]:
@@ -242,3 +162,81 @@ def axis_6_height_mm(cell: Cell) -> float:
     on_axis[:2, 3] = 0.0
     pose = forward(replace(arm, tool=on_axis), np.radians(cell.base_frame.axis_6_deg))
     return float(pose[2, 3])
+
+
+def floor_points(log: Log) -> list[Point]:
+    """Return the points of the three floor nests that define {W}, as far as they were measured."""
+    nests = [
+        log.find(PointId("world", nest=nest.name)) for nest in log.cell.layout.floor[:FLOOR_NESTS]
+    ]
+    return [nest for nest in nests if nest is not None]
+
+
+def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array:
+    """Return the covariance that the noise of the floor nests gives a frame at ``at_mm`` (3,).
+
+    {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
+    standard deviation. ``centring_mm2`` is the variance of each besides its reading's.
+    """
+    std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
+    moved = _world_motions(log, at_mm, np.diag(std_mm.ravel()).reshape(-1, FLOOR_NESTS, 3))
+    covariance: Array = moved.T @ moved
+    return covariance
+
+
+def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
+    """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
+    ``step_mm`` (3,) in the tracker's frame.
+    """
+    steps_mm = np.zeros((1, FLOOR_NESTS, 3))
+    steps_mm[0, nest] = step_mm
+    moved: Array = _world_motions(log, at_mm, steps_mm)[0]
+    return moved
+
+
+def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
+    """Return the motions (N, 6) of `world_motion` for steps (N, 3, 3) of all nests."""
+    measured_mm, T_W_L = positions_mm(floor_points(log)), log.matrix("world")
+    before, seen_mm = T_W_L @ three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
+    T = before @ inverse(three_point_frames(measured_mm + steps_mm))
+    turn = (T[:, :3, :3] @ T_W_L[:3, :3].T)[:, [2, 0, 1], [1, 2, 0]]
+    return np.concatenate([apply_each(T, seen_mm) - at_mm, turn], axis=1)
+
+
+def base_covariance(log: Log, station: Station) -> Array:
+    """Return the covariance of {B} at ``station`` as it was carried there from the grid's station.
+
+    Nothing is carried at the grid's own: the grid's errors stand in the {B} measured there, and
+    an error of that {B} moves grid and targets alike.
+    """
+    if station.name == log.cell.grid.station:
+        return np.zeros((6, 6))
+    key = f"station.{station.name}"
+    lever_mm = Frames(log.cell, log).base_in_world(station)[:3, 3] - log.matrix(key)[:3, 3]
+    shift = np.eye(6)
+    shift[:3, 3:] = -cross_matrix(lever_mm)
+    covariance: Array = shift @ log.frames[key].C @ shift.T
+    return covariance
+
+
+def hold_covariance(cell: Cell) -> Array:
+    """Return the covariance (3, 3) in {W} of the slide held at a station: along the rail, as far
+    as the interlock lets it slip.
+    """
+    along = np.array(cell.layout.rail_direction)
+    return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
+
+
+def has_own_place(cell: Cell, key: str) -> bool:
+    """Whether a frame is measured by itself; without a rail a station's is a copy of the base."""
+    return key == "base" or cell.has_rail
+
+
+def slide_covariance(cell: Cell, T_W_S: Array, variance_mm2: float, nests: int = 100) -> Array:
+    """Return the covariance in {W} that a variance of every slide nest by itself gives {S}, where
+    so many of them, the first ones, say where it is.
+    """
+    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
+    in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm[:nests])
+    variances_mm2 = np.tile(variance_mm2 * np.eye(3), (len(in_slide_mm), 1, 1))
+    return rigid_fit(in_slide_mm, apply(T_W_S, in_slide_mm), weights=variances_mm2).covariance

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from hilcell.calibration.contribution import systematic_mm2
+from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
 from hilcell.geometry.frames import apply, inverse

@@ -22,10 +22,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.contribution import combined_mm, expanded_mm
 from hilcell.calibration.errors import Errors, errors_of
 from hilcell.calibration.in_use import calibration_in
-from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of
+from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm, expanded_mm
 from hilcell.calibration.orientation import turned_of, turned_rad2
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.causes import ZEROS
+from hilcell.calibration.errors import of_differences, visit_noise
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm

@@ -17,13 +17,13 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from hilcell.calibration.bounds import driven_poses, lines_in_use, lines_in_validation
-from hilcell.calibration.contribution import expanded_mm
+from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.decision import UNKNOWN_TURN, stated_mm2
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
-from hilcell.calibration.frames import measured_of
+from hilcell.calibration.frames import floor_points, world_covariance
+from hilcell.calibration.grid import measured_of
 from hilcell.calibration.influence import Influence, NoBound
+from hilcell.calibration.measurement_budget import expanded_mm
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
 from hilcell.geometry.frames import apply, inverse, orientations, turn_levers
@@ -37,6 +37,7 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.identification.readings import IdentificationError
+from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import TurnBounds, Turns
@@ -296,7 +297,7 @@ def _validated(
     turned = largest_turned(log, log.select("validate", station, how=Sent.CHOSEN), seats)
     if not len(turned):
         return np.zeros(0), np.zeros(0)
-    T_W_B = np.array(calibration.stations[station].T_W_B)
+    T_W_B = calibration.base(station)
     nominal_mm = np.array([point.nominal_mm for point in turned.points], dtype=float)
     in_base_mm = apply(inverse(T_W_B), nominal_mm)
     poses = T_W_B @ driven_poses(calibration, log, turned.points, in_base_mm)
@@ -313,7 +314,7 @@ def _bounds_deg(
     own_rad2: Array,
 ) -> Array:
     """Return the bounds (N,): model, frames of {W} and {B}, and what else (N, 3, 3) there is."""
-    T_W_B = np.array(calibration.stations[station].T_W_B)
+    T_W_B = calibration.base(station)
     turn = calibration.error_model().predict(inverse(T_W_B) @ poses).turn
     if turn is None:
         raise NoBound("its error model knows positions only")

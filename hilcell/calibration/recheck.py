@@ -20,11 +20,11 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from hilcell.calibration.bounds import driven_poses
+from hilcell.calibration.budget import driven_poses
 from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weights_of
 from hilcell.calibration.decision import judged_errors
+from hilcell.calibration.in_use import used, visited
 from hilcell.calibration.influence import no_less_than_nought
-from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.errors import pooled, visits_mm
-from hilcell.calibration.frame_covariance import (
-    FLOOR_NESTS,
+from hilcell.calibration.frames import (
+    axis_6_height_mm,
     floor_points,
     has_own_place,
     hold_covariance,
@@ -29,7 +28,7 @@ from hilcell.calibration.frame_covariance import (
     world_covariance,
     world_motion,
 )
-from hilcell.calibration.frames import axis_6_height_mm
+from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import (
     f_quantile,
@@ -37,6 +36,7 @@ from hilcell.geometry.statistics import (
     rectangular_variance,
     trace_freedom,
 )
+from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.frame import MeasuredBase
 from hilcell.model.plan import FloorBefore

@@ -12,11 +12,11 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from hilcell.calibration.bounds import target_bounds
+from hilcell.calibration.budget import target_bounds
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
+from hilcell.calibration.in_use import Visited, used, visited
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
-from hilcell.calibration.visit import Visited, used, visited
 from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward

@@ -15,11 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.calibration.causes import Differences, likeliest
-from hilcell.calibration.errors import visits_mm
-from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
-from hilcell.calibration.frames import Frames
+from hilcell.calibration.errors import of_differences, visits_mm
+from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.in_use import calibration_in
-from hilcell.calibration.visit_noise import of_differences
 from hilcell.cell.devices import sights_apart_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame

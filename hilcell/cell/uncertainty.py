@@ -25,7 +25,7 @@ from hilcell.clean import clean
 
 DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
 MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\metre": 1e-6}
-COVERAGE_FACTOR = 2.0
+COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 
 
 class NotRead(Exception):

@@ -25,7 +25,7 @@ import numpy as np
 from sqlalchemy import Double, Table
 
 from hilcell.alarms import alarms_of
-from hilcell.calibration.frames import grid_of, measured_grid
+from hilcell.calibration.grid import grid_of, measured_grid
 from hilcell.errors import HilcellError
 from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain

@@ -22,8 +22,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from hilcell.calibration.bounds import target_bounds
-from hilcell.calibration.budget import with_drill
+from hilcell.calibration.budget import target_bounds, with_drill
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.form import Calibration, written_now
 from hilcell.calibration.in_use import cell_calibrated, standing_by_name, written_by

@@ -182,7 +182,7 @@ class StationJobs:
         writer = writer_of(cell.robot.driver)
         if writer is None:
             return StationJob(plan, targets, stroke, self.standoff_mm, {}, [])
-        T_W_B = np.array(calibration.stations[name].T_W_B)
+        T_W_B = calibration.base(name)
         drilling = Drilling(cell, T_W_B, self.tip, self.standoff_mm)
         straight_rad = drilling.straight_rad(plan.holes, targets.command)
         lost = straight_way(calibration.lost_motion, drilling.arm, T_W_B, straight_rad)

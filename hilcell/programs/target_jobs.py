@@ -286,7 +286,7 @@ def _check_program(
         check_posture(status, statuses_of(program, status))
         if rides_on_robot(cell):
             check_slide(cell.station_named(station), slide_of(program))
-        T_W_B = np.array(released.calibration.stations[station].T_W_B)
+        T_W_B = released.calibration.base(station)
         program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
     elif program.needs_arm:
         say(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
@@ -324,7 +324,7 @@ def root_of(calibration: Calibration, station: str, program: Program | None) -> 
     """Return {B} in {W} (4, 4) at the station where a program's targets stand in {B}, else None."""
     if not stands_in_root(program) or station not in calibration.stations:
         return None
-    return np.array(calibration.stations[station].T_W_B)
+    return calibration.base(station)
 
 
 def taken_in(T: Array | None, values: Array) -> Array:
@@ -343,7 +343,7 @@ def check_base(
     """
     if stated is None:
         return
-    wanted = inverse(np.array(calibration.stations[station].T_W_B))
+    wanted = inverse(calibration.base(station))
     places = targets[:, :3]
     off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(wanted, places))
     worst = float(off_mm.max())
@@ -427,7 +427,7 @@ def check_strokes(
     names, at = [each.where for each in strokes], np.array([each.target for each in strokes])
     shifts_mm = np.array([each.shift_mm for each in strokes])
     _refuse_long(lengths_mm(shifts_mm), limits.longest_mm, names)
-    T_B_W = inverse(np.array(calibration.stations[station].T_W_B))
+    T_B_W = inverse(calibration.base(station))
     ends = poses_from_zyx(targets[at])
     ends[:, :3, 3] += shifts_mm
     ends_mm = (T_B_W @ ends @ tip.T_D_T)[:, :3, 3]

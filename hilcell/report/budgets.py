@@ -13,20 +13,20 @@ from operator import attrgetter
 
 import numpy as np
 
-from hilcell.calibration.bounds import (
+from hilcell.calibration.budget import (
     Coverage,
     coverages,
     cube_bounds,
     validated,
     validation_points,
 )
-from hilcell.calibration.contribution import COVERAGE_FACTOR, Contribution
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
-from hilcell.calibration.measurement_budget import Budget
+from hilcell.calibration.measurement_budget import Budget, Contribution
+from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import verdicts_of
-from hilcell.calibration.frames import ORIENTED
+from hilcell.calibration.grid import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS

@@ -16,18 +16,16 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.errors import OTHERS, Errors, places, validation, visits_mm
-from hilcell.calibration.frame_covariance import (
-    FLOOR_NESTS,
+from hilcell.calibration.frames import (
     floor_points,
     has_own_place,
     hold_covariance,
     slide_covariance,
     world_covariance,
 )
-from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
-from hilcell.calibration.measurement_budget import budget_of
+from hilcell.calibration.grid import grid_errors_mm, grid_of, vertex_ids
+from hilcell.calibration.measurement_budget import budget_of, expanded_mm
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import (
@@ -43,6 +41,7 @@ from hilcell.geometry.statistics import (
     variance_of_mean,
 )
 from hilcell.journal.asset import differing
+from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent

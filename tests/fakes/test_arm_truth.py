@@ -7,7 +7,8 @@ import pytest
 from fakes.truth.arm_truth import ArmTruth, Ripple, reference_cube, unit_rp_mm, varying_rms_mm
 from fakes.truth.machine import Machine, load_machine
 from fakes.truth.noise import KeyedNoise
-from hilcell.calibration.frames import axis_6_height_mm, grid_of
+from hilcell.calibration.frames import axis_6_height_mm
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw, Trilinear

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import to_rotvec

@@ -10,7 +10,7 @@ import pytest
 
 from hilcell.calibration.decision import Guard, judged, limits_of
 from hilcell.calibration.errors import Errors
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Decision
 from hilcell.journal.log import Log

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.calibration.frames import axis_6_height_mm, grid_of
+from hilcell.calibration.frames import axis_6_height_mm
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hilcell.calibration.frames import Frames, grid_of, vertex_ids
+from hilcell.calibration.frames import Frames
+from hilcell.calibration.grid import grid_of, vertex_ids
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward

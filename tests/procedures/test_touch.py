@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hilcell.calibration.frames import Frames, grid_of, measured_of
+from hilcell.calibration.frames import Frames
+from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import measured_grid
+from hilcell.calibration.grid import measured_grid
 from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log

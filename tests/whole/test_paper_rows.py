@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import Frames, circle_of, grid_errors_mm, grid_of, measured_grid
+from hilcell.calibration.frames import Frames, circle_of
+from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_grid
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw

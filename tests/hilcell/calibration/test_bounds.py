@@ -9,14 +9,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.bounds import (
+from hilcell.calibration.budget import (
+    TEMPERATURE,
     Coverage,
     coverages,
     cube_bounds,
     target_bounds,
+    temperature,
     validated,
 )
-from hilcell.calibration.budget import TEMPERATURE, temperature
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, motion
 from hilcell.geometry.frames import apply, pose_from_zyx

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hilcell.calibration.contribution import (
+from hilcell.calibration.measurement_budget import (
     Contribution,
     Distribution,
     combined_mm,

@@ -11,7 +11,7 @@ import pytest
 
 from hilcell.calibration.causes import ZEROS, patterns
 from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
-from hilcell.calibration.frame_covariance import world_motion
+from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.jacobian import parameter_jacobian

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hilcell.calibration.contribution import combined_mm
 from hilcell.calibration.errors import Errors
 from hilcell.calibration.iso9283 import (
     CYCLE,
@@ -30,7 +29,7 @@ from hilcell.calibration.iso9283 import (
     interruptions,
     pose_of,
 )
-from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of
+from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm
 from hilcell.cell.file import load_cell
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hilcell.calibration import recheck as module
+from hilcell.calibration.in_use import Visited
 from hilcell.calibration.recheck import (
     NotJudged,
     Rechecked,
     judged,
     suspicions,
 )
-from hilcell.calibration.visit import Visited
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, matrix

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.frame_covariance import world_motion
+from hilcell.calibration.frames import world_motion
 from hilcell.calibration.since import risen_nest
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.causes import LARGE_AXES, ZEROS
-from hilcell.calibration.scatter import (
+from hilcell.calibration.diagnosis import (
     Deviations,
     Scatter,
     worse_than_stated,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
-from hilcell.calibration.visit_noise import (
+from hilcell.calibration.errors import (
     of_differences,
     scatter_besides,
     visit_noise,

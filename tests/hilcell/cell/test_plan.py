@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.cell.plan import coarsest_pitch_mm
 

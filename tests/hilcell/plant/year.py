@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.grid import grid_of
 from hilcell.journal.journal import Journal, Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, read_records

@@ -7,9 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
-from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.calibration.measurement_budget import Budget, Contribution, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import (

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.frame_covariance import world_covariance
+from hilcell.calibration.frames import world_covariance
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, three_point_frame
 from hilcell.geometry.statistics import Figures

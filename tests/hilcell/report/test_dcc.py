@@ -11,7 +11,7 @@ import pytest
 from dsi_unit import DsiUnit
 from msgspec.structs import replace
 
-from hilcell.calibration.bounds import Coverage
+from hilcell.calibration.budget import Coverage
 from hilcell.calibration.decision import guard_of
 from hilcell.model.outcome import Outcome
 from hilcell.model.results import Turns

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import ArrayLike
 
-from hilcell.cell.file import load_cell
-from hilcell.compensation.similarity import (
+from hilcell.calibration.grid import (
     Pairs,
     SimilarityError,
     binned,
     similarity_pairs,
 )
+from hilcell.cell.file import load_cell
 from hilcell.geometry.inverse import posture
 from hilcell.geometry.jacobian import PARAMETERS, parameter_jacobian
 from hilcell.geometry.kinematics import forward

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.compensation.outliers import outlying
+from hilcell.calibration.grid import outlying
 from hilcell.geometry.kinematics import Array
 
 SHAPE = (4, 4, 4)

@@ -1,0 +1,252 @@
+"""The errors of a robot as a run has measured them: the grid's vertices, free poses and curves.
+
+Which vertices stand out from their neighbours: a smooth field, of second order in x, y and z, is
+fitted to all vertices, and each is judged by its studentized residual: a residual divided by
+``sqrt(1 - h)``, h its leverage, so that all have one spread, at the grid's corners too. That spread
+is what the residuals themselves show: readings, repeatability, and what of the robot's error no
+smooth field follows. A limit in mm would be knowledge about one robot.
+
+How alike the errors of two poses are (section 3.2, eq 8), and over which distance: the errors are
+smooth functions of the joints, so similarity falls with the distance of joints. Eq 8's infinity for
+equal errors is a definition and no weight, and one nearly equal pair rules a mean of similarities:
+means are taken of the differences. And the distance of tool points stands for that of joints only
+at one fixed orientation and configuration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hilcell.cell.file import Cell
+from hilcell.cell.plan import coarsest_pitch_mm
+from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
+from hilcell.geometry.frames import (
+    apply,
+    inverse,
+    matrix,
+)
+from hilcell.geometry.kinematics import Array, forward
+from hilcell.identification.readings import Readings
+from hilcell.journal.curve_record import curve_of
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
+from hilcell.model.point import Point, PointId
+from hilcell.ports import HilcellError
+
+ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's
+
+
+def grid_of(cell: Cell) -> Grid:
+    """Return the cell's grid in {B}; a quick plan's is as coarse as it can be."""
+    size_mm, pitch_mm = np.array(cell.grid.size_mm), cell.grid.pitch_mm
+    if cell.plan.quick:
+        pitch_mm = coarsest_pitch_mm(cell.grid.cells, pitch_mm)
+    shape = np.round(size_mm / pitch_mm).astype(int) + 1
+    origin_mm = cell.grid.centre.matrix()[:3, 3] - size_mm / 2
+    return Grid(origin_mm, pitch_mm, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def grid_errors_mm(log: Log) -> Array:
+    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}.
+
+    Carried with {B} they are the transferred data of eq 17 at every station.
+    """
+    return measured_grid(log).errors_mm
+
+
+def measured_grid(log: Log) -> MeasuredGrid:
+    """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
+    points, grid = log.select("grid"), grid_of(log.cell)
+    i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
+    errors_mm: Array = np.full((*grid.shape, 3), np.nan)
+    covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
+    nominal_mm, actual_mm, covariance_mm2[i, j, k] = _static(log, points)
+    errors_mm[i, j, k] = actual_mm - nominal_mm
+    return MeasuredGrid(grid, errors_mm, covariance_mm2)
+
+
+def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
+    """Return nominal and actual positions (N, 3) in {B}, and the readings' covariances."""
+    T_B_W = inverse(log.matrix("base"))
+    T_B_L = T_B_W @ log.matrix("world")
+    nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
+    actual_mm = apply(T_B_L, positions_mm(points))
+    return apply(T_B_W, nominal_mm), actual_mm, covariances_mm2(points, T_B_L[:3, :3])
+
+
+def measured_of(log: Log) -> Measured:
+    """Return everything that the models learn from: poses as commanded, grid and free ones."""
+    points = [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
+    robot, joints_rad = log.cell.robot.nominal(), commanded_rad(points)
+    nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
+    nominal = matrix(forward(robot.arm, joints_rad)[:, :3, :3], nominal_mm)
+    poses = StaticPoses.of(joints_rad, nominal, actual_mm - nominal_mm, covariance_mm2)
+    curves = tuple(curve_of(record) for record in log.curves.values() if record.holds)
+    seats_mm = log.cell.robot.seats_mm
+    xyz_mm: Array = np.full((len(points), len(seats_mm), 3), np.nan)
+    own_mm2: Array = np.full((*xyz_mm.shape, 3), np.nan)
+    xyz_mm[:, 0], own_mm2[:, 0] = actual_mm, covariance_mm2
+    T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
+    for row, point in enumerate(points):
+        for n in range(1, len(seats_mm)):
+            seen = log.find(point.id.at_seat(n + 1))
+            if seen is not None:
+                xyz_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
+                own_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
+    readings = Readings(joints_rad, xyz_mm, np.nan_to_num(own_mm2))
+    return Measured(poses, measured_grid(log), MeasuredArm(robot, readings, seats_mm, curves))
+
+
+def vertex_ids(grid: Grid) -> list[PointId]:
+    """Return the identities of the vertices' points in the order of visit."""
+    return [PointId("grid", vertex=(int(i), int(j), int(k))) for i, j, k in grid.serpentine()]
+
+
+def outlying_vertices(log: Log) -> list[PointId]:
+    """Return the vertices whose error stands out from their neighbours'.
+
+    By less than the standard deviation that a reading may have none does.
+    """
+    cell = log.cell
+    found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
+    return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
+
+
+def grid_pairs(log: Log) -> Pairs:
+    """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
+    points = log.select("grid")
+    i, j, k = np.array([point.id.vertex for point in points]).T
+    nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
+    return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
+
+
+FALSE_ALARMS = 0.01  # expected of a whole grid whose residuals are normal
+
+
+def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
+    """Return which (nx, ny, nz) of the errors (nx, ny, nz, 3) stand out, by more than ``least_mm``.
+
+    The limit is the quantile that a sound grid exceeds with the probability `FALSE_ALARMS`, of
+    the distance of three normal coordinates, at the spread that the median shows. The worst is
+    taken out and the rest judged again, so that it neither hides nor accuses its neighbours.
+    """
+    errors = np.asarray(errors_mm, dtype=float)
+    values, A = errors.reshape(-1, 3), _terms(errors.shape[:3])
+    kept: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
+    highest = _quantile(1.0 - FALSE_ALARMS / len(values))
+    while 2 * np.count_nonzero(kept) > len(values):
+        off_mm = _studentized_mm(A[kept], values[kept])
+        sigma_mm = float(np.median(off_mm)) / _quantile(0.5)
+        if np.max(off_mm) <= max(highest * sigma_mm, least_mm):
+            break
+        kept[np.flatnonzero(kept)[np.argmax(off_mm)]] = False
+    return ~kept.reshape(errors.shape[:3])
+
+
+def _studentized_mm(A: Array, values: Array) -> Array:
+    """Return the norms (N,) of the studentized residuals of values (N, 3)."""
+    Q = np.linalg.qr(A)[0]
+    residuals = values - Q @ (Q.T @ values)
+    left = np.maximum(1.0 - np.sum(Q**2, axis=1), 1e-9)
+    norms: Array = np.linalg.norm(residuals, axis=1) / np.sqrt(left)
+    return norms
+
+
+def _quantile(share: float) -> float:
+    """Return what the distance of three standard normal coordinates stays below.
+
+    The root of a chi-square quantile of 3 degrees of freedom, by Wilson and Hilferty.
+    """
+    cube = 1.0 - 2.0 / 27.0 + NormalDist().inv_cdf(share) * (2.0 / 27.0) ** 0.5
+    return float((3.0 * cube**3) ** 0.5)
+
+
+def _terms(shape: tuple[int, ...]) -> Array:
+    """Return the terms (N, M) up to second order; a power is used where the axis has vertices."""
+    places = [np.linspace(-1.0, 1.0, count) for count in shape]
+    axes = [each.ravel() for each in np.meshgrid(*places, indexing="ij")]
+    columns = [np.ones(len(axes[0])), *axes]
+    for one, other in combinations_with_replacement(range(3), 2):
+        if one != other or shape[one] > 2:
+            columns.append(axes[one] * axes[other])
+    return np.column_stack(columns)
+
+
+class SimilarityError(HilcellError):
+    """Poses or bins of which no similarity can be stated."""
+
+    code = "HC-C21"
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Every two of a set of poses: distances of joints and of tool points, difference of errors.
+
+    Each (P,); ``joint_rad`` is the norm of the six joints' differences, ``cartesian_mm`` the
+    distance of nominal tool points, ``difference_mm`` the norm of the difference of errors.
+    """
+
+    joint_rad: Array
+    cartesian_mm: Array
+    difference_mm: Array
+
+    @property
+    def similarity(self) -> Array:
+        """Return eq 8's similarity (P,) in 1/mm."""
+        return _inverted(self.difference_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Binned:
+    """Mean difference of errors over bins of a distance, each (K,); NaN in empty bins."""
+
+    centre: Array
+    difference_mm: Array
+    count: NDArray[np.int_]
+
+    @property
+    def similarity(self) -> Array:
+        """Return eq 8's similarity (K,) in 1/mm of the mean difference."""
+        return _inverted(self.difference_mm)
+
+
+def similarity_pairs(joints_rad: ArrayLike, points_mm: ArrayLike, errors_mm: ArrayLike) -> Pairs:
+    """Return all N (N - 1) / 2 pairs of poses: joints (N, 6), nominal points and errors (N, 3).
+
+    Raises `SimilarityError` for fewer than two poses, unequal lengths or values not finite.
+    """
+    sets = [np.asarray(each, dtype=float) for each in (joints_rad, points_mm, errors_mm)]
+    count = len(sets[0])
+    if [each.shape for each in sets] != [(count, 6), (count, 3), (count, 3)] or count < 2:
+        found = ", ".join(str(each.shape) for each in sets)
+        raise SimilarityError(f"similarity: shapes {found}, wanted (N, 6), (N, 3), (N, 3), N >= 2")
+    if not all(np.isfinite(each).all() for each in sets):
+        raise SimilarityError("similarity: joints, points and errors must be finite")
+    one, other = np.triu_indices(count, 1)
+    return Pairs(*(np.linalg.norm(each[one] - each[other], axis=1) for each in sets))
+
+
+def binned(distance: Array, difference_mm: Array, edges: ArrayLike) -> Binned:
+    """Return the mean difference over ``edges`` (K + 1,) of a distance (P,), the data of a plot.
+
+    A bin holds its lower edge, the last one its upper edge too. Raises `SimilarityError` where
+    the edges do not rise.
+    """
+    limits = np.asarray(edges, dtype=float)
+    if limits.ndim != 1 or len(limits) < 2 or not (np.diff(limits) > 0).all():
+        raise SimilarityError(f"similarity: edges {limits} of bins, wanted two or more that rise")
+    count, _ = np.histogram(distance, limits)
+    total, _ = np.histogram(distance, limits, weights=difference_mm)
+    mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+    return Binned((limits[1:] + limits[:-1]) / 2, mean, count)
+
+
+def _inverted(difference_mm: Array) -> Array:
+    return np.divide(
+        1.0, difference_mm, out=np.full_like(difference_mm, np.inf), where=difference_mm != 0
+    )
