@@ -21,6 +21,7 @@ from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
 from hilcell.cell.settings import (
     SettingsError,
+    Unread,
     convert,
     exchanged_drivers,
     override_all,
@@ -427,7 +428,10 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
         """Return the checks of several tables; an unread station hides no other."""
-        stations = range(len(getattr(self, "station", ())))  # it may be no list
+        try:
+            stations = range(len(self.station))
+        except Unread:
+            stations = range(0)
         return (
             self._bad_names,
             self._bad_grid_station,

@@ -16,7 +16,7 @@ import tomllib
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,7 +28,6 @@ from hilcell.typed import Json, typed
 
 LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
-_UNREAD = object()
 _KINDS = {
     "float": "a number", "int": "a whole number", "int | float": "a number", "str": "a text",
     "bool": "true or false", "array": "a list", "object": "a table",
@@ -40,6 +39,13 @@ _EXPECTED = re.compile(
 MOST_BYTES = 16_000_000  # of a file that is read at once
 
 T = TypeVar("T", bound=msgspec.Struct)
+
+
+class Unread(AttributeError):
+    """A field that could not be read: the check that reads it is left out, and no other.
+
+    A name that is no field at all is a defect of the check, and stays an AttributeError.
+    """
 
 
 class SettingsError(HilcellError):
@@ -105,8 +111,7 @@ def convert(
 ) -> T:
     """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once.
 
-    ``also`` yields further problems. A table that it gets may lack a field that could not be read:
-    that raises AttributeError.
+    ``also`` yields further problems. A field of its table that could not be read raises `Unread`.
     """
     problems: list[str] = []
     try:
@@ -145,12 +150,14 @@ def refuse(problems: Iterable[str]) -> None:
 
 
 def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: list[str]) -> Any:
-    if not isinstance(values, Mapping):
-        problems.append(f"{_where(path)}: a table is expected, found {_short(values)}")
-        return _UNREAD
+    place = path.rstrip(".") or "file"
     fields = _fields(kind)
-    unknown = [key for key in values if key not in fields]
-    problems += [_unknown(f"{path}{key}", key, list(fields)) for key in unknown]
+    if not isinstance(values, Mapping):
+        problems.append(f"{place}: a table is expected, found {_short(values)}")
+        return _Unsound(kind, {field.name: msgspec.NODEFAULT for field in fields.values()})
+    for key in [key for key in values if key not in fields]:
+        hint = did_you_mean(key, fields) or f"; known here: {', '.join(sorted(fields))}"
+        problems.append(f"{clean(f'{path}{key}')}: unknown key{hint}")
     built: dict[str, object] = {}
     before = len(problems)
     for key, field in fields.items():
@@ -158,54 +165,45 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             built[field.name] = _value(values[key], field.type, f"{path}{key}", problems)
         elif field.required:
             problems.append(f"{path}{key}: missing")
-    if len(problems) == before:
-        try:
-            return kind(**built)
-        except ValueError:
-            pass
     unsound = _Unsound(kind, built)
     for line in _refused(unsound):
         named = _PATH.match(line)
         known = named is not None and named[1] in fields
-        problems.append(f"{path}{line}" if known else f"{_where(path)}: {line}")
-    return unsound
+        problems.append(f"{path}{line}" if known else f"{place}: {line}")
+    return kind(**built) if len(problems) == before else unsound
 
 
 class _Unsound:
     """A table with problems of its own, so that the checks of tables around it can be made.
 
-    It has the properties and methods of its kind, and lacks the fields that could not be read.
+    It has the properties, methods and constants of its kind. A field that could not be read,
+    `msgspec.NODEFAULT` here, raises `Unread`.
     """
 
     def __init__(self, kind: type[msgspec.Struct], built: Mapping[str, object]) -> None:
         self._kind = kind
         for field in _fields(kind).values():
-            if field.default_factory is not msgspec.NODEFAULT:
-                setattr(self, field.name, field.default_factory())
-            elif field.default is not msgspec.NODEFAULT:
-                setattr(self, field.name, field.default)
-        for name, value in built.items():
-            if value is _UNREAD:
-                self.__dict__.pop(name, None)
-            else:
-                setattr(self, name, value)
+            makes = field.default_factory
+            default = field.default if makes is msgspec.NODEFAULT else makes()
+            if (value := built.get(field.name, default)) is not msgspec.NODEFAULT:
+                setattr(self, field.name, value)
 
     def __getattr__(self, name: str) -> Any:
+        if name in self._kind.__struct_fields__:
+            raise Unread(name)
         found = inspect.getattr_static(self._kind, name)
-        if isinstance(found, (property, cached_property, types.FunctionType)):
-            return found.__get__(self, self._kind)
-        raise AttributeError(name)
+        return found.__get__(self, self._kind) if hasattr(found, "__get__") else found
 
 
 def _refused(table: _Unsound) -> list[str]:
-    """Return what a table's own checks refuse; one that needs an unread field is left out."""
+    """Return what a table's own checks refuse; one that reads an unread field is left out."""
     own = getattr(table, "__post_init__", None)
     checks = table.checks() if hasattr(table, "checks") else [own] if own else []
     found: list[str] = []
     for check in checks:
         try:
             found += check() or ()
-        except AttributeError:  # the field has a problem of its own
+        except Unread:
             continue
         except ValueError as error:
             found += str(error).splitlines()
@@ -218,21 +216,12 @@ def _fields(kind: type[msgspec.Struct]) -> Mapping[str, msgspec.structs.FieldInf
     return {field.encode_name: field for field in msgspec.structs.fields(kind)}
 
 
-def _where(path: str) -> str:
-    return path.rstrip(".") or "file"
-
-
 def _short(value: object) -> str:
     try:
         text = repr(value)
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = "a huge number"
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
-
-
-def _unknown(path: str, key: str, known: list[str]) -> str:
-    hint = did_you_mean(key, known) or f"; known here: {', '.join(sorted(known))}"
-    return f"{clean(path)}: unknown key{hint}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -244,14 +233,15 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 def _value(value: object, kind: object, path: str, problems: list[str]) -> object:
     inner = _inner_struct(kind)
     if inner is not None and value is not None:
-        return _struct(value, inner, f"{path}.", problems)
+        table = _struct(value, inner, f"{path}.", problems)
+        return table if isinstance(value, Mapping) else msgspec.NODEFAULT
     is_list = typing.get_origin(kind) is list
     item = _inner_struct(typing.get_args(kind)[0]) if is_list else None
     if item is not None and isinstance(value, list):
         return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
     if bad := list(_not_finite(value, path)):
         problems += bad
-        return _UNREAD
+        return msgspec.NODEFAULT
     try:
         return typed(value, kind)
     except msgspec.ValidationError as error:
@@ -261,7 +251,9 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
             return _value(value[n], inner, f"{path}[{n}]", problems)
         allowed = range_text(kind)
         hint = f"; allowed: {allowed}" if allowed else ""
-        if isinstance(value, str) and (words := _words(kind)):
+        metas = getattr(kind, "__metadata__", ())
+        words = next((meta.description for meta in metas if meta.description), "")
+        if isinstance(value, str) and words:
             wanted, hint = f"{words} are wanted", ""
         elif expected := _EXPECTED.match(str(error)):
             wanted = f"{_KINDS[expected[1]]} is wanted"
@@ -270,7 +262,7 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
         else:
             wanted = str(error)
         problems.append(f"{path}: {wanted}, found {_short(value)}{hint}")
-        return _UNREAD
+        return msgspec.NODEFAULT
 
 
 def range_text(kind: object) -> str:
@@ -297,18 +289,9 @@ def _stated(kind: object) -> object:
     return options[0] if union and len(options) == 1 else kind
 
 
-def _words(kind: object) -> str:
-    """Return a pattern in words, where the kind has one."""
-    metas = getattr(kind, "__metadata__", ())
-    return next((meta.description for meta in metas if meta.description), "")
-
-
 def _inner_struct(kind: object) -> type[msgspec.Struct] | None:
-    options = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-    for option in options:
-        if isinstance(option, type) and issubclass(option, msgspec.Struct):
-            return option
-    return None
+    kind = _stated(kind)
+    return kind if isinstance(kind, type) and issubclass(kind, msgspec.Struct) else None
 
 
 def _not_finite(value: object, path: str) -> Iterator[str]:
@@ -324,12 +307,29 @@ def _not_finite(value: object, path: str) -> Iterator[str]:
 
 
 def override_all(values: Json, changed: Mapping[str, str]) -> None:
-    """Set every key as `override`; options of a driver that is exchanged are not the new one's."""
-    drivers = [key for key in changed if key.endswith(".driver")]
+    """Set each ``a.b.c`` to a TOML value, or to the bare text where it is not one.
+
+    Options of a driver that is exchanged are not the new one's.
+    """
     for name in exchanged_drivers(values, changed):
         values[name].pop("options")
-    for key in (*drivers, *(key for key in changed if key not in drivers)):
-        override(values, key, changed[key])
+    for key in sorted(changed, key=lambda key: not key.endswith(".driver")):
+        text = changed[key]
+        if "\n" in text:  # it could set other keys
+            raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except RecursionError:
+            raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
+        except ValueError:
+            value = text
+        *path, last = key.split(".")
+        table: Json = values
+        for part in path:
+            table = table.setdefault(part, {})
+            if not isinstance(table, dict):
+                raise SettingsError("--set", [f"{key}: {part} is not a table"])
+        table[last] = value
 
 
 def exchanged_drivers(values: Json, changed: Mapping[str, str]) -> dict[str, tuple[str, str]]:
@@ -343,22 +343,3 @@ def exchanged_drivers(values: Json, changed: Mapping[str, str]) -> dict[str, tup
             if then != now:
                 found[name] = then, now
     return found
-
-
-def override(values: Json, key: str, text: str) -> None:
-    """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
-    if "\n" in text:  # it could set other keys
-        raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except RecursionError:
-        raise SettingsError("--set", [f"{key}: nested too deeply"]) from None
-    except ValueError:
-        value = text
-    *path, last = key.split(".")
-    table: Json = values
-    for part in path:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            raise SettingsError("--set", [f"{key}: {part} is not a table"])
-    table[last] = value
