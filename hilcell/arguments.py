@@ -149,7 +149,7 @@ MOST_WORKERS = 1024
 MOST_DAYS = 36_500.0
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
-MOST_STANDOFF_MM = 1000.0  # as in hilcell.cell.tool
+MOST_STANDOFF_MM = 1000.0  # as in hilcell.cell.robot
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"

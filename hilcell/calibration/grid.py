@@ -22,8 +22,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilcell.cell.file import Cell
-from hilcell.cell.plan import coarsest_pitch_mm
+from hilcell.cell.file import Cell, coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.geometry.frames import (

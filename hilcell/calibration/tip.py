@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilcell.cell.file import Cell, ToolTable
+from hilcell.cell.robot import REFLECTOR, STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.tool import REFLECTOR, STANDOFF_MORE_MM
 from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import Arm

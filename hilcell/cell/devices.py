@@ -46,19 +46,15 @@ def misfits(kind: type, port: type) -> list[str]:
     lacking = [name for name in methods if not callable(getattr(kind, name, None))]
     if missing := ([] if typed else ["Options (a msgspec.Struct)"]) + lacking:
         return [f"it has no {', '.join(missing)}"]
-    asked = {name: [*inspect.signature(getattr(port, name)).parameters] for name in methods}
-    found = [_misfit(name, getattr(kind, name), words) for name, words in asked.items()]
-    built = _misfit("__init__", kind, ("options", "clock"))
-    return [each for each in (_of_options(options), built, *found) if each]
-
-
-def _of_options(options: object) -> str:
-    """Return why the options' types mean nothing; "" where they do."""
+    found = [_misfit("__init__", kind, ("options", "clock"))]
+    for name in methods:
+        words = inspect.signature(getattr(port, name)).parameters
+        found.append(_misfit(name, getattr(kind, name), words))
     try:
         learn(options)
     except Exception as error:  # noqa: BLE001 - an annotation is any expression
-        return f"its Options have a type that cannot be used: {one_line(error)}"
-    return ""
+        found.insert(0, f"its Options have a type that cannot be used: {one_line(error)}")
+    return [each for each in found if each]
 
 
 def _misfit(name: str, call: Callable[..., object], words: Iterable[str]) -> str:
@@ -96,10 +92,9 @@ def load_entry(group: str, name: str) -> Any:
         raise SettingsError(group, [f"{name!r} is installed as {both}; uninstall all but one"])
     try:
         loaded = found.popitem()[1].load()
-    except (ImportError, AttributeError) as error:
-        raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
     except Exception as error:
-        raise SettingsError(group, [f"{name!r} cannot be loaded: {one_line(error)}"]) from error
+        why = error if isinstance(error, ImportError | AttributeError) else one_line(error)
+        raise SettingsError(group, [f"{name!r} cannot be loaded: {why}"]) from error
     if group in PORTS and (found_misfits := misfits(loaded, PORTS[group])):
         what = f"{name!r} is no driver: {'; '.join(found_misfits)}"
         raise SettingsError(group, [f"{what}; see hilcell.ports.{PORTS[group].__name__}"])
@@ -112,7 +107,6 @@ def installed(group: str) -> list[str]:
 
 
 def _entries(group: str) -> EntryPoints:
-    """Return the entry points of ``hilcell.<group>``."""
     return _installed(tuple(sys.path)).get(f"hilcell.{group}", EntryPoints())
 
 
@@ -138,52 +132,39 @@ class Devices:
 
     def named(self) -> dict[str, Rail | Robot | Tracker]:
         """Return the devices by name, in the order in which they are opened."""
-        rail: dict[str, Rail | Robot | Tracker] = {"Rail": self.rail}
-        robot: dict[str, Rail | Robot | Tracker] = {"Robot": self.robot}
-        first, second = (robot, rail) if self.rail_rides else (rail, robot)
-        return first | second | {"Tracker": self.tracker}
+        if self.rail_rides:
+            return {"Robot": self.robot, "Rail": self.rail, "Tracker": self.tracker}
+        return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
 
 
 def streams_of(tracker: Tracker) -> Streams:
     """Return a tracker that streams; raises `DeviceRefused` where it does not."""
     if isinstance(tracker, Streams):
         return tracker
-    raise DeviceRefused(
-        "HC-T43",
-        "Tracker",
-        "stream",
-        "this tracker streams: no",
-        wanted="a driver with `stream`",
-        act="choose a procedure that measures at rest only",
-    )
+    raise _unable("HC-T43", "Tracker", "stream", "this tracker streams", "stream", "at rest")
 
 
 def turning_over(tracker: Tracker) -> TwoFaces:
     """Return a tracker that turns over; raises `DeviceRefused` where it does not."""
     if isinstance(tracker, TwoFaces):
         return tracker
-    raise DeviceRefused(
-        "HC-T43",
-        "Tracker",
-        "change face",
-        "this tracker turns over: no",
-        wanted="a driver with `measure_back`",
-        act="choose a procedure that measures in one face only",
-    )
+    able = "this tracker turns over"
+    raise _unable("HC-T43", "Tracker", "change face", able, "measure_back", "in one face")
 
 
 def sweeps_of(robot: Robot) -> Sweeps:
     """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
     if isinstance(robot, Sweeps):
         return robot
-    raise DeviceRefused(
-        "HC-B42",
-        "Robot",
-        "sweep",
-        "this robot sweeps an axis: no",
-        wanted="a driver with `sweep`",
-        act="choose a procedure that measures at rest only",
-    )
+    raise _unable("HC-B42", "Robot", "sweep", "this robot sweeps an axis", "sweep", "at rest")
+
+
+def _unable(
+    code: str, device: str, operation: str, able: str, method: str, instead: str
+) -> DeviceRefused:
+    """Return the refusal of a device whose driver has not the method."""
+    wanted, act = f"a driver with `{method}`", f"choose a procedure that measures {instead} only"
+    return DeviceRefused(code, device, operation, f"{able}: no", wanted=wanted, act=act)
 
 
 def sights_apart_rad(cell: Cell) -> float:
@@ -310,13 +291,17 @@ def check_options(cell: Cell) -> None:
             problems += [f"{table}.{key}: {line}" for line in error.problems]
     if cell.simulation is not None:
         try:
-            simulator = load_entry("simulators", cell.simulation.simulator)
+            load_entry("simulators", cell.simulation.simulator).check(cell)
         except SettingsError as error:
-            problems += [f"simulation.simulator: {line}" for line in error.problems]
-        else:
-            problems += _simulator_problems(simulator, cell)
+            key = "simulation.simulator" if error.source == "simulators" else error.source
+            problems += [f"{key}: {line}" for line in error.problems]
     if not problems:
-        problems += _riding_problems(cell)
+        robot = load_entry("robots", cell.robot.driver)
+        if rides_on_robot(cell) and not issubclass(robot, ExternalAxis):
+            problems.append(
+                f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot "
+                f"driver {cell.robot.driver!r} moves none; name another of both"
+            )
         problems += [
             f"{' and '.join(tables)} share the address {place}; give each its own"
             for place, tables in device_places(cell, anywhere).items()
@@ -328,20 +313,6 @@ def check_options(cell: Cell) -> None:
         problems.append(str(error))
     if problems:
         raise SettingsError(cell.name, problems)
-
-
-def _riding_problems(cell: Cell) -> list[str]:
-    """Return why the rail cannot be the robot's external axis, where it wants to be."""
-    rail, robot = (
-        load_entry(f"{table}s", getattr(cell, table).driver) for table in ("rail", "robot")
-    )
-    if not issubclass(rail, RidesOnRobot) or issubclass(robot, ExternalAxis):
-        return []
-    problem = (
-        f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot driver "
-        f"{cell.robot.driver!r} moves none; name another of both"
-    )
-    return [problem]
 
 
 def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
@@ -367,14 +338,6 @@ def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
             other = f"socket://127.0.0.1:{n + len(TABLES)}"  # no strip shares the drive's wire
             found[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
     return found
-
-
-def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]:
-    try:
-        simulator.check(cell)
-    except SettingsError as error:
-        return [f"{error.source}: {line}" for line in error.problems]
-    return []
 
 
 def is_replay(cell: Cell) -> bool:

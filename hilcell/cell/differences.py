@@ -36,12 +36,10 @@ def _different(before: object, now: object, key: str = "") -> Iterator[str]:
         for number, (one, other) in enumerate(zip(before, now, strict=True), 1):
             yield from _different(one, other, f"{key}[{number}]")
     elif before != now:
-        yield f"{key} {_short(before)} -> {_short(now)}"
-
-
-def _short(value: object) -> str:
-    text = f"{value}"
-    return text if len(text) <= 40 else f"{text[:37]}..."
+        one, other = (
+            text if len(text) <= 40 else f"{text[:37]}..." for text in (f"{before}", f"{now}")
+        )
+        yield f"{key} {one} -> {other}"
 
 
 def check_copied(where: str, cell: Cell) -> str:
@@ -52,10 +50,15 @@ def check_copied(where: str, cell: Cell) -> str:
     """
     if where in built_in_cells():
         return ""
+    built_in = {name: load_cell(name) for name in built_in_cells()}
     problems = [
         f"{key}: {found!r} is that of the built-in cell {name}; give this cell one of its own"
-        for name in built_in_cells()
-        for key, found, taken in _kept(cell, load_cell(name))
+        for name, other in built_in.items()
+        if cell.simulation is None or cell.digest != other.digest
+        for key, found, taken in (
+            ("name", cell.name, other.name),
+            ("serial", cell.serial, other.serial),
+        )
         if found == taken
     ]
     simulated = "simulated"  # the certificate of each length in the built-in cells
@@ -69,10 +72,3 @@ def check_copied(where: str, cell: Cell) -> str:
             if each.certificate == simulated
         ]
     return "\n".join(f"{where}: {problem}" for problem in problems)
-
-
-def _kept(cell: Cell, built_in: Cell) -> list[tuple[str, str, str]]:
-    """Return the values that must differ, of both cells; nothing where the cells are the same."""
-    if cell.simulation is not None and cell.digest == built_in.digest:
-        return []
-    return [("name", cell.name, built_in.name), ("serial", cell.serial, built_in.serial)]

@@ -17,8 +17,7 @@ from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.lines import of_options, with_lines
-from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
-from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
+from hilcell.cell.robot import Joint, RobotTable, ToolTable, arm_from_joints, tool_problems
 from hilcell.cell.settings import (
     SettingsError,
     Unread,
@@ -37,6 +36,7 @@ from hilcell.cell.surroundings import (
 )
 from hilcell.cell.tables import (
     Acceleration,
+    Angle,
     Count,
     Dwell,
     Frozen,
@@ -55,7 +55,6 @@ from hilcell.cell.tables import (
     Wait,
     refuse_descending,
 )
-from hilcell.cell.tool import ToolTable, tool_problems
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
 from hilcell.typed import Json
 
@@ -70,12 +69,18 @@ def completed(values: Json) -> Json:
     """Return a cell file's tables, with those of a robot that stands where there is no rail."""
     if "rail" in values:
         return values
-    own_name = "BASE"
-    stations = values.get("station", [{"name": own_name}])
-    at_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
+
+    def with_defaults(defaults: Json, table: object) -> object:
+        """Return a table with defaults; a value that is no table is left to the checks."""
+        return {**defaults, **table} if isinstance(table, Mapping) else table
+
+    name = "BASE"
+    stations = values.get("station", [{"name": name}])
     if isinstance(stations, list):
-        stations = [_with(at_0, station) for station in stations]
-    name = stations[0].get("name", own_name) if _tables(stations) else own_name
+        at_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
+        stations = [with_defaults(at_0, station) for station in stations]
+        if stations and isinstance(stations[0], Mapping):
+            name = stations[0].get("name", name)
     rail = {
         "driver": NO_RAIL,
         "travel_min_mm": 0.0,
@@ -87,23 +92,56 @@ def completed(values: Json) -> Json:
         **values,
         "rail": rail,
         "station": stations,
-        "grid": _with({"station": name}, values.get("grid", {})),
-        "layout": _with({"rail_direction": [0.0, 0.0, 0.0], "slide": []}, values.get("layout", {})),
-        "touch": _with({"poses": 0}, values.get("touch", {})),
+        "grid": with_defaults({"station": name}, values.get("grid", {})),
+        "layout": with_defaults(
+            {"rail_direction": [0.0, 0.0, 0.0], "slide": []}, values.get("layout", {})
+        ),
+        "touch": with_defaults({"poses": 0}, values.get("touch", {})),
     }
 
 
-def _with(defaults: Mapping[str, object], table: object) -> object:
-    """Return a table with defaults; a value that is no table stays, and the checks refuse it."""
-    return {**defaults, **table} if isinstance(table, Mapping) else table
+Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
-def _tables(found: object) -> bool:
-    return isinstance(found, list) and bool(found) and isinstance(found[0], Mapping)
+class PlanTable(Frozen, frozen=True, kw_only=True):
+    """How `calibrate` spends the robot's time: in full, or as little as its verdict needs.
+
+    ``grid_orientations`` are others than the grid's, A, B, C in {B}: the vertices are measured in
+    each of them as well.
+    """
+
+    quick: bool = False
+    accept_risk: Share = 0.05
+    reject_risk: Share = 0.05
+    share_above_max: Share = 0.1
+    most_targets: Annotated[int, Meta(ge=8, le=1000)] = 96
+    bound_mm: Size = 0.06
+    most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
+    turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
+    tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
+    prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
+    unattended_wait_s: Annotated[float, Meta(ge=0, le=86_400)] = 900.0
+    grid_orientations: list[tuple[Angle, Angle, Angle]] = field(default_factory=list)
+    tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
+
+    def samples(self, full: int, quick: int) -> int:
+        """Return how many readings are averaged: as many as in full, in a quick plan fewer."""
+        return min(full, quick) if self.quick else full
+
+    @property
+    def turns(self) -> bool:
+        """Whether targets have other orientations than the grid's."""
+        return self.tilt_deg > 0.0 or bool(self.grid_orientations)
+
+    @property
+    def pose_counts(self) -> tuple[int, int]:
+        """Return the least and the most poses that are measured beside the grid's."""
+        if self.tilt_deg:
+            return self.tilt_poses, self.tilt_poses
+        return 0, self.most_poses if self.quick else 0
 
 
 Mass = Annotated[float, Meta(ge=0, le=10_000)]
-Minutes = Annotated[float, Meta(ge=0, le=100_000)]
 
 
 class Iso9283Table(Frozen, frozen=True, kw_only=True):
@@ -119,7 +157,7 @@ class Iso9283Table(Frozen, frozen=True, kw_only=True):
     velocity_percent: Percent | None = None
     load_kg: Mass | None = None
     rated_load_kg: Mass | None = None
-    warm_up_min: Minutes | None = None
+    warm_up_min: Annotated[float, Meta(ge=0, le=100_000)] | None = None
     calibration: str = ""
     ap_limit_mm: Tolerance | None = None
     rp_limit_mm: Tolerance | None = None
@@ -155,9 +193,6 @@ class TargetsTable(Frozen, frozen=True, kw_only=True):
     calibration: str = ""
 
 
-Axis = Annotated[int, Meta(ge=1, le=6)]
-
-
 class SweepsTable(Frozen, frozen=True, kw_only=True):
     """Axes 1 to 6, each swept over what the cube needs of it and ``margin_deg`` more.
 
@@ -165,7 +200,7 @@ class SweepsTable(Frozen, frozen=True, kw_only=True):
     """
 
     enabled: bool = True
-    axes: tuple[Axis, ...] = (1, 2, 3, 5)
+    axes: tuple[Annotated[int, Meta(ge=1, le=6)], ...] = (1, 2, 3, 5)
     speed_deg_s: Annotated[float, Meta(ge=0.1, le=1.0)] = 1.0
     rate_hz: Annotated[float, Meta(ge=10, le=1000)] = 20.0
     margin_deg: Annotated[float, Meta(ge=0, le=30)] = 1.0
@@ -173,9 +208,6 @@ class SweepsTable(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if len(set(self.axes)) != len(self.axes):
             raise ValueError(f"axes must differ, found {', '.join(map(str, self.axes))}")
-
-
-Country = Annotated[str, Meta(pattern="^([A-Z]{2})?$")]
 
 
 class CertificateTable(Frozen, frozen=True, kw_only=True):
@@ -187,7 +219,7 @@ class CertificateTable(Frozen, frozen=True, kw_only=True):
     laboratory: str = ""
     laboratory_address: str = ""
     laboratory_email: str = ""
-    country: Country = ""
+    country: Annotated[str, Meta(pattern="^([A-Z]{2})?$")] = ""
     customer: str = ""
     customer_address: str = ""
     customer_email: str = ""
@@ -219,12 +251,6 @@ __all__ = [
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
-# How fast and how long: known to plans and drivers, and no part of what stands in the cell.
-PACE = {
-    "rail": ("homing_mm_s", "standstill_dwell_s"),
-    "robot": ("ramp_s", "first_pass_percent", "first_pass_pause"),
-    "tracker": ("pointing_s", "reading_s"),
-}
 
 
 class Station(Frozen, frozen=True, kw_only=True):
@@ -307,6 +333,16 @@ class GridTable(Frozen, frozen=True, kw_only=True):
     def cells(self) -> tuple[int, ...]:
         """Return the number of grid cells along x, y and z."""
         return tuple(round(size / self.pitch_mm) for size in self.size_mm)
+
+
+def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:
+    """Return the widest pitch that fills a box of ``cells`` (3,), two along one edge at least.
+
+    Of a grid of one cell no vertex can be left out to judge a model.
+    """
+    shared = math.gcd(*cells)
+    halves = 1 if max(cells) // shared > 1 else 2
+    return pitch_mm * shared / halves
 
 
 class BaseFrameTable(Frozen, frozen=True, kw_only=True):
@@ -417,10 +453,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
     targets: TargetsTable | None = None
     simulation: SimulationTable | None = None
 
-    # Work that is done with the cell, and statements about it: none moves a measured point.
+    # Work that is done with the cell, its pace, how it is judged, and statements about it: none
+    # moves a measured point.
     NOT_THE_CELL = (
         "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-        "certificate", "iso9283", "tool",
+        "certificate", "iso9283", "tool", "rail.homing_mm_s", "rail.standstill_dwell_s",
+        "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
+        "robot.rp_mm", "tracker.pointing_s", "tracker.reading_s", "layout.reflectors",
+        "layout.max_tool_std_mm", "layout.base_tolerance_mm",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -580,38 +620,24 @@ class Cell(Frozen, frozen=True, kw_only=True):
     @property
     def proof_samples(self) -> int:
         """Return how many readings of a floor nest prove the tracker."""
-        return self.plan.samples(self.layout.nest_samples, QUICK_PROOF_SAMPLES)
+        return self.plan.samples(self.layout.nest_samples, quick=2)
 
     @property
     def nest_samples(self) -> int:
         """Return how many readings of a nest are averaged."""
-        return self.plan.samples(self.layout.nest_samples, QUICK_NEST_SAMPLES)
+        return self.plan.samples(self.layout.nest_samples, quick=5)
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan.
-
-        Neither has it what the arm keeps clear of, nor what is stated of uncertainty and of the
-        robot's repeatability: they move no measured point.
-        """
+        """Return SHA-256 over canonical JSON of the cell, without `NOT_THE_CELL`."""
         values = msgspec.to_builtins(self)
-        for table in self.NOT_THE_CELL:
-            values.pop(table)
-        values["robot"].pop("envelope")
-        values["robot"].pop("rp_mm")
+        for path in self.NOT_THE_CELL:
+            table, _, key = path.rpartition(".")
+            (values[table] if table else values).pop(key)
         if not self.robot.more_smr_mm:  # as in files that know no such key
             values["robot"].pop("more_smr_mm")
         if self.validation.max_tolerance_deg is None:
             values["validation"].pop("max_tolerance_deg")
-        for table, keys in PACE.items():
-            for key in keys:
-                values[table].pop(key)
-        for key in (
-            "reflectors",
-            "max_tool_std_mm",
-            "base_tolerance_mm",
-        ):  # how it is measured and judged
-            values["layout"].pop(key)
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
     def station_named(self, name: str) -> Station:

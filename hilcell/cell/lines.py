@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-
-_ABSENT = object()
 
 
 def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable[str]) -> list[str]:
@@ -43,12 +41,7 @@ def of_options(problem: str, exchanged: Mapping[str, tuple[str, str]]) -> str:
 def by_line(problems: Iterable[str], where: str) -> list[str]:
     """Return problems in the order of their lines, those without one first."""
     begin = re.compile(rf"{re.escape(where)}:(\d+): ")
-
-    def line(problem: str) -> int:
-        found = begin.match(problem)
-        return int(found[1]) if found else 0
-
-    return sorted(problems, key=line)
+    return sorted(problems, key=lambda each: int(at[1]) if (at := begin.match(each)) else 0)
 
 
 def line_of(text: str, path: str) -> int | None:
@@ -58,8 +51,7 @@ def line_of(text: str, path: str) -> int | None:
     if len(lines) > longest or re.fullmatch(r"[\w-]+(\[\d+\]|\.[\w-]+)*", path) is None:
         return None
     steps = re.findall(r"[\w-]+|\[\d+\]", path)
-    whole = _parsed(text)
-    while steps and _value(whole, steps) is _ABSENT:  # a key that is missing
+    while steps and not _has(text, steps):  # a key that is missing
         steps.pop()
     if not steps:
         return None
@@ -69,40 +61,28 @@ def line_of(text: str, path: str) -> int | None:
     if steps[-1].startswith("["):
         begins += r"|\{"
     candidates = [n for n, line in enumerate(lines, 1) if re.search(begins, line)]
-    proven = [n for n in candidates if _begins_at(lines, n, steps)]
+    proven = [
+        n
+        for n in candidates
+        if _has("\n".join(lines[:n]), steps) and _has("\n".join(lines[: n - 1]), steps) is False
+    ]
     return proven[0] if len(proven) == 1 else None
 
 
-def _begins_at(lines: list[str], number: int, steps: list[str]) -> bool:
-    before, after = (_parsed_open("\n".join(lines[:end])) for end in (number - 1, number))
-    return (
-        before is not None
-        and after is not None
-        and (_value(before, steps) is _ABSENT and _value(after, steps) is not _ABSENT)
-    )
-
-
-def _parsed_open(text: str) -> object:
-    """Return the values of a text that may end within arrays; None where it cannot be closed."""
-    closed_by = ("", "\n]", "\n]\n]")
-    return next((found for end in closed_by if (found := _parsed(text + end)) is not None), None)
-
-
-def _parsed(text: str) -> object:
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError):
-        return None
-
-
-def _value(values: Any, steps: list[str]) -> object:
-    for step in steps:
-        index = int(step[1:-1]) if step.startswith("[") else step
+def _has(text: str, steps: Sequence[str]) -> bool | None:
+    """Whether a text that may end within arrays has a path; None where it cannot be closed."""
+    for closed_by in ("", "\n]", "\n]\n]"):
         try:
-            values = values[index]
+            values: Any = tomllib.loads(text + closed_by)
+        except (ValueError, RecursionError):
+            continue
+        try:
+            for step in steps:
+                values = values[int(step[1:-1]) if step.startswith("[") else step]
         except (KeyError, IndexError, TypeError):
-            return _ABSENT
-    return values
+            return False
+        return True
+    return None
 
 
 def _overlap(path: str, other: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,20 +21,29 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     ``turns_over``: the tracker sees nests in both of its faces.
     """
     found = []
-    told_ppm = 30.0  # of a certified length that is of use
-    sizes = _Cell(cell)
-    if not cell.layout.length:
+    useful_ppm = 30.0  # of a certified length that is of use
+    layout, centre = cell.layout, cell.grid.centre.matrix()
+    T_W_B = layout.nominal_base(cell.station_named(cell.grid.station).rail_mm)
+    centre_mm = apply(T_W_B, centre[None, :3, 3])[0]  # of the cube, in {W}
+    range_mm = np.linalg.norm(centre_mm - cell.tracker.pose.matrix()[:3, 3])
+    scaled_mm = 1e-6 * SCALE_PPM * np.linalg.norm(centre_mm - layout.floor[0].xyz_mm)
+    slipped_mm = np.radians(SLIP_DEG) * np.linalg.norm(centre[:3, 3])
+    at_mm = {nest.name: nest.xyz_mm for nest in layout.standing}
+    ways_mm = [at_mm[one] - at_mm[other] for one, other in (each.nests for each in layout.length)]
+    # The least scale that a certified length tells by its U (k = 2).
+    least_ppm = min((2e6 * each.u_mm / each.length_mm for each in layout.length), default=np.inf)
+    if not layout.length:
         found.append(
             "no certified length (layout.length): a wrong scale of the tracker is not seen; "
-            f"{SCALE_PPM:g} ppm move targets by {sizes.scaled_mm():.2f} mm"
+            f"{SCALE_PPM:g} ppm move targets by {scaled_mm:.2f} mm"
         )
-    elif not (ppm := sizes.told_ppm()) <= told_ppm:
+    elif not least_ppm <= useful_ppm:
         found.append(
-            f"the certified lengths (layout.length) tell scales beyond {ppm:.0f} ppm alone, by "
-            f"their U (2 u_mm); {SCALE_PPM:g} ppm move targets by {sizes.scaled_mm():.2f} mm: is "
-            "u_mm in mm?"
+            f"the certified lengths (layout.length) tell scales beyond {least_ppm:.0f} ppm alone, "
+            f"by their U (2 u_mm); {SCALE_PPM:g} ppm move targets by {scaled_mm:.2f} mm: is u_mm "
+            "in mm?"
         )
-    elif not sizes.two_directions():
+    elif not _differ(ways_mm):
         found.append(
             "the certified lengths lie along one direction: a scale that differs across it is "
             "not seen; a second one (layout.length) at right angles shows it"
@@ -42,13 +51,13 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     if not turns_over:
         found.append(
             "the tracker is not turned over: a collimation, transit axis or index that is off is "
-            f"not seen; 50 µrad move targets by up to {50e-6 * sizes.range_mm():.2f} mm"
+            f"not seen; 50 µrad move targets by up to {50e-6 * range_mm:.2f} mm"
         )
     if cell.robot.rp_mm is None:
         found.append(
             "the robot's repeatability is not stated (robot.rp_mm, of its data sheet): one "
             "that repeats worse from the first point on, as a brake of axis 2 that slips by "
-            f"{SLIP_DEG:g} deg, is not seen; it moves targets by {sizes.slipped_mm():.2f} mm (rms)"
+            f"{SLIP_DEG:g} deg, is not seen; it moves targets by {slipped_mm:.2f} mm (rms)"
         )
     found.append(
         "a reflector that differs from the others in its own place: a prism 0.15 mm long on the "
@@ -66,39 +75,8 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Cell:
-    """Sizes of effects that no run of a cell can show."""
-
-    cell: Cell
-
-    def _centre_mm(self) -> Array:
-        """Return the cube's centre (3,) in {W} at the grid's station."""
-        T_W_B = self.cell.layout.nominal_base(
-            self.cell.station_named(self.cell.grid.station).rail_mm
-        )
-        found: Array = apply(T_W_B, self.cell.grid.centre.matrix()[None, :3, 3])[0]
-        return found
-
-    def scaled_mm(self) -> float:
-        """Return by how much a wrong scale moves the cube's centre against the origin of {W}."""
-        lever_mm = np.linalg.norm(self._centre_mm() - self.cell.layout.floor[0].xyz_mm)
-        return float(1e-6 * SCALE_PPM * lever_mm)
-
-    def told_ppm(self) -> float:
-        """Return the least scale that a certified length tells by its U (k = 2)."""
-        return min(2e6 * each.u_mm / each.length_mm for each in self.cell.layout.length)
-
-    def slipped_mm(self) -> float:
-        reach_mm = np.linalg.norm(self.cell.grid.centre.matrix()[:3, 3])
-        return float(np.radians(SLIP_DEG) * reach_mm)
-
-    def range_mm(self) -> float:
-        return float(np.linalg.norm(self._centre_mm() - self.cell.tracker.pose.matrix()[:3, 3]))
-
-    def two_directions(self) -> bool:
-        at_mm = {nest.name: nest.xyz_mm for nest in self.cell.layout.standing}
-        ways = [at_mm[each.nests[1]] - at_mm[each.nests[0]] for each in self.cell.layout.length]
-        units = np.array([way / np.linalg.norm(way) for way in ways])
-        across_deg = 30.0  # between lengths of two directions
-        return bool(np.abs(units @ units.T).min() <= np.cos(np.radians(across_deg)))
+def _differ(ways_mm: Sequence[Array]) -> bool:
+    """Whether two of the vectors (3,) have directions of their own."""
+    units = np.array([way / np.linalg.norm(way) for way in ways_mm])
+    across_deg = 30.0  # between lengths of two directions
+    return bool(np.abs(units @ units.T).min() <= np.cos(np.radians(across_deg)))

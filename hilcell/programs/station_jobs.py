@@ -21,8 +21,8 @@ from hilcell.calibration.lost_motion import straight_way
 from hilcell.calibration.tip import Tip, tip_named
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
+from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.tool import STANDOFF_MORE_MM
 from hilcell.compensation.programs import Stroke
 from hilcell.compensation.station_program import writer_of
 from hilcell.compensation.targets import HEADER, as_listed, target_rows

@@ -15,8 +15,8 @@ import numpy as np
 from drivers.kuka.program_krl.data import POSE
 from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
 from drivers.program_text import ENCODING, plain
+from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.tool import REFLECTOR
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.grid import grid_of
-from hilcell.cell.file import load_cell
-from hilcell.cell.plan import coarsest_pitch_mm
+from hilcell.cell.file import coarsest_pitch_mm, load_cell
 
 
 @pytest.mark.parametrize(
