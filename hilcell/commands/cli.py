@@ -19,8 +19,13 @@ from typing import TYPE_CHECKING
 from hilcell import __version__
 from hilcell.arguments import Signature
 from hilcell.commands import orders
-from hilcell.commands.encoding import never_fail_to_encode
-from hilcell.commands.output import flush_data, print_error, print_json, print_message
+from hilcell.commands.output import (
+    flush_data,
+    never_fail_to_encode,
+    print_error,
+    print_json,
+    print_message,
+)
 from hilcell.commands.parser import Parser, made
 from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
@@ -63,11 +68,11 @@ GROUPS: Mapping[str, Commands] = {
     "look back": {
         "show": (orders.Show, "past:show"),
         "runs": (orders.ListRuns, "past:runs"),
-        "report": (orders.Report, "report:report"),
-        "export": (orders.Export, "report:export"),
-        "compare": (orders.Compare, "compare:compare"),
-        "explain": (orders.Explain, "explain:explain"),
-        "revoke": (orders.Revoke, "revoke:revoke"),
+        "report": (orders.Report, "past:report"),
+        "export": (orders.Export, "past:export"),
+        "compare": (orders.Compare, "past:compare"),
+        "explain": (orders.Explain, "past:explain"),
+        "revoke": (orders.Revoke, "past:revoke"),
     },
     "set up": {
         "check": (orders.Check, "cell:check"),
@@ -86,8 +91,8 @@ PLANT: Commands = {
     "init": (orders.PlantInit, "plant:init"),
     "ship": (orders.PlantShip, "plant:ship"),
     "show": (orders.PlantShow, "plant:show"),
-    "export": (orders.PlantExport, "plant_export:export"),
-    "verify": (orders.PlantVerify, "plant_export:verify"),
+    "export": (orders.PlantExport, "plant:export"),
+    "verify": (orders.PlantVerify, "plant:verify"),
 }
 
 

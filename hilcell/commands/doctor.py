@@ -1,12 +1,24 @@
-"""``doctor``: check this PC, and on request the places of a cell's devices; nothing moves."""
+"""``doctor``: check this PC, and on request the places of a cell's devices; nothing moves.
+
+Each check returns one finding, with the act that mends it. Nothing is changed but a file that is
+written into the folder of runs and removed at once.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import platform
+import re
 import shutil
 import socket
-from collections.abc import Iterator
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import THIS_MACHINE
@@ -14,17 +26,29 @@ from hilcell.cell.devices import PORTS, check_options, device_places, installed,
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless_lines
-from hilcell.commands import this_pc
 from hilcell.commands.orders import Doctor
 from hilcell.commands.output import print_data, print_json
-from hilcell.commands.this_pc import Finding
-from hilcell.run.cell_lock import CellLocked, lock_of_device, locked
+from hilcell.journal.disk_space import bytes_free, bytes_needed, existing
+from hilcell.journal.journal import StorageError
+from hilcell.report.pdf import find_browser
+from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
 from hilcell.run.exits import EXIT_REFUSED
 from hilcell.tui.keys import default_file, load_keys
+from hilcell.tui.terminal.capabilities import has_colours, has_unicode, is_coerced
+from hilcell.writing import NotWritten
 
 CONNECT_S = 2.0
 PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
+
+
+class Finding(NamedTuple):
+    """``state`` of what was checked, ``found`` in words, and ``do``: the act, where one is due."""
+
+    check: str
+    state: Literal["ok", "warning", "wrong"]
+    found: str
+    do: str = ""
 
 
 def doctor(args: Doctor) -> int:
@@ -36,29 +60,242 @@ def doctor(args: Doctor) -> int:
     if args.json:
         print_json({"ok": sound, "checks": [each._asdict() for each in found]})
     else:
-        print_data(harmless_lines("\n".join(line for each in found for line in _lines(each))))
+        lines = list[str]()
+        for each in found:
+            lines.append(f"{SHOWN[each.state]:6} {each.check:13} {each.found}")
+            lines += [f"{'':20} -> {each.do}"] if each.do else []
+        print_data(harmless_lines("\n".join(lines)))
     return 0 if sound else EXIT_REFUSED
 
 
-def _lines(finding: Finding) -> Iterator[str]:
-    yield f"{SHOWN[finding.state]:6} {finding.check:13} {finding.found}"
-    if finding.do:
-        yield f"{'':20} -> {finding.do}"
-
-
 def _of_this_pc(runs: Path) -> Iterator[Finding]:
-    yield this_pc.python()
-    yield this_pc.terminal(os.environ, *shutil.get_terminal_size())
-    yield this_pc.can()
-    yield this_pc.serial_ports()
-    yield this_pc.loopback()
-    yield this_pc.disk(runs)
-    yield this_pc.clock(runs)
-    yield this_pc.locks()
-    yield this_pc.pace()
-    yield this_pc.browser()
+    yield python()
+    yield terminal(os.environ, *shutil.get_terminal_size())
+    yield can()
+    yield serial_ports()
+    yield loopback()
+    yield disk(runs)
+    yield clock(runs)
+    yield locks()
+    yield pace()
+    yield browser()
     yield _keys()
     yield _drivers()
+
+
+# -- this PC --------------------------------------------------------------------------------------
+
+LEAST_PYTHON = (3, 11)
+LEAST_COLUMNS, LEAST_ROWS = 60, 15  # of the screen; 80 x 24 shows everything
+USUAL_COLUMNS, USUAL_ROWS = 80, 24
+USUAL_POINTS = 1_700  # no run of a cell that comes with hilcell has more
+PLENTY_GB = 1.0  # a run takes up to 10 MB: for a hundred of them
+SHARED = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks that SQLite trusts
+WAKES, WAKE_S, LATE_S = 200, 0.005, 0.05  # a stop takes 0.02 s
+ADAPTERS = ("ttyUSB*", "ttyACM*")
+DIALOUT = "sudo usermod -a -G dialout $USER, then log in again"
+CAN_LINK = "280"  # ARPHRD_CAN of linux/if_arp.h
+NOT_SYNCHRONIZED = 5  # TIME_ERROR of adjtimex(2)
+
+
+def python() -> Finding:
+    """Check the interpreter, and that every package it needs is there."""
+    found = f"{platform.python_version()} at {sys.executable}"
+    if sys.version_info < LEAST_PYTHON:
+        return Finding("python", "wrong", found, "install Python 3.11 or newer")
+    lines = [line for line in requires("hilcell") or [] if "extra ==" not in line]
+    names = [name[0] for line in lines if (name := re.match(r"[\w.-]+", line))]
+    missing = [name for name in names if not _is_installed(name)]
+    if missing:
+        return Finding(
+            "python", "wrong", f"{found} lacks {', '.join(missing)}", "install hilcell again"
+        )
+    return Finding("python", "ok", found)
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def terminal(environment: Mapping[str, str], columns: int, rows: int) -> Finding:
+    """Check that the technician's screen can be shown."""
+    shapes = "UTF-8" if has_unicode(environment, coerced=is_coerced()) else "ASCII shapes"
+    colours = "colours" if has_colours(environment) else "no colours"
+    found = f"TERM {environment.get('TERM') or 'not set'}, {columns} x {rows}, {shapes}, {colours}"
+    if columns < LEAST_COLUMNS or rows < LEAST_ROWS:
+        return Finding(
+            "terminal", "warning", found,
+            f"make the window {USUAL_COLUMNS} x {USUAL_ROWS} or larger before `hilcell tui`",
+        )  # fmt: skip
+    if shapes != "UTF-8":
+        return Finding(
+            "terminal", "warning", found, "set LANG=C.UTF-8 and TERM=xterm-256color for all shapes"
+        )
+    return Finding("terminal", "ok", found)
+
+
+def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
+    """Check the CAN interfaces; a rail behind a gateway, and a simulated one, need none."""
+    found = {
+        each.name: _first_line(each / "operstate")
+        for each in sorted(interfaces.glob("*"))
+        if _first_line(each / "type") == CAN_LINK
+    }
+    if not found:
+        return Finding(
+            "CAN", "ok", "no interface; a rail on SocketCAN needs one, an slcan gateway does not"
+        )
+    down = [name for name, state in found.items() if state not in {"up", "unknown"}]
+    words = ", ".join(f"{name} {state}" for name, state in found.items())
+    if down:
+        return Finding(
+            "CAN", "warning", words, f"sudo ip link set {down[0]} up type can bitrate 500000"
+        )
+    return Finding("CAN", "ok", words)
+
+
+def serial_ports(devices: Path = Path("/dev")) -> Finding:
+    """Check that the adapters of serial lines may be opened."""
+    ports = sorted(str(each) for kind in ADAPTERS for each in devices.glob(kind))
+    closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
+    if closed:
+        return Finding(
+            "serial ports",
+            "warning",
+            f"{', '.join(closed)} may not be opened by this user",
+            DIALOUT,
+        )
+    return Finding("serial ports", "ok", ", ".join(ports) or "none")
+
+
+def loopback() -> Finding:
+    """Check that a program of this PC can listen for another, as the screen and the engine do."""
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = server.getsockname()[1]
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+    except OSError as error:
+        return Finding(
+            "ports", "wrong", f"127.0.0.1 cannot be used: {error.strerror or error}",
+            "allow connections to 127.0.0.1 (sudo ip link set lo up; the firewall)",
+        )  # fmt: skip
+    return Finding("ports", "ok", "127.0.0.1 can be used")
+
+
+def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
+    """Check the folder of runs: that it can be written, its space, and that its disk is local."""
+    folder, where = existing(runs), str(runs.absolute())
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"\0")
+            os.fsync(file.fileno())
+        free = bytes_free(folder)
+    except OSError as error:
+        return Finding(
+            "disk", "wrong", f"{where} cannot be written: {error.strerror}",
+            "choose another folder with --runs",
+        )  # fmt: skip
+    found = f"{where}, {free / 1e9:.2f} GB free"
+    if free < (needed := bytes_needed(USUAL_POINTS)):
+        return Finding(
+            "disk", "wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it"
+        )
+    if (kind := _file_system(folder, mounts)) in SHARED:
+        return Finding(
+            "disk", "wrong", f"{found}, shared over a network ({kind})",
+            "choose a folder of a local disk with --runs: journals need its locks",
+        )  # fmt: skip
+    if free < PLENTY_GB * 1e9:
+        return Finding("disk", "warning", found, f"make {PLENTY_GB:g} GB of room for later runs")
+    return Finding("disk", "ok", found)
+
+
+def _file_system(folder: Path, mounts: Path) -> str:
+    """Return the kind of file system that ``folder`` lies on; "" where it is not known."""
+    lines = [line.split() for line in mounts.read_text("utf-8", "replace").splitlines()] if (
+        mounts.exists()) else []  # fmt: skip
+    # The last mount counts; spaces in names are written as octal numbers (proc(5)).
+    points = {
+        re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), fields[1]): fields[2]
+        for fields in lines if len(fields) > 2
+    }  # fmt: skip
+    resolved = folder.resolve()
+    nearest = next(
+        (str(each) for each in (resolved, *resolved.parents) if str(each) in points), ""
+    )  # fmt: skip
+    return points.get(nearest, "")
+
+
+def clock(runs: Path) -> Finding:
+    """Check the clock by which calibrations age."""
+    now_s = time.time()
+    found = time.strftime("%Y-%m-%d %H:%M:%S %Z", time.localtime(now_s))
+    newest_s = max((each.stat().st_mtime for each in runs.glob("*")), default=0.0)
+    if newest_s > now_s + 60.0:
+        return Finding(
+            "clock", "wrong", f"{found}, earlier than the newest run", "set the clock right"
+        )
+    if not _is_synchronized():
+        return Finding(
+            "clock", "warning", f"{found}, not synchronized",
+            "sudo timedatectl set-ntp true, or set it by hand; calibrations age by it",
+        )  # fmt: skip
+    return Finding("clock", "ok", f"{found}, synchronized")
+
+
+def _is_synchronized() -> bool:
+    """Whether the kernel counts its clock as synchronized (adjtimex(2), nothing is set)."""
+    timex = ctypes.create_string_buffer(512)  # zeros: a question, in more room than it takes
+    return int(ctypes.CDLL(None).adjtimex(timex)) not in {-1, NOT_SYNCHRONIZED}
+
+
+def locks() -> Finding:
+    """Check the folder of the devices' locks."""
+    try:
+        folder, warning = locks_folder()
+    except StorageError as error:
+        found, _, do = str(error).rpartition("; ")
+        return Finding("locks", "wrong", found or do, do if found else "mend its permissions")
+    if warning:
+        found, _, do = warning.rpartition(": ")
+        return Finding("locks", "warning", found, do)
+    return Finding("locks", "ok", str(folder))
+
+
+def pace() -> Finding:
+    """Check how late this PC wakes a program that waits."""
+    late_s = []
+    for _ in range(WAKES):
+        due_s = time.monotonic() + WAKE_S
+        time.sleep(WAKE_S)
+        late_s.append(time.monotonic() - due_s)
+    worst_s = max(late_s)
+    found = f"wakes at most {1e3 * worst_s:.1f} ms late ({WAKES} waits)"
+    if not worst_s <= LATE_S:
+        return Finding("pace", "warning", found, "end other programs: stops come late on a busy PC")
+    return Finding("pace", "ok", found)
+
+
+def browser() -> Finding:
+    """Check for a browser, which only a report as PDF needs."""
+    try:
+        return Finding("browser", "ok", f"{find_browser()} prints reports as PDF")
+    except NotWritten:
+        return Finding(
+            "browser", "warning", "none; reports are written as HTML",
+            "install chromium for `hilcell report -o FILE.pdf`",
+        )  # fmt: skip
+
+
+def _first_line(path: Path) -> str:
+    try:
+        return path.read_text("ascii").strip()
+    except OSError:
+        return ""
 
 
 def _keys() -> Finding:
@@ -89,6 +326,9 @@ def _drivers() -> Finding:
     return Finding("drivers", "ok", found)
 
 
+# -- the places of a cell's devices ---------------------------------------------------------------
+
+
 def _of_cell(where: str, overrides: dict[str, str]) -> Iterator[Finding]:
     """Check the places at which a cell's devices are reached; raises `SettingsError`."""
     cell = load_cell(where, overrides)
@@ -99,16 +339,13 @@ def _of_cell(where: str, overrides: dict[str, str]) -> Iterator[Finding]:
     for place, tables in device_places(cell, {}).items():
         if tables == ["rail"] and not cell.has_rail:
             continue
-        yield _in_use_or(f"{' and '.join(tables)} at {place}", place)
-
-
-def _in_use_or(check: str, place: str) -> Finding:
-    """Check a place unless a run holds it: a connection could disturb that run."""
-    try:
-        with locked(lock_of_device(place), check, "hilcell doctor"):
-            return _place(check, place)
-    except CellLocked as error:
-        return Finding(check, "ok", f"in use: {error}")
+        check = f"{' and '.join(tables)} at {place}"
+        try:  # a connection could disturb a run that holds the place
+            with locked(lock_of_device(place), check, "hilcell doctor"):
+                found = _place(check, place)
+        except CellLocked as error:
+            found = Finding(check, "ok", f"in use: {error}")
+        yield found
 
 
 def _place(check: str, place: str) -> Finding:
@@ -142,8 +379,5 @@ def _file(check: str, port: Path) -> Finding:
     if not port.exists():
         return Finding(check, "wrong", "no such port", "plug its adapter in, or correct channel")
     if not os.access(port, os.R_OK | os.W_OK):
-        return Finding(
-            check, "wrong", "may not be opened by this user",
-            "sudo usermod -a -G dialout $USER, then log in again",
-        )  # fmt: skip
+        return Finding(check, "wrong", "may not be opened by this user", DIALOUT)
     return Finding(check, "ok", "can be opened")

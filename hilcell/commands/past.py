@@ -1,34 +1,59 @@
-"""``runs`` and ``show``: recorded runs, read from their journals."""
+"""The commands that look back: recorded runs, read from their journals, and alarms explained."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
+from difflib import get_close_matches
 from operator import attrgetter, itemgetter
+from pathlib import Path
 
-from hilcell.calibration.in_use import standings_in
+import msgspec
+
+from hilcell.alarms.catalogue import catalogue
+from hilcell.calibration.in_use import standing_of, standings_in
 from hilcell.cell.devices import load_entry
-from hilcell.clean import encodable
-from hilcell.commands.invariants import check
-from hilcell.commands.orders import ListRuns, Show
+from hilcell.clean import encodable, harmless
+from hilcell.commands.orders import Compare, Explain, Export, ListRuns, Report, Revoke, Show
 from hilcell.commands.output import (
+    print_data,
     print_json,
     print_message,
     print_table,
     terminal_columns,
 )
 from hilcell.commands.run_output import left_moving, print_suspected
+from hilcell.invariants.judging import judge
+from hilcell.invariants.tally import INVARIANTS, Break, Proof
+from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
-from hilcell.journal.runs import read_log
+from hilcell.journal.journal import StorageError
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log, read_records
 from hilcell.journal.standing import Standing
+from hilcell.model.events import CalibrationRevoked
+from hilcell.ports import HilcellError
 from hilcell.present.renderers import width_of
 from hilcell.present.table import Column, Table
+from hilcell.report.comparison import (
+    CHANGES,
+    Setting,
+    compare_runs,
+    figure_words,
+    where_words,
+)
+from hilcell.report.facts import Facts, read_facts
+from hilcell.run.cell_lock import lock_of_name, locked
 from hilcell.run.procedure import Procedure
 from hilcell.typed import Json
+from hilcell.writing import CSV, check_output, write_whole
+
+# -- runs and show --------------------------------------------------------------------------------
 
 
 def runs(args: ListRuns) -> int:
@@ -148,6 +173,12 @@ def _facts(standing: Standing) -> Json:
     }
 
 
+_SHOWN = (
+    "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
+    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest", "exit",
+)  # fmt: skip
+
+
 def show(args: Show) -> int:
     """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
@@ -193,7 +224,221 @@ def show(args: Show) -> int:
     return 0
 
 
-_SHOWN = (
-    "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest", "exit",
-)  # fmt: skip
+# -- show --check: the invariants -----------------------------------------------------------------
+
+FIRST = 3  # violations of one invariant that are printed
+
+
+def check(folder: Path, *, as_json: bool) -> int:
+    """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
+    verdicts = judge(read_records(folder))
+    if as_json:
+        found = {name: _proof_facts(verdict) for name, verdict in verdicts.items()}
+        print_json({"run": encodable(folder.name), "invariants": found})
+    else:
+        _print_proofs(verdicts)
+    return 0 if all(verdict.holds for verdict in verdicts.values()) else 1
+
+
+def _proof_facts(verdict: Proof) -> dict[str, object]:
+    return {
+        "holds": verdict.holds,
+        "checked": verdict.checked,
+        "broken": [_place(each) for each in verdict.broken],
+        "unproven": [_place(each) for each in verdict.unproven],
+    }
+
+
+def _place(found: Break) -> dict[str, object]:
+    return {"record": found.seq, "what": encodable(found.what)}
+
+
+def _print_proofs(verdicts: dict[str, Proof]) -> None:
+    columns: list[Column[tuple[str, Proof]]] = [
+        Column("", itemgetter(0)),
+        Column("invariant", lambda row: INVARIANTS[row[0]]),
+        Column("holds", lambda row: _held(row[1])),
+        Column("checked", lambda row: row[1].checked, form="d"),
+    ]
+    print_table(Table(columns, verdicts.items()))
+    for name, verdict in verdicts.items():
+        for word, found in (("broken", verdict.broken), ("not proven", verdict.unproven)):
+            for each in found[:FIRST]:
+                print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
+            if len(found) > FIRST:
+                print_message(f"{name} {word} at {len(found) - FIRST} more records")
+
+
+def _held(verdict: Proof) -> str:
+    """Return the verdict in words; an invariant that was never judged is not claimed."""
+    if not verdict.holds:
+        return "BROKEN"
+    return "yes" if verdict.checked else "not checked"
+
+
+# -- compare --------------------------------------------------------------------------------------
+
+SETTINGS: tuple[Column[Setting], ...] = (
+    Column("differs", attrgetter("key")),
+    Column("first", attrgetter("first")),
+    Column("second", attrgetter("second")),
+)
+
+
+def compare(args: Compare) -> int:
+    """Print the changes from the first run to the second; a drift is no failure of the command."""
+    folders = [find_run(args.runs, name) for name in (args.first, args.second)]
+    if folders[0].resolve() == folders[1].resolve():
+        raise HilcellError(f"run {folders[0].name} is both: two runs are wanted")
+    first, second = (read_log(folder) for folder in folders)
+    lives, other_lives = (live_engine(folder) is not None for folder in folders)
+    found = compare_runs(first, second, live=(lives, other_lives))
+    names = [encodable(folder.resolve().name) for folder in folders]
+    if args.json:
+        changes = [
+            msgspec.to_builtins(each)
+            | {"verdict": each.verdict, "where": where_words(each), "figure": figure_words(each)}
+            for each in found.changes
+        ]
+        head: Json = {"first": names[0], "second": names[1], "verdict": found.verdict}
+        print_json(head | msgspec.to_builtins(found) | {"changes": changes})
+        return 0
+    print_table(Table(SETTINGS, [Setting("run", *names), *found.settings]))
+    print_table(Table(CHANGES, found.changes))
+    for note in found.notes:
+        print_message(f"note: {note}")
+    print_message(found.verdict)
+    return 0
+
+
+# -- report and export ----------------------------------------------------------------------------
+
+
+def report(args: Report) -> int:
+    """Write one self-contained HTML file, or print it to a PDF where it is named so."""
+    from hilcell.report.html import PARTS, report_html
+    from hilcell.report.pdf import find_browser, pages_of, pdf_of
+
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=_files(folder))
+    browser = find_browser() if place.suffix.lower() == ".pdf" else ""
+    facts = read_facts(folder)
+    html = report_html(facts)
+    if browser:  # once to see on which page each part begins, once to say so
+        html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
+    content = pdf_of(html, browser) if browser else html.encode()
+    write_whole(place, content, inputs=_files(folder))
+    _say_written("report", facts, folder, args.output)
+    return 0
+
+
+_NAMED = {
+    "csv": (CSV, "CSV"),
+    "xlsx": ((".xlsx",), "a workbook"),
+    "json": ((".json",), "JSON"),
+    "dcc": ((".xml", ".dcc"), "a DCC"),
+}
+
+
+def export(args: Export) -> int:
+    """Write points as CSV, tables as a workbook, the certificate as a DCC, or all as JSON."""
+    from hilcell.report.dcc import dcc_bytes
+    from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
+
+    forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes, "dcc": dcc_bytes}
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    suffixes, what = _NAMED[args.form]
+    check_output(place, suffixes, what, inputs=_files(folder))
+    facts = read_facts(folder)
+    write_whole(place, forms[args.form](facts), inputs=_files(folder))
+    _say_written(args.form, facts, folder, args.output)
+    return 0
+
+
+def _say_written(what: str, facts: Facts, folder: Path, output: str) -> None:
+    print_message(f"{what} of run {facts.run} in {output}")
+    if facts.log.state != "finished":
+        state = row_of(folder).condition
+        print_message(f"the run is {state}, not finished: it holds what was measured so far")
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what a run is made of: none of it can be made again from the others."""
+    return [*folder.glob(f"{JOURNAL}*"), folder / CALIBRATION]
+
+
+# -- explain --------------------------------------------------------------------------------------
+
+NEAREST = 3
+
+
+def explain(args: Explain) -> int:
+    """Print one entry of the catalogue; an unknown code with those that are most like it."""
+    known = catalogue()
+    named = re.sub(r"^HC(?=[A-Z])", "HC-", args.code.upper())
+    if named not in known:
+        nearest = ", ".join(get_close_matches(args.code.upper(), known, NEAREST, 0.0))
+        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; the nearest known: {nearest}")
+    entry = known[named]
+    facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
+    if args.json:
+        print_json(facts)
+    else:
+        steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
+        print_data("\n".join([f"{entry.code} {entry.title}", entry.means, *steps]))
+    return 0
+
+
+# -- revoke ---------------------------------------------------------------------------------------
+
+
+def revoke(args: Revoke) -> int:
+    """Revoke the calibration of a run, and name the one that is current then."""
+    folder = find_run(args.runs, args.run)
+    log = read_log(folder)
+    if not log.calibrates or live_engine(folder) is not None:
+        raise HilcellError(
+            f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
+        )
+    if before := row_of(folder).facts.revoked:
+        raise HilcellError(
+            f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
+        )
+    cell = f"cell {log.cell.name}"
+    _check_permission(folder)
+    with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):
+        name = encodable(folder.name)
+        again = f"hilcell revoke {name}"
+        journal = RunJournal(folder / JOURNAL, name, create=False, again=again)
+        try:
+            revoked = CalibrationRevoked(reason=args.reason, operator=args.operator)
+            journal.append("event", "", revoked)
+        finally:
+            journal.close()
+    standing = standing_of(folder.resolve())
+    current = standing.current
+    if args.json:
+        print_json({"run": folder.name, "reason": args.reason, "current": current or None})
+        return 0
+    machine = f" ({standing.machine})" if standing.machine else ""
+    none = f"{cell}{machine} has no current calibration any more"
+    left = f"current is {current}" if current else none
+    print_message(f"the calibration of run {folder.name} is revoked; {left}")
+    return 0
+
+
+def _check_permission(folder: Path) -> None:
+    """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
+    for place in (folder / JOURNAL, folder, folder.resolve().parent):
+        if os.statvfs(place).f_flag & os.ST_RDONLY:
+            raise StorageError(
+                f"run {folder.name}: its calibration is not revoked: {place} lies on a read-only "
+                f"file system; mount it for writing, then `hilcell revoke "
+                f"{encodable(folder.name)}` again"
+            )
+        if not os.access(place, os.W_OK):
+            raise StorageError(
+                f"run {folder.name}: its calibration is not revoked: no permission to write "
+                f"{place}; ask the owner of that for it, or revoke as the owner, then "
+                f"`hilcell revoke {encodable(folder.name)}` again"
+            )

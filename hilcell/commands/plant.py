@@ -1,9 +1,14 @@
-"""``plant``: records of all cells in one database: make it, ship runs to it, ask it."""
+"""``plant``: records of all cells in one database: make it, ship runs to it, ask it.
+
+Of one cell's record, what an auditor gets is exported, signed by the plant, and verified.
+"""
 
 from __future__ import annotations
 
+import getpass
 import importlib.util
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,7 +20,7 @@ import msgspec
 
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean, encodable, harmless, harmless_lines
-from hilcell.commands.orders import PlantInit, PlantShip, PlantShow
+from hilcell.commands.orders import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
 from hilcell.commands.output import (
     print_answer,
     print_data,
@@ -25,7 +30,7 @@ from hilcell.commands.output import (
 )
 from hilcell.errors import HilcellError
 from hilcell.present.table import Column, Table
-from hilcell.run.exits import EXIT_OK, EXIT_STORAGE
+from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
@@ -36,6 +41,7 @@ if TYPE_CHECKING:
     from hilcell.plant.robots import Change, Drift, RobotCourse
     from hilcell.plant.shipper import Behind
 
+
 URL = "HILCELL_PLANT"
 PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
 NAMED = 3  # runs, in a message
@@ -43,7 +49,7 @@ NAMED = 3  # runs, in a message
 
 def init(args: PlantInit) -> int:
     """Make the tables of a plant's database, where they are not there."""
-    with closing(open_database(args.plant)) as database:
+    with closing(_open_database(args.plant)) as database:
         before = database.make()
     from hilcell.plant.tables import HEAD
 
@@ -60,7 +66,7 @@ def ship(args: PlantShip) -> int:
     """Ship the runs of a folder that are over; exit code 7 where one could not be."""
     from hilcell.plant.shipper import ship as ship_runs
 
-    with closing(open_database(args.plant)) as database:
+    with closing(_open_database(args.plant)) as database:
         done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
@@ -108,7 +114,7 @@ def _behind_words(behind: Mapping[str, Behind]) -> str:
 
 def show(args: PlantShow) -> int:
     """Show what the plant's records say of cells, robots, stations, instruments and alarms."""
-    with closing(open_database(args.plant)) as database:
+    with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
             found = _answers(connection, args)
@@ -128,7 +134,7 @@ def show(args: PlantShow) -> int:
     return EXIT_OK
 
 
-def require_packages(names: Sequence[str]) -> None:
+def _require_packages(names: Sequence[str]) -> None:
     """Raise `HilcellError` where optional packages are missing."""
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
@@ -138,9 +144,9 @@ def require_packages(names: Sequence[str]) -> None:
         )
 
 
-def open_database(url: str | None) -> Database:
+def _open_database(url: str | None) -> Database:
     """Return the database; raises `HilcellError` where the packages or the URL are missing."""
-    require_packages(PACKAGES)
+    _require_packages(PACKAGES)
     url = url or os.environ.get(URL, "")
     if not url:
         raise HilcellError(
@@ -275,3 +281,66 @@ def _print_robots(robots: list[RobotCourse]) -> None:
             who = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
             print_data(f"{who}: no drift stated of {what}: {reason}")
     print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
+
+
+# -- export and verify ----------------------------------------------------------------------------
+
+SIGNING = ("cryptography",)
+
+
+def export(args: PlantExport) -> int:
+    """Write a cell's record with a signed manifest."""
+    _require_packages(SIGNING)
+    from hilcell.plant.export import export as export_cell
+    from hilcell.plant.signing import read_private_key
+
+    key = read_private_key(args.key, _passphrase)
+    with closing(_open_database(args.plant)) as database:
+        database.check()
+        with database.transaction() as connection:
+            found = export_cell(connection, args.cell, args.serial, args.out, key)
+    simulated = f", {found.simulated_runs} of them simulated" if found.simulated_runs else ""
+    print_answer(
+        {"cell": found.cell, "serials": found.serials, "runs": found.runs,
+         "files": len(found.files), "key": found.key, "out": harmless(str(args.out))},
+        f"cell {harmless(found.cell)}: {found.runs} records of runs{simulated}, "
+        f"{len(found.files)} files written to {harmless(str(args.out))}, signed by {found.key}",
+        as_json=args.json,
+    )  # fmt: skip
+    return EXIT_OK
+
+
+def verify(args: PlantVerify) -> int:
+    """Verify an exported record; exit code 1 where a file differs, is missing or is extra."""
+    _require_packages(SIGNING)
+    from hilcell.plant.audit import verify as verify_record
+    from hilcell.plant.signing import read_public_key
+
+    manifest, findings = verify_record(args.record, read_public_key(args.public_key))
+    for each in findings:
+        print_message(f"{harmless(each.file)}: {harmless(each.what)}")
+    count = len(manifest.files)
+    are = "1 file is not as it was" if len(findings) == 1 else (
+        f"{len(findings)} files are not as they were"
+    )  # fmt: skip
+    words = f"{are} signed" if findings else (
+        f"all {count} files are as they were signed"
+    )  # fmt: skip
+    print_answer(
+        {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
+         "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,
+         "findings": {encodable(each.file): encodable(each.what) for each in findings}},
+        f"cell {harmless(manifest.cell)}: {words}, on {harmless(manifest.made)} by {manifest.key}",
+        as_json=args.json,
+    )  # fmt: skip
+    return EXIT_OUT_OF_TOLERANCE if findings else EXIT_OK
+
+
+def _passphrase() -> bytes | None:
+    """Ask for the passphrase of an encrypted key, where somebody is there to be asked."""
+    if not (sys.stdin is not None and sys.stdin.isatty()):
+        return None
+    try:
+        return getpass.getpass("passphrase of the key: ").encode()
+    except (EOFError, UnicodeError):  # nothing that could be one
+        return b""

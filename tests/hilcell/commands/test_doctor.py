@@ -18,7 +18,7 @@ import pytest
 
 from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.addresses import THIS_MACHINE
-from hilcell.commands import this_pc
+from hilcell.commands import doctor
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.cell.packages import install
 from tests.whole.bench import command
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.waits
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(this_pc, "WAKES", 2)
+    monkeypatch.setattr(doctor, "WAKES", 2)
 
 
 def checks(folder: Path, *words: str) -> dict[str, dict[str, Any]]:
@@ -68,12 +68,12 @@ def test_every_act_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_python_and_its_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(this_pc, "requires", lambda _: ["numpy>=2.0", "nosuchpackage<6,>=5"])
-    found = this_pc.python()
+    monkeypatch.setattr(doctor, "requires", lambda _: ["numpy>=2.0", "nosuchpackage<6,>=5"])
+    found = doctor.python()
     assert (found.state, found.found.rpartition(" ")[2]) == ("wrong", "nosuchpackage")
-    monkeypatch.setattr(this_pc, "requires", lambda _: [])
-    monkeypatch.setattr(this_pc, "LEAST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
-    assert this_pc.python().state == "wrong"
+    monkeypatch.setattr(doctor, "requires", lambda _: [])
+    monkeypatch.setattr(doctor, "LEAST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
+    assert doctor.python().state == "wrong"
 
 
 @pytest.mark.parametrize("group", ["robots", "simulated_rails", "program_writers", "alarms"])
@@ -102,7 +102,7 @@ def test_a_part_of_a_driver_that_cannot_be_loaded_is_named(
     ],
 )
 def test_terminals(environment: dict[str, str], columns: int, rows: int, state: str) -> None:
-    assert this_pc.terminal(environment, columns, rows).state == state
+    assert doctor.terminal(environment, columns, rows).state == state
 
 
 @pytest.mark.parametrize(("operstate", "state"), [("up", "ok"), ("down", "warning")])
@@ -111,7 +111,7 @@ def test_can_interfaces(tmp_path: Path, operstate: str, state: str) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "type").write_text(f"{kind}\n")
         (tmp_path / name / "operstate").write_text(f"{operstate}\n")
-    found = this_pc.can(tmp_path)
+    found = doctor.can(tmp_path)
     assert (found.state, found.found) == (state, f"can7 {operstate}")
     assert ("can7" in found.do) is (state == "warning")
 
@@ -122,21 +122,21 @@ def test_a_serial_port_that_may_not_be_opened_is_named(
     port = tmp_path / "ttyUSB0"
     port.touch()
     channel = f'rail.options.channel="{port}"'
-    assert this_pc.serial_ports(tmp_path).state == "ok"
+    assert doctor.serial_ports(tmp_path).state == "ok"
     assert of_cell(tmp_path, channel)[str(port)]["state"] == "ok"
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != port or mode == os.R_OK)
-    assert str(port) in this_pc.serial_ports(tmp_path).found
-    assert this_pc.serial_ports(tmp_path).state == "warning"
+    assert str(port) in doctor.serial_ports(tmp_path).found
+    assert doctor.serial_ports(tmp_path).state == "warning"
     assert of_cell(tmp_path, channel)[str(port)]["state"] == "wrong"
 
 
 def test_a_shared_disk_is_wrong(tmp_path: Path) -> None:
     mounts = tmp_path / "mounts"
     mounts.write_text(f"/dev/sda / ext4 rw 0 0\nserver:/x {tmp_path.resolve()} nfs4 rw 0 0\n")
-    found = this_pc.disk(tmp_path, mounts)
+    found = doctor.disk(tmp_path, mounts)
     assert (found.state, "nfs4" in found.found) == ("wrong", True)
     mounts.write_text("/dev/sda / ext4 rw 0 0\n")
-    assert this_pc.disk(tmp_path, mounts).state == "ok"
+    assert doctor.disk(tmp_path, mounts).state == "ok"
 
 
 def test_the_nearest_mount_counts_whatever_its_name(tmp_path: Path) -> None:
@@ -145,9 +145,9 @@ def test_the_nearest_mount_counts_whatever_its_name(tmp_path: Path) -> None:
     (share / "more").mkdir(parents=True)
     written = str(share).replace(" ", r"\040")
     mounts.write_text(f"/dev/sda / ext4 rw 0 0\nserver:/x {written} cifs rw 0 0\n")
-    assert this_pc.disk(share / "more", mounts).state == "wrong"
+    assert doctor.disk(share / "more", mounts).state == "wrong"
     mounts.write_text(f"server:/ / nfs rw 0 0\n/dev/sdb {written} ext4 rw 0 0\n")
-    assert this_pc.disk(share / "more", mounts).state == "ok"
+    assert doctor.disk(share / "more", mounts).state == "ok"
 
 
 @pytest.mark.parametrize(
@@ -159,17 +159,17 @@ def test_a_disk_needs_room_for_a_run_and_should_have_a_gigabyte(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_bytes: int, state: str
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes))
-    assert this_pc.disk(tmp_path, tmp_path / "no mounts").state == state
+    assert doctor.disk(tmp_path, tmp_path / "no mounts").state == state
     file = tmp_path / "file"
     file.touch()
-    assert this_pc.disk(file / "runs").state == "wrong"
+    assert doctor.disk(file / "runs").state == "wrong"
 
 
 def test_a_clock_behind_the_newest_run_is_wrong(tmp_path: Path) -> None:
-    assert this_pc.clock(tmp_path).state != "wrong"
+    assert doctor.clock(tmp_path).state != "wrong"
     (tmp_path / "run").mkdir()
     os.utime(tmp_path / "run", (time.time() + 3600.0,) * 2)
-    assert this_pc.clock(tmp_path).state == "wrong"
+    assert doctor.clock(tmp_path).state == "wrong"
 
 
 @pytest.mark.parametrize(("answer", "state"), [(0, "ok"), (5, "warning"), (-1, "warning")])
@@ -178,12 +178,12 @@ def test_a_clock_that_nothing_sets_is_named(
 ) -> None:
     kernel = SimpleNamespace(adjtimex=lambda _: answer)
     monkeypatch.setattr(ctypes, "CDLL", lambda _: kernel)
-    assert this_pc.clock(tmp_path).state == state
+    assert doctor.clock(tmp_path).state == state
 
 
 def test_a_pc_that_wakes_late_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(this_pc, "LATE_S", 0.0)
-    assert this_pc.pace().state == "warning"
+    monkeypatch.setattr(doctor, "LATE_S", 0.0)
+    assert doctor.pace().state == "warning"
 
 
 def test_a_device_that_listens_is_reached_and_one_in_use_is_left_alone(tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ import msgspec
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.commands.encoding import in_ascii, never_fail_to_encode
-from hilcell.commands.output import print_json, print_message
+from hilcell.commands.output import in_ascii, never_fail_to_encode, print_json, print_message
 from hilcell.commands.run_output import JsonOutput
 from hilcell.journal.journal import Record
 from tests.hilcell.report.journals import Writer, validated_run

@@ -107,7 +107,7 @@ def test_a_changed_journal_is_refused(run: GoldenRun, tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written(
     where: str, run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr("hilcell.commands.report.read_facts")  # refused before anything is read
+    monkeypatch.delattr("hilcell.commands.past.read_facts")  # refused before anything is read
     done = command("report", run.folder, "-o", tmp_path / where)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert list(tmp_path.iterdir()) == []
@@ -212,7 +212,7 @@ def test_without_a_browser_no_pdf_is_printed(
     run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delattr("hilcell.commands.report.read_facts")  # refused before anything is read
+    monkeypatch.delattr("hilcell.commands.past.read_facts")  # refused before anything is read
     done = command("report", run.folder, "-o", tmp_path / "x.pdf")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert list(tmp_path.iterdir()) == []
