@@ -31,10 +31,8 @@ from benchmarks.words import parser
 from drivers.leica import emscon
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
-from hilcell.journal.engine_file import EngineFile
-from hilcell.journal.log import Log
-from hilcell.journal.run_journal import RunJournal
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.log import Log, RunJournal
+from hilcell.journal.runs import JOURNAL, EngineFile
 from hilcell.model.plan import PlanRecord, Step
 from hilcell.model.point import PointId
 from hilcell.ports import SimulatedCell

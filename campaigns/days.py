@@ -27,8 +27,7 @@ from hilcell.calibration.grid import grid_of
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import matrix
-from hilcell.journal.log import Log
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import Log, RunJournal
 from hilcell.journal.runs import JOURNAL
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId

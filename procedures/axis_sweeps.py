@@ -13,8 +13,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.motion import SweepStream
-from hilcell.identification.sweeps import SweptAxis, swept_axis
-from hilcell.journal.curve_record import curve_measured
+from hilcell.identification.sweeps import SweptAxis, curve_measured, swept_axis
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair

@@ -23,8 +23,7 @@ from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.journal.log import Log
-from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.log import Log, noise_at, run_noise
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId, Sent
 from hilcell.model.results import ActResult

@@ -30,8 +30,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.rigidity import SIGMAS, Moved, moved_points
 from hilcell.geometry.statistics import coverage_factor, f_quantile, lengths_mm, rms
-from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.log import Log, noise_at, positions_mm, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
 from hilcell.model.plan import Span, Step
 from hilcell.model.point import Point, PointId

@@ -33,8 +33,7 @@ from hilcell.calibration.influence import no_less_than_nought
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import Log, commanded_rad, positions_mm
-from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.log import Log, commanded_rad, noise_at, positions_mm, run_noise
 from hilcell.journal.set_ups import PROOFS
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause, Suspicion

@@ -20,8 +20,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
-from hilcell.journal.log import Log, positions_mm, repeated_visits
-from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.log import Log, noise_at, positions_mm, repeated_visits, run_noise
 from hilcell.model.point import Point, Sent
 from hilcell.ports import Array
 

@@ -32,7 +32,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.identification.readings import Readings
-from hilcell.journal.curve_record import curve_of
+from hilcell.identification.sweeps import curve_of
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId
 from hilcell.ports import HilcellError

@@ -17,11 +17,10 @@ from hilcell.commands.run_output import (
     kind_of,
     left_moving,
 )
-from hilcell.journal.engine_file import live_engine
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import JOURNAL, live_engine
 from hilcell.run.control import Command, order
 from hilcell.run.exits import EXIT_ABORTED
 

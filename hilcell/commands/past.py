@@ -28,13 +28,11 @@ from hilcell.commands.output import (
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.invariants.judging import judge
 from hilcell.invariants.tally import INVARIANTS, Break, Proof
-from hilcell.journal.engine_file import live_engine
-from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import clock_notes
-from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
+from hilcell.journal.index import UNREADABLE, RunRow, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
-from hilcell.journal.run_journal import RunJournal
-from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log, read_records
+from hilcell.journal.log import RunJournal
+from hilcell.journal.runs import CALIBRATION, JOURNAL, live_engine, read_log, read_records
 from hilcell.journal.standing import Standing
 from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError

@@ -19,10 +19,9 @@ from hilcell.commands.run_output import (
     print_unclosed,
     print_warnings,
 )
-from hilcell.journal.engine_file import live_engine
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.log import Log
-from hilcell.journal.runs import read_log
+from hilcell.journal.runs import live_engine, read_log
 from hilcell.journal.runs_folder import runs_option
 from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError

@@ -17,8 +17,8 @@ from hilcell.geometry.statistics import coverage_factor
 from hilcell.invariants.motions import FUTURE_S, Motions
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
 from hilcell.invariants.tally import Proof, Tally
-from hilcell.journal.asset import same
 from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.log import other_assets
 from hilcell.journal.states import OVER, WAITING
 from hilcell.model.events import (
     AlarmsAcknowledged,
@@ -386,8 +386,7 @@ class Identities:
         now = {each.kind: each for each in event.devices}
         hilcell = event.hilcell
         if self._before:
-            kinds = self._before.keys() | now.keys()
-            changed = [k for k in sorted(kinds) if not same(self._before.get(k), now.get(k))]
+            changed = other_assets(self._before, now)
             changed += ["hilcell"] if self._hilcell not in ("", hilcell) else []
             what = f"changed, and nobody has accepted it: {', '.join(changed)}"
             self._check("I18", record, self._accepted or not changed, what)

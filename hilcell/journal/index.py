@@ -1,4 +1,4 @@
-"""An index over all runs, derived from their journals, for a history to show and to filter.
+"""An index over all runs, derived from their journals: a history shows it, runs are found by it.
 
 It is one file in the folder of runs that may be deleted at any time. A journal is always right
 against it: a row counts only while the journal is the very file that it was read from; a run
@@ -22,11 +22,19 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.errors import one_line
+from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
 from hilcell.journal.folder_order import SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
-from hilcell.journal.runs import JOURNAL, read_records, unusable
+from hilcell.journal.runs import (
+    FETCH,
+    JOURNAL,
+    is_run,
+    live_engine,
+    read_records,
+    run_folders,
+    unusable,
+)
 from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import Connected
 from hilcell.model.plan import FolderOrder, PlanRecord
@@ -148,10 +156,52 @@ def read_index(runs: Path) -> list[RunRow]:
     return in_order(rows.values())[::-1]
 
 
+def find_run(runs: Path, name: str) -> Path:
+    """Return the folder of the run with this name, or that begins so, or of the ``last`` one.
+
+    The last one is by the order of runs, which no clock decides. Raises `HilcellError` where none
+    or several are meant.
+    """
+    if name and is_run(Path(name)):
+        return Path(name)
+    folders = run_folders(runs)
+    if name == "last" and folders:
+        return runs / read_index(runs)[0].name
+    meant = [folder for folder in folders if folder.name == name]
+    meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise HilcellError(
+            f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
+            code="HC-J09",
+        )
+    if Path(name).parts:  # neither "" nor "."
+        _check_journal(runs / name)
+    newest = ", ".join(row.name for row in read_index(runs)[2::-1]) or "none"
+    raise HilcellError(
+        f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
+        code="HC-J09",
+    )
+
+
+def _check_journal(folder: Path) -> None:
+    """Raise `StorageError` where a run's folder has lost its journal."""
+    journal = folder / JOURNAL
+    if _is_folder(journal):
+        raise StorageError(f"journal {journal}: it is a folder, wanted a file; {FETCH}")
+    if folder.name and _is_folder(folder):
+        raise StorageError(f"journal {journal}: no such file in the folder of the run; {FETCH}")
+
+
+def _is_folder(path: Path) -> bool:
+    with suppress(OSError):  # a name that no file can have
+        return path.is_dir()
+    return False
+
+
 def row_of(folder: Path) -> RunRow:
     """Return one run's row, read from its journal."""
-    from hilcell.journal.engine_file import live_engine
-
     try:
         row = row_of_records(folder.name, read_records(folder))
     except Exception as error:  # noqa: BLE001 - whatever a run's folder holds, it stops no other run

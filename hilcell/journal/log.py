@@ -7,18 +7,27 @@ from it, so a result can always be rebuilt.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterable, Iterator, MutableMapping, Sequence
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    MutableMapping,
+    Sequence,
+)
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, TypeVarTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar, TypeVarTuple
 
 import msgspec
 import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
+from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.statistics import reading_variances_mm2
-from hilcell.journal.journal import NeverBegan, Record
-from hilcell.journal.packed import Packed
+from hilcell.journal.journal import Body, Journal, NeverBegan, Record
 from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.model.events import (
@@ -38,23 +47,25 @@ from hilcell.model.events import (
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CONTROL, Point, PointId
-from hilcell.model.records import Change, Ended, Intended, StateChanged
+from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
 from hilcell.model.verdicts import Fitted, Judged, Rechecked, Touched, Verdict
 from hilcell.ports import Array
-from hilcell.typed import Json, typed
+from hilcell.typed import Json, learn, typed
 
-if TYPE_CHECKING:
-    from hilcell.journal.journal import Record
-
-
-# A motion has come to its end where a point or another motion follows it in the same session.
-
+T = TypeVar("T")
+E = TypeVar("E", bound=Event)
+F = TypeVar("F", bound=Frame)
+V = TypeVar("V", bound=Verdict)
+Args = TypeVarTuple("Args")
 SAME_DEG = 1.0  # of each axis: corrections and approaches turn less
 SAME_MM = 5.0  # of the slide
 
 
 class Driven:
-    """Takes a run's records in their order."""
+    """Takes a run's records in their order.
+
+    A motion has come to its end where a point or another motion follows it in the same session.
+    """
 
     def __init__(self) -> None:
         self._ends = array("d")  # of each seven: the strip's reading, six joints in deg
@@ -87,17 +98,6 @@ class Driven:
         return bool(near.any())
 
 
-T = TypeVar("T")
-E = TypeVar("E", bound=Event)
-F = TypeVar("F", bound=Frame)
-V = TypeVar("V", bound=Verdict)
-Args = TypeVarTuple("Args")
-
-
-class _Row(Point, frozen=True, kw_only=True, array_like=True):
-    """A point as the log packs it."""
-
-
 class Ordered(NamedTuple):
     """A motion that was ordered, to a point (its key) or a place."""
 
@@ -118,13 +118,47 @@ class CutOff(msgspec.Struct, frozen=True):
     began: int
 
 
+class _Row(Point, frozen=True, kw_only=True, array_like=True):
+    """A point as the log packs it: without the names of its fields."""
+
+
+class _Packed(MutableMapping[str, Point]):
+    """Points by key, packed: those of a month would take 3 kB each as objects, and take 0.5 kB.
+
+    Each access gives a new object, equal to the one that was set.
+    """
+
+    def __init__(self) -> None:
+        learn(_Row)
+        self._encoder, self._decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Row)
+        self._rows: dict[str, bytes] = {}
+
+    def __getitem__(self, key: str) -> Point:
+        return self._decoder.decode(self._rows[key])
+
+    def __setitem__(self, key: str, value: Point) -> None:
+        self._rows[key] = self._encoder.encode(typed(value, _Row, from_attributes=True))
+
+    def __delitem__(self, key: str) -> None:
+        del self._rows[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._rows
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
 class Log:
     """The journal so far. ``take`` adds one record. ``packed`` points take little memory."""
 
     def __init__(self, records: Iterable[Record] = (), *, packed: bool = True) -> None:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
-        self.points: MutableMapping[str, Point] = Packed(_Row) if packed else {}
+        self.points: MutableMapping[str, Point] = _Packed() if packed else {}
         self.repeated: dict[str, list[Point]] = {}  # earlier measurements of targets, by key
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
         self.changed: dict[str, int] = {}  # by point: number of the record that made it as it is
@@ -429,6 +463,32 @@ class Log:
         return self.frames[frame].T
 
 
+class Records(Protocol):
+    """Takes the records of a run; ``path`` is in the folder that takes its streams."""
+
+    log: Log
+    path: Path
+
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
+        """Keep one record, apply it to the log and return it; raises `NotFinite`."""
+
+
+class RunJournal(Journal):
+    """The journal of a run, open for writing, and its log, which are one.
+
+    Each appended record is applied to the log. That has what the file held before, so a resumed run
+    is set up as a new one is.
+    """
+
+    def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
+        self.log = Log()
+        super().__init__(path, run, create=create, again=again)
+
+    def _take(self, record: Record) -> None:
+        self.log.take(record)
+        super()._take(record)
+
+
 def positions_mm(points: Iterable[Point]) -> Array:
     """Return the raw positions (N, 3) in the tracker's frame."""
     return np.array([point.xyz_mm for point in points]).reshape(-1, 3)
@@ -458,3 +518,44 @@ def covariances_mm2(points: Sequence[Point], R: Array) -> Array:
     """Return the covariances (N, 3, 3) of the averaged readings, turned by ``R`` (3, 3)."""
     turned: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2(points), R)
     return turned
+
+
+def run_noise(log: Log) -> BeamNoise:
+    """Return the noise of readings, from the scatter that all points of a run state."""
+    return log.once_measured(_run_noise)
+
+
+def _run_noise(log: Log) -> BeamNoise:
+    points = list(log.points.values())
+    std_mm = [point.std_mm for point in points]
+    return beam_noise(positions_mm(points), std_mm, [point.samples for point in points])
+
+
+def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
+    """Return the covariances (N, 3, 3) of points' averaged readings, the tracker's axes."""
+    return noise.at(positions_mm(points), [point.samples for point in points])
+
+
+def other_assets(before: Mapping[str, Asset], now: Mapping[str, Asset]) -> list[str]:
+    """Return the kinds of assets that are not the same ones now; both are by kind.
+
+    A firmware that was not stated once proves nothing.
+    """
+
+    def same(one: Asset, other: Asset) -> bool:
+        known = (one.maker, one.model, one.serial) == (other.maker, other.model, other.serial)
+        return known and (one.firmware == other.firmware or "" in (one.firmware, other.firmware))
+
+    there = before.keys() & now.keys()
+    return sorted(
+        kind
+        for kind in before.keys() | now.keys()
+        if kind not in there or not same(before[kind], now[kind])
+    )
+
+
+def differing(first: list[Asset], second: list[Asset]) -> list[tuple[Asset, Asset]]:
+    """Return the assets of one kind that are not the same ones in both runs, by serial number."""
+    there = {asset.kind: asset for asset in second}
+    pairs = ((one, there[one.kind]) for one in first if one.kind in there)
+    return [pair for pair in pairs if pair[0].serial != pair[1].serial]

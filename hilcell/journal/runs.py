@@ -1,16 +1,22 @@
-"""The folder of runs: one folder a run, with a journal in it."""
+"""The folder of runs: one folder a run, with a journal in it, and the room on its disk.
+
+While an engine writes a run's journal, a file beside it says where that engine listens.
+"""
 
 from __future__ import annotations
 
+import errno
 import re
 import secrets
+import socket
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from hilcell.errors import HilcellError, one_line
-from hilcell.journal.engine_file import ENGINE
 from hilcell.journal.journal import (
     NeverBegan,
     Record,
@@ -18,13 +24,17 @@ from hilcell.journal.journal import (
     is_there,
     read_journal,
 )
+from hilcell.typed import decoded
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
+
 JOURNAL = "journal.sqlite"
 CALIBRATION = "calibration.json"
-_GIVEN = re.compile(r"\d{8}-\d{6}-.+-[0-9a-f]{4}")  # by `new_run`
+ENGINE = "engine.json"  # while the run's engine lives
+LARGEST_ENGINE = 2**16  # bytes of that file
+ANSWER_S = 5.0  # of an engine
 FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
 
@@ -37,7 +47,8 @@ def short_run(run: str) -> str:
     """Return the part of a run's name that tells it from others: its own name, or the end of one
     that `new_run` gave.
     """
-    return run[-4:] if _GIVEN.fullmatch(run) else run
+    given = re.fullmatch(r"\d{8}-\d{6}-.+-[0-9a-f]{4}", run)
+    return run[-4:] if given else run
 
 
 def make_folder(folder: Path) -> None:
@@ -119,3 +130,107 @@ def read_records(folder: Path) -> list[Record]:
         f"run {folder.name} never began: it died before the first record of {journal}; "
         "start a new run with `hilcell run`"
     )
+
+
+# -- the engine of a run ---------------------------------------------------------------------------
+
+
+class EngineFile(msgspec.Struct, frozen=True):
+    """Where a live engine listens, and the folder of its run; "" is not known."""
+
+    pid: int
+    socket: str
+    folder: str = ""
+
+
+def read_engine_file(folder: Path) -> EngineFile | None:
+    """Return where an engine of a run has listened last; None where the file says nothing.
+
+    That of a copied folder speaks of the original's engine, which moves the machine.
+    """
+    engine = _stated(folder)
+    if engine is None or not engine.folder:
+        return engine
+    first = Path(engine.folder)  # a copied folder's still has the file, a moved one's has not
+    try:
+        return None if not first.samefile(folder) and _stated(first) == engine else engine
+    except (OSError, ValueError):  # a name that no file can have
+        return engine
+
+
+def _stated(folder: Path) -> EngineFile | None:
+    try:
+        if not is_there(folder / ENGINE):
+            return None  # opening a pipe may never end
+        with (folder / ENGINE).open("rb") as file:
+            return decoded(file.read(LARGEST_ENGINE), EngineFile)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def live_engine(folder: Path) -> EngineFile | None:
+    """Return where the engine of a run listens, or None where none lives.
+
+    One whose process stands still lives: it moves again as soon as it goes on.
+    """
+    engine = read_engine_file(folder)
+    if engine is None:
+        return None
+    with socket.socket(socket.AF_UNIX) as link:
+        link.settimeout(ANSWER_S)
+        try:
+            link.connect(engine.socket)
+        except (BlockingIOError, TimeoutError):
+            return engine  # it lives, and takes nobody any more
+        except (OSError, ValueError):
+            return None
+    return engine
+
+
+# -- room on the disk ------------------------------------------------------------------------------
+
+# A quick calibration of 308 points wrote a journal of 647 kB, and 1.2 MB in all: with its streams,
+# its calibration and the index.
+POINT_BYTES, MARGIN, LEAST_BYTES = 4_000, 3, 20_000_000
+
+
+def bytes_needed(points: int) -> int:
+    """Return how much room a run of so many planned points needs."""
+    return max(LEAST_BYTES, MARGIN * POINT_BYTES * points)
+
+
+def bytes_free(folder: Path) -> int:
+    """Return the room on the disk of a folder, which may be yet to be made; raises `OSError`."""
+    import shutil  # a list of runs does without
+
+    return shutil.disk_usage(existing(folder)).free
+
+
+def existing(folder: Path) -> Path:
+    """Return the folder, or the nearest above it that exists."""
+    whole = folder.absolute()
+    return next(each for each in (whole, *whole.parents) if each.exists())
+
+
+def can_be_made(folder: Path) -> bool:
+    """Whether a folder can be made and written in, were there room for it."""
+    import tempfile
+
+    try:
+        Path(tempfile.mkdtemp(prefix=".hilcell-", dir=existing(folder))).rmdir()
+    except OSError as error:
+        return error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return True
+
+
+def check_space(runs: Path, points: int) -> None:
+    """Refuse a run that its disk has no room for; raises `HilcellError`."""
+    with suppress(OSError):  # a folder that cannot be looked at is refused where it is made
+        free, wanted = bytes_free(runs), bytes_needed(points)
+        if free < wanted and can_be_made(runs):
+            raise HilcellError(
+                f"folder of runs {runs.absolute()}: {free / 1e6:.1f} MB of its disk are free, "
+                f"wanted {wanted / 1e6:.1f} MB for a run of {points} points; make room, or choose "
+                "a folder of another disk with --runs",
+                code="HC-J15",
+            )

@@ -1,12 +1,14 @@
-"""The words of procedures, steps, events, and of texts with every key in them replaced by words.
+"""Words for people: of procedures, steps, events and times, and texts with words for every key.
 
 Errors name a point by its key: ``measure grid/1-0-0``. Raw keys are for the log and for the details
-of a point; everywhere else the screen says *grid point 1-0-0 at S1100*.
+of a point; everywhere else the screen says *grid point 1-0-0 at S1100*. Journals are dated in UTC;
+times of day are said in a zone, too.
 """
 
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
 
 from hilcell.journal.log import Log
 from hilcell.model.events import Event, OtherEvent, StepBegun
@@ -105,3 +107,39 @@ def happened_words(event: Event | OtherEvent, log: Log) -> str:
         has_rail = log.plan is None or log.cell.has_rail
         return event.begins(step_words(event.name, has_rail=has_rail))
     return in_words(event.text, log)
+
+
+def in_zone(t: str, zone: tzinfo | None = None) -> datetime:
+    """Return a journal's time in a zone; None is that of this PC."""
+    return datetime.fromisoformat(t).astimezone(zone)
+
+
+def zone_of(offset_min: int) -> timezone:
+    """Return the zone that is so many minutes ahead of UTC."""
+    return timezone(timedelta(minutes=offset_min))
+
+
+def offset_min() -> int:
+    """Return by how many minutes the clock on this PC's wall is ahead of UTC now."""
+    ahead = datetime.now(UTC).astimezone().utcoffset()
+    return 0 if ahead is None else round(ahead.total_seconds() / 60)
+
+
+def local_words(t: str, zone: tzinfo | None = None) -> str:
+    """Return the time of day in a zone, which is named."""
+    return f"{in_zone(t, zone):%H:%M:%S %Z}"
+
+
+def time_words(t: str, zone: tzinfo | None = None) -> str:
+    """Return the time of day with its zone, and in UTC where that is another."""
+    ahead = in_zone(t, zone).utcoffset()
+    return f"{local_words(t, zone)}, {t[11:19]} UTC" if ahead else local_words(t, zone)
+
+
+def span_words(first: str, last: str, zone: tzinfo | None = None) -> str:
+    """Return from when to when, to the second, with the zone, and in UTC where that is another."""
+    begin, end = in_zone(first, zone), in_zone(last, zone)
+    same_day = begin.date() == end.date()
+    words = f"{begin:%Y-%m-%d %H:%M:%S} to {end:{'%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S'}}"
+    utc = f" ({first[11:19]} to {last[11:19]} UTC)" if begin.utcoffset() else ""
+    return f"{words} {begin:%Z}{utc}"

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, and_, or_, select
 
-from hilcell.journal.asset import same
 from hilcell.journal.index import RunRow
+from hilcell.journal.log import other_assets
 from hilcell.model.events import Asset
 from hilcell.plant.cells import CELL, Name, chosen, newest
 from hilcell.plant.course import Course, course, hindrance, main_direction
@@ -150,12 +150,12 @@ class _Robots:
         )
         before = self._devices(first)
         now = self._devices(second)
-        kinds = sorted(before.keys() & now.keys())
-        pairs = ((kind, before[kind], now[kind]) for kind in kinds)
+        in_both = before.keys() & now.keys()
         found = [
-            f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
-            for kind, one, other in pairs
-            if not same(one, other)
+            f"{kind} {before[kind].serial} {before[kind].firmware} -> "
+            f"{now[kind].serial} {now[kind].firmware}"
+            for kind in other_assets(before, now)
+            if kind in in_both
         ]
         for row in self.connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
             run = typed(row.row, RunRow)

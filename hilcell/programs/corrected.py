@@ -37,7 +37,7 @@ from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.runs import is_run, run_folders
 from hilcell.journal.standing import Standing
 from hilcell.ports import Array

@@ -15,7 +15,7 @@ from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
-from hilcell.journal.times import in_zone
+from hilcell.journal.words import in_zone
 from hilcell.model.outcome import RULE
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import Fitted, Rechecked

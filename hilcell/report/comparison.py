@@ -40,9 +40,8 @@ from hilcell.geometry.statistics import (
     pooled_std_mm,
     variance_of_mean,
 )
-from hilcell.journal.asset import differing
 from hilcell.journal.floor_before import FLOOR_NESTS
-from hilcell.journal.log import Log
+from hilcell.journal.log import Log, differing
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent
 from hilcell.ports import Array

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.times import in_zone
-from hilcell.journal.words import happened_words, in_words, key_words
+from hilcell.journal.words import happened_words, in_words, in_zone, key_words
 from hilcell.model.events import (
     ChangesAccepted,
     Closed,

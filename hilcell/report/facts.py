@@ -26,7 +26,7 @@ from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
-from hilcell.journal.times import in_zone, zone_of
+from hilcell.journal.words import in_zone, zone_of
 from hilcell.model.events import CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord

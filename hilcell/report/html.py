@@ -20,7 +20,7 @@ from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.calibration_facts import run_outcome
-from hilcell.journal.times import span_words
+from hilcell.journal.words import span_words
 from hilcell.model.events import URAD, CurveMeasured
 from hilcell.model.point import CONTROL
 from hilcell.model.verdicts import Fitted

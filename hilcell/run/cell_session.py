@@ -16,7 +16,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.run_journal import Records
+from hilcell.journal.log import Records
 from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, Clock

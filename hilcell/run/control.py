@@ -32,8 +32,8 @@ from typing import Literal, Protocol, Self, TypedDict, Unpack, get_args
 import msgspec
 
 from hilcell.errors import HilcellError
-from hilcell.journal.engine_file import ENGINE, EngineFile, read_engine_file
 from hilcell.journal.journal import StorageError, is_there
+from hilcell.journal.runs import ENGINE, EngineFile, read_engine_file
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.typed import Json, decoded, typed
 from hilcell.writing import NotWritten, write_whole

@@ -24,7 +24,7 @@ from hilcell.run.prompts import Look, Prompt, unanswered
 
 
 class MemoryJournal:
-    """Satisfies `hilcell.journal.run_journal.Records`."""
+    """Satisfies `hilcell.journal.log.Records`."""
 
     def __init__(self, folder: Path, moment: str) -> None:
         """``folder`` takes the streams; every record has the one time ``moment``, ISO 8601."""

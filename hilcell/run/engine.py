@@ -29,9 +29,9 @@ from hilcell.journal.floor_before import floor_before
 from hilcell.journal.folder_order import clock_notes, next_order
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import Record, StorageError
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
-from hilcell.journal.times import offset_min
+from hilcell.journal.words import offset_min
 from hilcell.model.events import RetakeAsked, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL

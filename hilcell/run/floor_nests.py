@@ -12,8 +12,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor, lengths_mm
-from hilcell.journal.log import positions_mm
-from hilcell.journal.reading_noise import noise_at
+from hilcell.journal.log import noise_at, positions_mm
 from hilcell.model.point import Point
 from hilcell.ports import Array, DeviceError
 

@@ -96,8 +96,7 @@ class Order(Signature):
         from hilcell.cell.differences import check_copied
         from hilcell.cell.file import load_cell, located
         from hilcell.cell.settings import SettingsError
-        from hilcell.journal.disk_space import check_space
-        from hilcell.journal.runs import new_run
+        from hilcell.journal.runs import check_space, new_run
         from hilcell.run import run_plan
 
         cell = load_cell(self.cell, dict(self.settings))

@@ -8,7 +8,7 @@ from pathlib import Path
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.journal.run_journal import Records
+from hilcell.journal.log import Records
 from hilcell.model.events import Event
 from hilcell.model.frame import Frame, frame_type
 from hilcell.model.point import Point, PointId

@@ -16,9 +16,7 @@ from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
-from hilcell.journal.asset import same
-from hilcell.journal.log import Log
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import Log, RunJournal, other_assets
 from hilcell.model.events import Asset, ChangesAccepted, Connected
 from hilcell.ports import DeviceRefused, HilcellError, Identity
 from hilcell.run.procedure import Plan, Procedure
@@ -187,8 +185,7 @@ def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str
     found = {asset.kind: asset for asset in Connected.of(now, "").devices}
     return [
         f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
-        for kind in sorted(first.keys() | found.keys())
-        if not same(first.get(kind), found.get(kind))
+        for kind in other_assets(first, found)
     ]
 
 

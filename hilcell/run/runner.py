@@ -19,7 +19,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.errors import DriverDefect, facts_of
 from hilcell.journal.journal import StorageError
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import RunJournal
 from hilcell.journal.states import PASSING
 from hilcell.model.events import (
     AlarmsAcknowledged,

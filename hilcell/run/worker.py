@@ -15,7 +15,7 @@ import msgspec
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import RunJournal
 from hilcell.model.events import AnswerRefused, Connected, DeviceBack, DeviceLost
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked

@@ -100,9 +100,8 @@ def run_to_open(runs: Path, name: str) -> Path | None:
     """
     for module in LATER:
         importlib.import_module(module)
-    from hilcell.journal.engine_file import live_engine
-    from hilcell.journal.find_run import find_run
-    from hilcell.journal.runs import run_folders
+    from hilcell.journal.index import find_run
+    from hilcell.journal.runs import live_engine, run_folders
 
     if name:
         return find_run(runs, name)

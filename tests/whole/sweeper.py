@@ -12,7 +12,7 @@ import numpy as np
 
 from hilcell.cell.devices import build_devices, connect_all, start_simulation
 from hilcell.cell.file import load_cell
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import SweepOrder

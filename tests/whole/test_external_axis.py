@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.kuka.robot_c3 import C3Connection
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
 from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simulation, sweep
 from tests.whole.trace import judge

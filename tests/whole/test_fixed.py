@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
 from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.trace import judge

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import StorageError, read_journal
-from hilcell.journal.runs import JOURNAL, read_log, run_folders
+from hilcell.journal.runs import JOURNAL, live_engine, read_log, run_folders
 from hilcell.run import control
 from tests.whole.bench import LOOK_S, SMALL, command, sets, simulation, wait_gone
 from tests.whole.terminal import Terminal

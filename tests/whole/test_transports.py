@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import rail_setup
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
 from tests.whole.bench import command, end_of, sets, simulation
 

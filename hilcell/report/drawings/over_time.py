@@ -11,7 +11,7 @@ import numpy as np
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
-from hilcell.journal.reading_noise import run_noise
+from hilcell.journal.log import run_noise
 from hilcell.model.records import StateChanged
 from hilcell.report.drawings.drawing import (
     AFTER,

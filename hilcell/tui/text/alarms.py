@@ -13,8 +13,7 @@ from textual.content import Content
 from hilcell.alarms import Alarm, Latch, Latched
 from hilcell.clean import harmless
 from hilcell.journal.log import Log
-from hilcell.journal.times import local_words
-from hilcell.journal.words import in_words
+from hilcell.journal.words import in_words, local_words
 from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown

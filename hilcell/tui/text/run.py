@@ -22,11 +22,12 @@ from hilcell.journal.calibration_facts import run_judged, run_outcome
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
-from hilcell.journal.times import in_zone, local_words
 from hilcell.journal.words import (
     happened_words,
     in_words,
+    in_zone,
     key_words,
+    local_words,
     procedure_words,
     step_words,
     verdict_words,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
-from hilcell.journal.times import in_zone
+from hilcell.journal.words import in_zone
 from hilcell.model.events import (
     Closing,
     Connected,

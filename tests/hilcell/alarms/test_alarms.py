@@ -10,8 +10,7 @@ from hilcell.alarms import alarms_of
 from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
-from hilcell.identification.sweeps import SweptAxis
-from hilcell.journal.curve_record import curve_measured
+from hilcell.identification.sweeps import SweptAxis, curve_measured
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Judged
 from hilcell.run.cell_lock import CellLocked

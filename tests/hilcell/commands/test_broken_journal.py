@@ -12,9 +12,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.journal.engine_file import ENGINE
 from hilcell.journal.journal import Journal
-from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.journal.runs import CALIBRATION, ENGINE, JOURNAL
 from hilcell.journal.runs_folder import OVERRIDE
 from tests.hilcell.report.journals import validated_run
 from tests.whole.bench import command

@@ -12,7 +12,7 @@ import pytest
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.errors import HilcellError
-from hilcell.journal.disk_space import bytes_needed, check_space
+from hilcell.journal.runs import bytes_needed, check_space
 from tests.whole.bench import command
 
 

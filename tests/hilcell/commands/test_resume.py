@@ -16,9 +16,8 @@ from hilcell import __version__
 from hilcell.cell.file import load_cell
 from hilcell.commands import run as command
 from hilcell.commands.cli import main
-from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Journal, Record, read_journal
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import JOURNAL, EngineFile
 from hilcell.run.cell_lock import lock_of_name, locked
 from hilcell.run.control import Status
 from hilcell.run.engine import Ending, Engine

@@ -16,9 +16,8 @@ import pytest
 
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
-from hilcell.journal.find_run import find_run
-from hilcell.journal.index import read_index, row_of
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.index import find_run, read_index, row_of
+from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
 from tests.hilcell.commands.finished_runs import FIT, MADE, REDO, finished

@@ -2,7 +2,7 @@
 
 from msgspec.structs import replace
 
-from hilcell.journal.asset import differing
+from hilcell.journal.log import differing
 from hilcell.model.events import Asset
 
 ASSETS = [

@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 from hilcell.journal import journal
-from hilcell.journal.engine_file import ENGINE, live_engine
-from hilcell.journal.find_run import find_run
-from hilcell.journal.index import NAME, read_index
+from hilcell.journal.index import NAME, find_run, read_index
 from hilcell.journal.journal import Journal, StorageError, read_journal
-from hilcell.journal.runs import JOURNAL, read_log
+from hilcell.journal.runs import ENGINE, JOURNAL, live_engine, read_log
 from tests.hilcell.journal.test_index import written
 
 ENDLESS = "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT"

@@ -19,10 +19,9 @@ import pytest
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
 from hilcell.journal import index
-from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.index import NAME, RunRow, matches, read_index
 from hilcell.journal.journal import Journal
-from hilcell.journal.runs import JOURNAL, read_log, read_records, run_folders
+from hilcell.journal.runs import JOURNAL, EngineFile, read_log, read_records, run_folders
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
 
 SENT = {"points": 2, "points_sent": {"before": 2, "chosen": 2}}

@@ -13,10 +13,9 @@ import pytest
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
-from hilcell.journal.find_run import find_run
-from hilcell.journal.index import read_index
+from hilcell.journal.index import find_run, read_index
 from hilcell.journal.journal import NeverBegan
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import JOURNAL, forget, make_folder, read_log, run_folders
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.journal.test_index import written
@@ -48,9 +47,9 @@ LOCKED = """
 import json, os, sys
 from pathlib import Path
 from hilcell.journal.index import read_index
-from hilcell.journal import engine_file, log
+from hilcell.journal import log
 from hilcell.run import control  # nothing more can be loaded once rights are given away
-from hilcell.journal.find_run import find_run
+from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
 from hilcell.tui.app import run_to_open
 run_to_open(Path("."), "")

@@ -1,11 +1,13 @@
-"""Texts of alarms and events: keys in them are replaced by words."""
+"""Keys in texts of alarms and events become words; times of day are as people read them."""
 
 from __future__ import annotations
+
+from datetime import timedelta, timezone
 
 import pytest
 
 from hilcell.journal.log import Log
-from hilcell.journal.words import in_words
+from hilcell.journal.words import in_words, in_zone, local_words, span_words, time_words, zone_of
 from tests.hilcell.tui.sample_runs import measuring
 
 
@@ -30,3 +32,29 @@ def test_keys_become_words(log: Log) -> None:
 def test_a_key_of_no_known_form_is_no_error(log: Log, text: str) -> None:
     assert in_words(text, log)
     assert in_words(text, Log())
+
+
+T = "2026-03-04T23:30:05.250+00:00"
+INDIA = timezone(timedelta(hours=5, minutes=30))
+
+
+@pytest.mark.parametrize(
+    ("offset_min", "local", "both"),
+    [
+        (0, "23:30:05 UTC", "23:30:05 UTC"),
+        (60, "00:30:05 UTC+01:00", "00:30:05 UTC+01:00, 23:30:05 UTC"),
+        (-210, "20:00:05 UTC-03:30", "20:00:05 UTC-03:30, 23:30:05 UTC"),
+    ],
+)
+def test_a_time_has_its_zone_and_utc_beside_it(offset_min: int, local: str, both: str) -> None:
+    zone = zone_of(offset_min)
+    assert (local_words(T, zone), time_words(T, zone)) == (local, both)
+
+
+def test_a_day_is_that_of_the_zone() -> None:
+    assert in_zone(T, INDIA).date().isoformat() == "2026-03-05"
+    later = "2026-03-05T00:10:00.000+00:00"
+    assert span_words(T, later, zone_of(0)) == "2026-03-04 23:30:05 to 2026-03-05 00:10:00 UTC"
+    assert span_words(T, later, INDIA) == (
+        "2026-03-05 05:00:05 to 05:40:00 UTC+05:30 (23:30:05 to 00:10:00 UTC)"
+    )

@@ -20,10 +20,9 @@ import msgspec
 import pytest
 from sqlalchemy import func, select
 
-from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
-from hilcell.journal.runs import JOURNAL, read_records
+from hilcell.journal.runs import ENGINE, JOURNAL, EngineFile, read_records
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
 from hilcell.plant.shipper import NAME, Shipped, ship

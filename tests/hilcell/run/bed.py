@@ -12,10 +12,9 @@ import msgspec
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, load_cell
-from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Record, read_journal
-from hilcell.journal.log import Log
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import Log, RunJournal
+from hilcell.journal.runs import EngineFile
 from hilcell.ports import NoReading
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import NONE, Changes

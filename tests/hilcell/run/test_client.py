@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.journal.engine_file import EngineFile, live_engine
+from hilcell.journal.runs import EngineFile, live_engine
 from hilcell.run import control
 from hilcell.run.control import EngineClient, EngineLost, EngineSilent, Status, order, stop_engine
 from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual

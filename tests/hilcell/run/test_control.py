@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hilcell.run.control as client_module
-from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.journal.journal import StorageError
+from hilcell.journal.runs import EngineFile, live_engine
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_name, locked

@@ -6,7 +6,7 @@ import shutil
 from contextlib import closing
 from pathlib import Path
 
-from hilcell.journal.engine_file import live_engine
+from hilcell.journal.runs import live_engine
 from hilcell.run.control import Control, EngineClient
 from tests.hilcell.run.test_control import Recorder
 

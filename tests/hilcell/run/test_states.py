@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from hilcell.journal.journal import Body, Record, StorageError
-from hilcell.journal.log import Log
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.log import Log, RunJournal
 from hilcell.model.records import Kind
 from hilcell.run.states import CALIBRATION, RUN, StateMachine, Table, TransitionRefused, mermaid
 

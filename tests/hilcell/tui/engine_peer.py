@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import msgspec
 
-from hilcell.journal.engine_file import EngineFile
+from hilcell.journal.runs import EngineFile
 
 STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from hilcell.identification.sweeps import curve_measured
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.journal import Record
 from hilcell.model import events
 from hilcell.model.outcome import Outcome
@@ -23,7 +23,7 @@ from hilcell.tui.text.tables import (
     record_words,
 )
 from hilcell.typed import typed
-from tests.hilcell.journal.test_curve_record import FOUND
+from tests.hilcell.identification.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS
 from tests.hilcell.tui.sample_runs import measuring, sample_runs
 from tests.hilcell.verdicts import BACKLASH, WORLD

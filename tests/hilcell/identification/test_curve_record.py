@@ -6,8 +6,7 @@ import msgspec
 import numpy as np
 
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.sweeps import SweptAxis
-from hilcell.journal.curve_record import curve_measured, curve_of
+from hilcell.identification.sweeps import SweptAxis, curve_measured, curve_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 
