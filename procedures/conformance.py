@@ -15,10 +15,18 @@ import numpy as np
 
 from hilcell.cell.devices import abilities, streams_of
 from hilcell.cell.file import Cell
-from hilcell.conformance.bench import SIMULATED_ONLY, Bench, BenchClock
+from hilcell.conformance.acts import PORTS, Port
 from hilcell.conformance.kit import promises_of
-from hilcell.conformance.trial import Outcome, Promise, Trial, judge
-from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
+from hilcell.conformance.trial import (
+    SIMULATED_ONLY,
+    Bench,
+    BenchClock,
+    NeedsPerson,
+    Outcome,
+    Promise,
+    Trial,
+    judge,
+)
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, PromiseJudged
 from hilcell.model.plan import Step

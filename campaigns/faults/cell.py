@@ -11,6 +11,7 @@ import msgspec
 from fakes.host import Host, Order
 from hilcell.cell.file import load_cell
 from hilcell.conformance.wire import Proxy
+from hilcell.wire.channel import Socket
 from tests.whole.bench import Simulation
 
 DEVICES = ("rail", "robot", "tracker")
@@ -23,8 +24,9 @@ class _Proxied(Host):
         super().__init__(order)
         ports = super().addresses()
         rail = int(ports["rail"]["channel"].rpartition(":")[2])
-        self.proxies = {"rail": Proxy(rail)}
-        self.proxies |= {name: Proxy(ports[name]["port"]) for name in ("robot", "tracker")}
+        self.proxies = {"rail": Proxy(Socket("127.0.0.1", rail))}
+        for name in ("robot", "tracker"):
+            self.proxies[name] = Proxy(Socket("127.0.0.1", ports[name]["port"]))
 
     def addresses(self) -> dict[str, Any]:
         found = super().addresses()

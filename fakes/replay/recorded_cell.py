@@ -21,7 +21,7 @@ from fakes.time import PatientTime
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.ports import RecordingEnded, Stopped
-from hilcell.wire.record import addressed
+from hilcell.wire.channel import addressed
 from hilcell.wire.recording import CLOCK, Piece, ended_with, looks
 
 

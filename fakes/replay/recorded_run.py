@@ -14,7 +14,7 @@ from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
-from hilcell.wire.record import can_interfaces, joined, wires_of
+from hilcell.wire.channel import can_interfaces, joined, wires_of
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,

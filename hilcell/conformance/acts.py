@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.conformance.verdicts import Port
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array, Rail, RailReading, Robot, RobotReading, Tracker, TrackerReading
 
+Port = Literal["rail", "robot", "tracker"]
+PORTS: tuple[Port, ...] = ("rail", "robot", "tracker")
 # A rail's, robot's or tracker's, and its reading: loaded by name, each port has acts of its own.
 Driver: TypeAlias = Any
 Reading: TypeAlias = Any

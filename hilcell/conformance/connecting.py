@@ -10,9 +10,7 @@ import msgspec
 
 from hilcell.clean import UNSAFE, clean
 from hilcell.conformance.acts import Reading
-from hilcell.conformance.bench import Bench
-from hilcell.conformance.trial import Promise
-from hilcell.conformance.verdicts import Broken, NotApplicable, fails, need
+from hilcell.conformance.trial import Bench, Broken, NotApplicable, Promise, fails, need
 from hilcell.errors import DeviceError
 from hilcell.ports import Identity
 

@@ -1,14 +1,75 @@
-"""One test a promise of the port whose driver ``--hilcell-driver`` names."""
+"""One test a promise of the port whose driver ``--hilcell-driver`` names.
+
+The plug-in's options are checked before a test is collected: every mistake is one usage error.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pytest
 
-from hilcell.conformance.kit import promises_of
-from hilcell.conformance.pytest_options import options_of
+from hilcell.cell.devices import check_options, load_entry
+from hilcell.cell.file import Cell
+from hilcell.conformance.acts import Port
+from hilcell.conformance.kit import PORT_OF, driver_cell, promises_of
 from hilcell.conformance.trial import Promise, Trial
+from hilcell.errors import HilcellError
+
+
+def options_of(config: pytest.Config) -> tuple[Port, Cell]:
+    """Return what the options of this session choose; raises `pytest.UsageError`."""
+    driver, where, sets = (
+        config.getoption(f"--hilcell-{name}") for name in ("driver", "cell", "set")
+    )
+    return chosen(driver, where, sets)
+
+
+def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, Cell]:
+    """Return the port and the cell of the driver on trial; raises `pytest.UsageError`."""
+    group, colon, name = driver.partition(":")
+    if group not in PORT_OF or not (colon and name):
+        raise pytest.UsageError(
+            f"--hilcell-driver: {'|'.join(PORT_OF)}:NAME is wanted, found {driver}"
+        )
+    port = PORT_OF[group]
+    try:
+        load_entry(group, name)
+    except HilcellError as error:
+        act = f"install the driver's package, or name one of {group} that is installed"
+        raise _refused(f"--hilcell-driver={group}:{name}", error, act) from None
+    sets = dict(_assignment(each) for each in assignments)
+    if sets.get(f"{port}.driver", name) != name:
+        raise pytest.UsageError(
+            f"--hilcell-set: {port}.driver={sets[f'{port}.driver']}, but --hilcell-driver="
+            f"{group}:{name} is on trial; leave one of them out"
+        )
+    said = " ".join(
+        [f"--hilcell-cell={where}", *(f"--hilcell-set={k}={v}" for k, v in sets.items())]
+    )
+    try:
+        cell = driver_cell(where, port, name, sets)
+        check_options(cell)
+    except HilcellError as error:
+        act = f"name a simulated cell to which {name} belongs, and values that it has"
+        raise _refused(said, error, act) from None
+    if cell.simulation is None:
+        raise pytest.UsageError(
+            f"{said}: cell {cell.name} is real: nothing simulates its devices; name a simulated "
+            "cell, or judge it by `hilcell run conformance --cell CELL`"
+        )
+    return port, cell
+
+
+def _assignment(stated: str) -> tuple[str, str]:
+    key, sign, value = stated.partition("=")
+    if not (key and sign):
+        raise pytest.UsageError(f"--hilcell-set: KEY=VALUE is wanted, found {stated}")
+    return key.strip(), value.strip()
+
+
+def _refused(said: str, error: HilcellError, act: str) -> pytest.UsageError:
+    return pytest.UsageError(f"{said}: {error}\n{act}")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -44,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if config.getoption("--hilcell-driver") is None:
         return
-    from hilcell.conformance.pytest_options import options_of
+    from hilcell.conformance.kept import options_of
 
     options_of(config)
     if config.args_source is not config.ArgsSource.ARGS:

@@ -16,9 +16,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
-from urllib.parse import urlsplit
 
-from hilcell.typed import Json
+from hilcell.wire.channel import BAUD, SerialLine, Socket, addressed, wires_of
 
 HOST = "127.0.0.1"
 PIECE = 65536
@@ -234,17 +233,23 @@ class Wire:
 class Proxy(Wire):
     """A wire over TCP: listens on a ``port`` of its own before the device's."""
 
-    def __init__(self, port: int, host: str = HOST) -> None:
+    def __init__(self, place: Socket) -> None:
         super().__init__()
-        self._behind = (host, port)
+        self._behind = place
         self._listening = socket.create_server((HOST, 0))
         self.port: int = self._listening.getsockname()[1]
         self._accepting = threading.Thread(target=self._accept, daemon=True)
         self._accepting.start()
 
-    def lead_to(self, port: int, host: str = HOST) -> None:
+    @property
+    def channel(self) -> str:
+        """Return the driver's end."""
+        return f"socket://{HOST}:{self.port}"
+
+    def lead_to(self, place: Socket | SerialLine) -> None:
         """Lead to another place from the next connection on."""
-        self._behind = (host, port)
+        if isinstance(place, Socket):
+            self._behind = place
 
     def drop(self) -> None:
         """End every connection, also one that was not taken yet; the device has seen it then."""
@@ -288,7 +293,7 @@ class Proxy(Wire):
             except OSError:
                 return
             try:
-                far = socket.create_connection(self._behind)
+                far = socket.create_connection((self._behind.host, self._behind.port))
             except OSError:
                 near.close()
                 continue
@@ -298,18 +303,25 @@ class Proxy(Wire):
 class Line(Wire):
     """A wire of pseudo terminals before a serial line; ``path`` is the driver's end."""
 
-    def __init__(self, behind: str) -> None:
+    def __init__(self, place: SerialLine) -> None:
         super().__init__()
-        self._behind = behind
+        self._behind = place
         self._folder = tempfile.TemporaryDirectory(prefix="hilcell-line-")
         self._link = Path(self._folder.name) / "line"
         self.path = str(self._link)
         self._ours = -1  # the driver's end, kept open: a line has no connections
         self.admit()
 
-    def lead_to(self, behind: str) -> None:
+    @property
+    def channel(self) -> str:
+        """Return the driver's end, at the baud rate that was stated."""
+        baud = self._behind.baud
+        return self.path if baud == BAUD else f"{self.path}@{baud}"
+
+    def lead_to(self, place: Socket | SerialLine) -> None:
         """Lead to another line after the next `admit`."""
-        self._behind = behind
+        if isinstance(place, SerialLine):
+            self._behind = place
 
     def drop(self) -> None:
         """Leave the line as it is: it has no connections."""
@@ -333,7 +345,7 @@ class Line(Wire):
         """Plug it in again."""
         self._ended = False
         near, self._ours = os.openpty()
-        far = os.open(self._behind, os.O_RDWR | os.O_NOCTTY)
+        far = os.open(self._behind.path, os.O_RDWR | os.O_NOCTTY)
         for each in (near, self._ours, far):
             with suppress(termios.error):
                 tty.setraw(each)
@@ -347,49 +359,38 @@ class Line(Wire):
 
 
 class Wires:
-    """The wires before all places of one device; ``options`` lead the driver through them.
+    """The wires before all places of devices; ``options`` lead their drivers through them.
 
-    A part with a table of its own, as a strip's, may have a wire of its own.
+    Devices are known by their tables, places by the options that their drivers state.
     """
 
-    def __init__(self, address: Mapping[str, object]) -> None:
-        self._proxies: dict[str, Proxy] = {}
-        self._lines: dict[str, Line] = {}
-        self._parts: dict[str, Wires] = {}
-        self.options = dict(address)
+    def __init__(self, stated: Mapping[str, Mapping[str, object]]) -> None:
+        self._wires: dict[tuple[str, str], Proxy | Line] = {}
+        self.options: dict[str, dict[str, object]] = {}
         self._asking, self._asked, self._hold_from = threading.Lock(), 0, math.inf
-        for key, value in address.items():
-            if isinstance(value, Mapping):
-                self._parts[key] = Wires(value)
-                self.options[key] = self._parts[key].options
-            elif place := _place(key, value, address):
-                self._proxies[key] = Proxy(place[1], place[0])
-                port = self._proxies[key].port
-                self.options[key] = f"socket://{HOST}:{port}" if isinstance(value, str) else port
-            elif isinstance(value, str) and Path(value.partition("@")[0]).is_char_device():
-                path, at, baud = value.partition("@")
-                self._lines[key] = Line(path)
-                self.options[key] = f"{self._lines[key].path}{at}{baud}"
-        for each in self.all:
-            each.asked = self._count
+        self.lead_to(stated)
 
     @property
     def all(self) -> list[Proxy | Line]:
         """Return the wires."""
-        of_parts = [each for part in self._parts.values() for each in part.all]
-        return [*self._proxies.values(), *self._lines.values(), *of_parts]
+        return list(self._wires.values())
 
-    def lead_to(self, address: Json) -> None:
-        """Lead to where the device listens now."""
-        for key, proxy in self._proxies.items():
-            if place := _place(key, address[key], address):
-                proxy.lead_to(place[1], place[0])
-        for key, line in self._lines.items():
-            line.lead_to(str(address[key]).partition("@")[0])
-        for key, part in self._parts.items():
-            part.lead_to(address[key])
-        led = (*self._proxies, *self._lines, *self._parts)
-        self.options |= {key: value for key, value in address.items() if key not in led}
+    def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
+        """Lead to where the devices listen now."""
+        for table, options in stated.items():
+            channels: dict[str, str] = {}
+            for name, place in wires_of(options).items():
+                if (table, name) in self._wires:
+                    self._wires[table, name].lead_to(place)
+                elif isinstance(place, Socket):
+                    self._wires[table, name] = Proxy(place)
+                elif Path(place.path).is_char_device():
+                    self._wires[table, name] = Line(place)
+                else:
+                    continue
+                channels[name] = self._wires[table, name].channel
+                self._wires[table, name].asked = self._count
+            self.options[table] = {**options, **addressed(options, channels)}
 
     def set(self, mode: str, delay_s: float = 0.0) -> None:
         """Set the mode of all."""
@@ -438,13 +439,3 @@ class Wires:
         """End."""
         for each in self.all:
             each.close()
-
-
-def _place(key: str, value: object, address: Mapping[str, object]) -> tuple[str, int] | None:
-    """Return host and port that an option names, if it does."""
-    if isinstance(value, str) and value.startswith("socket://"):
-        url = urlsplit(value)
-        return url.hostname or HOST, url.port or 0
-    if isinstance(value, int) and key.endswith("port"):
-        return str(address.get("host", HOST)), value
-    return None

@@ -1,15 +1,20 @@
-"""Where a device is reached: ``socket://HOST:PORT``, or a serial line as ``PATH[@BAUD]``."""
+"""Where a device is reached: ``socket://HOST:PORT``, or a serial line as ``PATH[@BAUD]``.
+
+A wire has a name within its device: "" for ``channel``, or for ``host`` with ``port``; ``rtde`` for
+``rtde_port``; ``strip`` for that of a part with a table of its own.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Annotated
 from urllib.parse import urlsplit
 
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 BAUD = 115_200
+PORT = "port"
 _HOST = r"^([^\s/@:?#]+|[0-9A-Fa-f.]*:[0-9A-Fa-f.]*:[0-9A-Fa-f:.]*(%\w+)?)$"
 
 Host = Annotated[
@@ -18,16 +23,14 @@ Host = Annotated[
 Port = Annotated[int, Meta(ge=1, le=65535)]
 
 
-@dataclass(frozen=True, slots=True)
-class Socket:
+class Socket(Struct, frozen=True, tag=True):
     """A TCP server."""
 
     host: str
     port: int
 
 
-@dataclass(frozen=True, slots=True)
-class SerialLine:
+class SerialLine(Struct, frozen=True, tag=True):
     """A serial line, 8 data bits, no parity, 1 stop bit: best by ``/dev/serial/by-id/...``."""
 
     path: str
@@ -59,3 +62,51 @@ def parse_channel(channel: str) -> Socket | SerialLine:
             f"allowed: {slowest_baud} to {fastest_baud}, without @ it is {BAUD}"
         )
     return SerialLine(path, int(baud) if at else BAUD)
+
+
+def wires_of(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
+    """Return where a device's wires lead, by name; a CAN interface of the kernel is left out."""
+    found: dict[str, Socket | SerialLine] = {}
+    host, channel = options.get("host"), options.get("channel")
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            found |= {joined(key, name): place for name, place in wires_of(value).items()}
+        elif isinstance(host, str) and isinstance(value, int) and _is_port(key):
+            found[key.removesuffix(PORT).removesuffix("_")] = Socket(host, value)
+    if isinstance(channel, str) and not is_can_interface(options):
+        found[""] = parse_channel(channel)
+    return found
+
+
+def addressed(options: Mapping[str, object], channels: Mapping[str, str]) -> dict[str, object]:
+    """Return the values of a driver's options with which its wires lead to ``channels``."""
+    found: dict[str, object] = {}
+    for name, channel in channels.items():
+        part, place = options.get(name), parse_channel(channel)
+        if isinstance(part, Mapping):
+            found[name] = {**part, **addressed(part, {"": channel})}
+        elif "host" in options and isinstance(place, Socket):
+            found |= {"host": place.host, f"{name}_{PORT}".lstrip("_"): place.port}
+        else:
+            found["channel"] = channel
+    return found
+
+
+def is_can_interface(options: Mapping[str, object]) -> bool:
+    """Whether the channel is an interface of the kernel, which no relay can stand before."""
+    return options.get("interface") == "socketcan"
+
+
+def can_interfaces(options: Mapping[str, object]) -> list[str]:
+    """Return the CAN interfaces of the kernel that a device, or a part of it, is reached by."""
+    parts = [part for part in options.values() if isinstance(part, Mapping)]
+    return [str(part["channel"]) for part in (options, *parts) if is_can_interface(part)]
+
+
+def joined(*names: str) -> str:
+    """Return the name of a wire of a part, or among those of its cell."""
+    return ".".join(filter(None, names))
+
+
+def _is_port(key: str) -> bool:
+    return key == PORT or key.endswith(f"_{PORT}")

@@ -5,6 +5,7 @@ recording of all wires began, the number of the connection, what happened, the b
 CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
 ``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
 
+A recording is named by its device and its wire: ``robot.wire.jsonl``, ``robot.rtde.wire.jsonl``.
 The first line of a wire is ``began``, with its name; a wire that was never opened has no other.
 
 The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed. Its first

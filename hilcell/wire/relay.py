@@ -1,8 +1,9 @@
 """The process between drivers and devices that records: bytes pass it unchanged, in both ways.
 
-``python -P -m hilcell.wire`` reads its order, one line of JSON, prints where it listens, and ends
-when its input does. It is a process of its own, so that no work of the engine delays a stop frame.
-A device that does not answer, or hangs up, is handed on as such: the driver sees the wire closed.
+``python -P -m hilcell.wire.relay`` reads its order, one line of JSON, prints where it listens, and
+ends when its input does. It is a process of its own, so that no work of the engine delays a stop
+frame. A device that does not answer, or hangs up, is handed on as such: the driver sees the wire
+closed.
 """
 
 from __future__ import annotations
@@ -11,16 +12,16 @@ import os
 import pty
 import select
 import socket
+import sys
 import threading
 import tty
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Self
 
 import msgspec
 import serial
 
+from hilcell.typed import decoded
 from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.recording import Recorder
 
@@ -33,22 +34,7 @@ class WireOrder(msgspec.Struct, frozen=True):
     wire: str
     file: str
     began_s: float  # monotonic; of the recording of all wires
-    host: str = ""
-    port: int = 0
-    path: str = ""
-    baud: int = 0
-
-    @classmethod
-    def of(cls, wire: str, file: Path, began_s: float, place: Socket | SerialLine) -> Self:
-        """Return the order for a wire that leads to a place."""
-        if isinstance(place, Socket):
-            return cls(wire, str(file), began_s, host=place.host, port=place.port)
-        return cls(wire, str(file), began_s, path=place.path, baud=place.baud)
-
-    @property
-    def place(self) -> Socket | SerialLine:
-        """Return where it leads."""
-        return SerialLine(self.path, self.baud) if self.path else Socket(self.host, self.port)
+    place: Socket | SerialLine
 
 
 class SocketRelay:
@@ -129,6 +115,10 @@ class SerialRelay:
         recorder.take(1, "open")
         threading.Thread(target=self._carry, daemon=True).start()
 
+    def close(self) -> None:
+        """End the recording."""
+        self._recorder.take(1, "end")
+
     def _carry(self) -> None:
         line: int = self._line.fileno()
         with suppress(OSError):
@@ -148,19 +138,26 @@ class SerialRelay:
         os.close(self._near)
 
 
-def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]) -> None:
-    """Relay wires until ``until_ended`` returns; it is handed the channels by name."""
+def main() -> None:
+    """Read the order from stdin, print the channels by the names of their wires, and relay."""
+    orders = decoded(sys.stdin.buffer.readline(), list[WireOrder])
     with ExitStack() as stack:
         channels: dict[str, str] = {}
         for order in orders:
             file = stack.enter_context(Path(order.file).open("ab"))
             place, recorder = order.place, Recorder(file, order.began_s)
             recorder.take(0, "began", order.wire.encode())
-            if isinstance(place, Socket):
-                relay = SocketRelay(place, recorder)
-                channels[order.wire] = relay.channel
-                stack.callback(relay.close)
-            else:
-                channels[order.wire] = SerialRelay(place, recorder).channel
-                stack.callback(recorder.take, 1, "end")
-        until_ended(channels)
+            relay = (
+                SocketRelay(place, recorder)
+                if isinstance(place, Socket)
+                else SerialRelay(place, recorder)
+            )
+            channels[order.wire] = relay.channel
+            stack.callback(relay.close)
+        sys.stdout.buffer.write(msgspec.json.encode(channels) + b"\n")
+        sys.stdout.buffer.flush()
+        sys.stdin.buffer.read()
+
+
+if __name__ == "__main__":
+    main()

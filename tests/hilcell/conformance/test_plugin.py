@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import hilcell
+from hilcell.conformance.kept import chosen
 from hilcell.conformance.kit import promises_of
-from hilcell.conformance.pytest_options import chosen
 
 CELLS = Path(hilcell.__file__).with_name("cells")
 C3 = "robots:kuka-c3"

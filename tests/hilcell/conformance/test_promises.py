@@ -16,11 +16,10 @@ import pytest
 
 from drivers.kuka import controller
 from hilcell.cell.file import load_cell
-from hilcell.conformance import bench, wire_faults
-from hilcell.conformance.kit import PROMISES, driver_cell, promises_of
-from hilcell.conformance.page import renewed
+from hilcell.conformance import trial, wire_faults
+from hilcell.conformance.acts import PORTS, Port
+from hilcell.conformance.kit import PROMISES, driver_cell, promises_of, renewed
 from hilcell.conformance.trial import Outcome, Promise, Trial
-from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.errors import Stopped
 from tests.hilcell.conformance.broken_drivers import BROKEN, LateByTag
 
@@ -109,7 +108,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
-    monkeypatch.setattr(bench, "PACE", 1.5 * bench.PACE)
+    monkeypatch.setattr(trial, "PACE", 1.5 * trial.PACE)
     monkeypatch.setattr(wire_faults, "GONE_S", controller.LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 

@@ -14,6 +14,7 @@ import pytest
 
 from hilcell.conformance import wire
 from hilcell.conformance.wire import Line, Wires
+from hilcell.wire.channel import SerialLine
 from tests.drivers.peers import Server
 from tests.fakes.wires import exactly
 
@@ -72,7 +73,7 @@ class Echo:
 
 @contextmanager
 def client(wires: Wires) -> Iterator[socket.socket]:
-    port = wires.options["port"]
+    port = wires.options["robot"]["port"]
     assert isinstance(port, int)
     with socket.create_connection(("127.0.0.1", port)) as link:
         yield link
@@ -86,7 +87,7 @@ def echo() -> Echo:
 @pytest.fixture
 def wires(echo: Echo) -> Iterator[Wires]:
     with Server(echo) as server:
-        found = Wires({"host": "127.0.0.1", "port": server.port})
+        found = Wires({"robot": {"host": "127.0.0.1", "port": server.port}})
         yield found
         found.close()
 
@@ -197,11 +198,11 @@ def test_nobody_is_there_and_comes_back(wires: Wires, link: socket.socket) -> No
 
 def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
     with Server(Echo()) as one, Server(lambda link: link.sendall(b"other")) as other:
-        wires = Wires({"channel": f"socket://127.0.0.1:{one.port}", "baud": "115200"})
+        wires = Wires({"rail": {"channel": f"socket://127.0.0.1:{one.port}", "node": 5}})
         try:
-            assert wires.options["baud"] == "115200"
-            wires.lead_to({"channel": f"socket://127.0.0.1:{other.port}"})
-            port = int(str(wires.options["channel"]).rpartition(":")[2])
+            assert wires.options["rail"]["node"] == 5
+            wires.lead_to({"rail": {"channel": f"socket://127.0.0.1:{other.port}"}})
+            port = int(str(wires.options["rail"]["channel"]).rpartition(":")[2])
             with socket.create_connection(("127.0.0.1", port)) as link:
                 assert link.recv(100) == b"other"
         finally:
@@ -211,9 +212,9 @@ def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
 def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
     with Server(Echo()) as one, Server(Echo()) as other:
         part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
-        wires = Wires({"host": "127.0.0.1", "port": one.port, "strip": part})
+        wires = Wires({"rail": {"host": "127.0.0.1", "port": one.port, "strip": part}})
         try:
-            strip = wires.options["strip"]
+            strip = wires.options["rail"]["strip"]
             assert isinstance(strip, dict)
             assert strip["driver"] == "serial"
             port = int(strip["channel"].rpartition(":")[2])
@@ -246,9 +247,9 @@ def test_a_serial_line() -> None:
     tty.setraw(far)
     answering = threading.Thread(target=_answer, args=(near,))
     answering.start()
-    wires = Wires({"channel": f"{os.ttyname(far)}@9600"})
+    wires = Wires({"tracker": {"channel": f"{os.ttyname(far)}@9600"}})
     try:
-        path, _, baud = str(wires.options["channel"]).partition("@")
+        path, _, baud = str(wires.options["tracker"]["channel"]).partition("@")
         assert baud == "9600"
         ask = os.open(path, os.O_RDWR | os.O_NOCTTY)
         os.write(ask, b"ask\n")
@@ -274,7 +275,7 @@ def test_a_serial_line() -> None:
 @pytest.fixture
 def line() -> Iterator[Line]:
     near, far = os.openpty()
-    line = Line(os.ttyname(far))
+    line = Line(SerialLine(os.ttyname(far)))
     yield line
     line.close()
     os.close(near)
