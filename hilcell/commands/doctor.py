@@ -164,11 +164,9 @@ def serial_ports(devices: Path = Path("/dev")) -> Finding:
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
         return Finding(
-            "serial ports",
-            "warning",
-            f"{', '.join(closed)} may not be opened by this user",
+            "serial ports", "warning", f"{', '.join(closed)} may not be opened by this user",
             DIALOUT,
-        )
+        )  # fmt: skip
     return Finding("serial ports", "ok", ", ".join(ports) or "none")
 
 

@@ -124,9 +124,9 @@ class CellMonitor:
         self.rail_reading: RailReading | None = None
         self.robot_reading: RobotReading | None = None
         self.devices = Devices(
-            WatchedRail(devices.rail, self),
-            WatchedRobot(devices.robot, self),
-            WatchedTracker(devices.tracker, self),
+            _WatchedRail(devices.rail, self),
+            _WatchedRobot(devices.robot, self),
+            _WatchedTracker(devices.tracker, self),
             devices.rail_rides,
         )
         self._refreshed_s = 0.0
@@ -171,9 +171,14 @@ class CellMonitor:
         return reading
 
     def take_tracker(self, reading: TrackerReading) -> TrackerReading:
-        """Show a reading of the tracker."""
+        """Show a reading of the tracker; raises `DriverDefect` for other shapes than (3,)."""
         self.tracker.sound(reading, TrackerReading)
-        x, y, z = _numbers_of(reading)
+        shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
+        if shapes != ((3,), (3,)):
+            found = " and ".join(map(str, shapes))
+            problem = f"xyz_mm and std_mm have the shapes {found}, wanted (3,) each"
+            raise DriverDefect("Tracker", problem)
+        x, y, z = (float(each) for each in reading.xyz_mm)
         air = f"{reading.air.temperature_c:.1f} C" if reading.air else "air not measured"
         self.tracker.show(f"{x:.2f} {y:.2f} {z:.2f} mm, {air}", reading.taken_s)
         return reading
@@ -185,7 +190,7 @@ class CellMonitor:
         return {name: monitor.status() for name, monitor in monitors.items()}
 
 
-class WatchedRail:
+class _WatchedRail:
     """Satisfies `hilcell.ports.Rail`."""
 
     def __init__(self, rail: Rail, monitor: CellMonitor) -> None:
@@ -202,67 +207,55 @@ class WatchedRail:
                 raise
 
     def connect(self) -> list[Identity]:
-        """Connect."""
         with self._watch():
             return self._monitor.rail.identified(self._rail.connect())
 
     def home(self) -> None:
-        """Home; the slide moves."""
         with self._watch(moving=True):
             self._rail.home()
 
     def move_to(self, position_mm: float) -> None:
-        """Move the slide."""
         with self._watch(moving=True):
             self._rail.move_to(position_mm)
 
     def settle(self) -> RailReading:
-        """Wait for rest."""
         with self._watch(moving=True):
             return self._monitor.take_rail(self._rail.settle())
 
     def read(self) -> RailReading:
-        """Read."""
         with self._watch():
             return self._monitor.take_rail(self._rail.read())
 
     def hold(self) -> None:
-        """Hold."""
         with self._watch():
             self._rail.hold()
 
     def statistics(self) -> LinkStatistics:
-        """Return what the wire has carried."""
         return self._rail.statistics()
 
     def stop(self) -> None:
-        """Stop."""
         self._rail.stop()
 
     def close(self) -> None:
-        """Close."""
         self._rail.close()
 
 
-class WatchedRobot:
+class _WatchedRobot:
     """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
 
     def __init__(self, robot: Robot, monitor: CellMonitor) -> None:
         self._robot, self._monitor = robot, monitor
 
     def connect(self) -> list[Identity]:
-        """Connect."""
         with self._monitor.robot.call():
             return self._monitor.robot.identified(self._robot.connect())
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move the robot."""
         with self._monitor.robot.call(moving=True):
             return self._monitor.take_robot(self._robot.move_to(joints_rad, speed_percent))
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
-        """Sweep an axis; raises `DeviceRefused` where the robot does not."""
         sweeps = sweeps_of(self._robot)
         with (
             self._monitor.robot.watch(moving=True),
@@ -271,37 +264,31 @@ class WatchedRobot:
             yield sweep
 
     def read(self) -> RobotReading:
-        """Read."""
         with self._monitor.robot.call():
             return self._monitor.take_robot(self._robot.read())
 
     def stop(self) -> None:
-        """Stop."""
         self._robot.stop()
 
     def close(self) -> None:
-        """Close."""
         self._robot.close()
 
 
-class WatchedTracker:
+class _WatchedTracker:
     """Satisfies `hilcell.ports.Tracker`, and `Streams` and `TwoFaces` where its tracker does."""
 
     def __init__(self, tracker: Tracker, monitor: CellMonitor) -> None:
         self._tracker, self._monitor = tracker, monitor
 
     def connect(self) -> list[Identity]:
-        """Connect."""
         with self._monitor.tracker.call():
             return self._monitor.tracker.identified(self._tracker.connect())
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure; only the beam moves."""
         with self._monitor.tracker.call():
             return self._monitor.take_tracker(self._tracker.measure(near_mm, reflector, samples))
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure in the second face; raises `DeviceRefused` where the tracker does not."""
         turning = turning_over(self._tracker)
         with self._monitor.tracker.call():
             found = turning.measure_back(near_mm, reflector, samples)
@@ -309,26 +296,12 @@ class WatchedTracker:
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
-        """Stream; raises `DeviceRefused` where the tracker does not."""
         streams = streams_of(self._tracker)
         with self._monitor.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
             yield stream
 
     def stop(self) -> None:
-        """Stop."""
         self._tracker.stop()
 
     def close(self) -> None:
-        """Close."""
         self._tracker.close()
-
-
-def _numbers_of(reading: TrackerReading) -> list[float]:
-    """Return the place (3,) of a reading; raises `DriverDefect` for other shapes."""
-    shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
-    if shapes != ((3,), (3,)):
-        found = " and ".join(map(str, shapes))
-        raise DriverDefect(
-            "Tracker", f"xyz_mm and std_mm have the shapes {found}, wanted (3,) each"
-        )
-    return [float(each) for each in reading.xyz_mm]
