@@ -13,10 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.closed_form import ReachError
-from hilcell.geometry.frames import apply, inverse, matrix, zyx_from_pose
+from hilcell.geometry.frames import apply, from_rotvec, from_zyx, inverse, matrix, zyx_from_pose
+from hilcell.geometry.inverse import ReachError
 from hilcell.geometry.kinematics import Bools
-from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.model.plan import Span, Step
 from hilcell.ports import Array, HilcellError
 from hilcell.run.collision import check_poses, clear_poses, leaves_cube

@@ -7,8 +7,7 @@ from operator import itemgetter
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.geometry.frames import apply, rigid_fit, unit
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import apply, rigid_fit, to_rotvec, unit
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import Span, Step

@@ -21,8 +21,8 @@ from hilcell.calibration.recheck import (
 )
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
-from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply
+from hilcell.geometry.inverse import ReachError
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.model.frame import Frame

@@ -23,8 +23,8 @@ from hilcell.calibration.target_pass import (
 )
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.targets import read_targets
-from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import inverse, poses_from_zyx
+from hilcell.geometry.inverse import ReachError
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
 from hilcell.model.plan import Step

@@ -30,8 +30,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frame_update import FrameUpdate
-from hilcell.geometry.frames import apply, cross_matrix
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import apply, cross_matrix, to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry
 from hilcell.model.events import Three

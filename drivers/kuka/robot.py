@@ -42,7 +42,7 @@ from drivers.motion_limits import MotionLimits, planned_s
 from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision, on_failure
 from hilcell.cell.file import Joint
-from hilcell.geometry.rotations import from_zyx
+from hilcell.geometry.frames import from_zyx
 from hilcell.ports import (
     Array,
     Clock,

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from drivers.universal_robots.rtde import FORMATS, Numbers, Recipe, RtdeError
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec
 from hilcell.ports import Array
 
 _TOOL = tuple(f"output_double_register_{n}" for n in range(24, 30))

@@ -18,9 +18,9 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.cell.robot import RobotTable
+from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.jacobian import KINDS, PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
-from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
 ROUNDING_MM, ROUNDING_RAD = 0.005, np.radians(0.001)  # of the numbers that a controller states

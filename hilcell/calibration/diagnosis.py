@@ -49,10 +49,9 @@ from hilcell.calibration.lost_motion import reversal
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
-from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
+from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix, motion_levers
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import (
     bounds95_mm,
     chance_of_at_most,

@@ -30,8 +30,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
-from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.rotations import from_zyx
+from hilcell.geometry.frames import apply, from_zyx, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.log import Log
 from hilcell.model.calibration import Device, Provenance, StationEntry
 from hilcell.model.frame import MeasuredStation

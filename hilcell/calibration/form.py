@@ -17,9 +17,8 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
-from hilcell.geometry.frames import matrix, poses_from_zyx
+from hilcell.geometry.frames import matrix, poses_from_zyx, turned_deg
 from hilcell.geometry.kinematics import Bools
-from hilcell.geometry.rotations import turned_deg
 from hilcell.model.calibration import Provenance, StationEntry
 from hilcell.model.verdicts import Judged
 from hilcell.ports import Array

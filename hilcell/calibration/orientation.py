@@ -26,8 +26,7 @@ from hilcell.calibration.influence import Influence, NoBound
 from hilcell.calibration.measurement_budget import expanded_mm
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
-from hilcell.geometry.frames import apply, inverse, orientations, turn_levers
-from hilcell.geometry.rotations import from_zyx, to_rotvec
+from hilcell.geometry.frames import apply, from_zyx, inverse, orientations, to_rotvec, turn_levers
 from hilcell.geometry.statistics import (
     bounds95_mm,
     effective_freedom,

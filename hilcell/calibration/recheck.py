@@ -25,9 +25,8 @@ from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weight
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.in_use import used, visited
 from hilcell.calibration.influence import no_less_than_nought
-from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
+from hilcell.geometry.frames import cross_matrix, from_rotvec, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.point import Point

@@ -29,7 +29,7 @@ from hilcell.calibration.frames import (
     world_motion,
 )
 from hilcell.calibration.measurement_budget import systematic_mm2
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.statistics import (
     f_quantile,
     lengths_mm,

@@ -18,9 +18,8 @@ from hilcell.cell.file import Cell, ToolTable
 from hilcell.cell.robot import REFLECTOR, STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedTool
-from hilcell.geometry.frames import inverse
+from hilcell.geometry.frames import inverse, to_rotvec
 from hilcell.geometry.kinematics import Arm
-from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array
 
 SAME_MM, SAME_RAD = 0.01, 1e-4  # between a stated frame and a tool's: numbers are rounded

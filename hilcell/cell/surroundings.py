@@ -16,8 +16,7 @@ from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout
 from hilcell.cell.tables import Frozen, Name, Point, Pose, Size
-from hilcell.geometry.clear_motion import Body, Proof
-from hilcell.geometry.clearance import Boxes, Capsules, joint_lines
+from hilcell.geometry.clearance import Body, Boxes, Capsules, Proof, joint_lines
 from hilcell.geometry.kinematics import Arm, Array
 
 LINKS = 6

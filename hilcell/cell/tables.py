@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from hilcell.geometry.frames import from_zyx
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_zyx
 
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Size = Annotated[float, Meta(gt=0, le=1e6)]

@@ -14,9 +14,8 @@ import numpy as np
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
-from hilcell.geometry.frames import matrix
+from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 

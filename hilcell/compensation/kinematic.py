@@ -16,21 +16,20 @@ import numpy as np
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured, MeasuredArm
 from hilcell.compensation.model import LearntModel, ModelError, Prediction, Turn
+from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import (
     Estimate,
     identify,
     identify_trusted,
+    observability,
     predict,
     predict_orientations,
 )
 from hilcell.identification.kinematics import Kinematics, Placed, State, TransmissionCurve
-from hilcell.identification.noise import Noise
-from hilcell.identification.readings import IdentificationError
-from hilcell.identification.system import observability
+from hilcell.identification.readings import IdentificationError, Noise
 from hilcell.model.verdicts import CurvesUsed
 from hilcell.typed import Json, typed
 

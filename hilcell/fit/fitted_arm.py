@@ -11,11 +11,16 @@ import numpy as np
 from hilcell.fit.placement import FitError, Placement
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry.kinematics import Array, Bools, Ints
-from hilcell.identification.estimate import LEAST_POSES, Estimate, identify, identify_trusted
+from hilcell.identification.estimate import (
+    LEAST_POSES,
+    Estimate,
+    identify,
+    identify_trusted,
+    observability,
+)
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.readings import IdentificationError, Readings, count_poses
 from hilcell.identification.residual import WithResidual, with_residual
-from hilcell.identification.system import observability
 
 TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
     "mdh": (False, False),

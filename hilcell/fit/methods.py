@@ -35,6 +35,7 @@ from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.geometry.statistics import Figures
+from hilcell.identification.estimate import observability
 from hilcell.identification.readings import (
     FOLDS,
     IdentificationError,
@@ -43,7 +44,6 @@ from hilcell.identification.readings import (
     folds_of,
     places_of,
 )
-from hilcell.identification.system import observability
 from hilcell.present.table import Column, Table
 
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row

@@ -15,9 +15,16 @@ import numpy as np
 
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry import statistics
-from hilcell.geometry.frames import FrameError, apply, apply_each, cross_matrix, matrix, rigid_fit
+from hilcell.geometry.frames import (
+    FrameError,
+    apply,
+    apply_each,
+    cross_matrix,
+    from_rotvec,
+    matrix,
+    rigid_fit,
+)
 from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import HilcellError
 
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error

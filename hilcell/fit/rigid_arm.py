@@ -27,8 +27,8 @@ from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
+from hilcell.identification.estimate import DETERMINED
 from hilcell.identification.kinematics import LINKS
-from hilcell.identification.system import DETERMINED
 from hilcell.writing import write_whole
 
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.geometry.frames import FrameError, apply, cross_matrix, matrix
+from hilcell.geometry.frames import FrameError, apply, cross_matrix, from_rotvec, matrix
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_rotvec
 
 SIZE = 7  # shift, rotation, growth
 TYPICAL = 2.366  # median of chi2 of three coordinates

@@ -6,6 +6,13 @@ and two waves a revolution of each joint, and the amplitudes and shift of given 
 Many of them do the same to a tool point (d of the parallel axes 2 and 3, base and first link,
 reflector and last link); priors decide between those, so the parameters may be arbitrary where the
 positions are not.
+
+Gravity loads the axes by the arm's own weight, and by the weight of a tool. The base's z is taken
+as vertical, up or down. A link whose mass lies on its line loads an axis behind it by the cosine of
+its slope against the horizontal; mass beside the line adds the sine. A tool loads every axis, by a
+lever to the flange and by one from there to its centre of mass, of which nothing is known: one
+coefficient for each of its coordinates. A coefficient is a joint's deflection (rad) where its load
+is greatest.
 """
 
 from __future__ import annotations
@@ -15,11 +22,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from hilcell.geometry.frames import cross_matrix, motion_levers
+from hilcell.geometry.frames import cross_matrix, from_rotvec, motion_levers
 from hilcell.geometry.jacobian import KINDS, tool_and_jacobian
-from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.geometry.rotations import from_rotvec
-from hilcell.identification import gravity
+from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +134,7 @@ class Kinematics:
             unit = "mm" if field.endswith("mm") else "rad"
             names += [f"{kind}{row + 1} {unit}" for row in range(6)]
         if self.gravity:
-            names += [f"{name} rad" for name in gravity.NAMES]
+            names += [f"{name} rad" for name in GRAVITY_NAMES]
         if self.waves:
             names += [
                 f"axis {axis + 1}: {wave} {order}q rad"
@@ -138,7 +143,7 @@ class Kinematics:
                 for wave in ("cos", "sin")
             ]
         if self.tool:
-            names += [f"{name} rad" for name in gravity.TOOL_NAMES]
+            names += [f"{name} rad" for name in TOOL_NAMES]
         for curve in self.curves:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
@@ -171,9 +176,9 @@ class Kinematics:
         sigmas = [
             *[assumed.base_mm] * 3, *[assumed.base_rad] * 3,
             *[assumed.reflector_mm] * (3 * self.reflectors),
-            *np.repeat(links, 6), *[gravity_rad] * (len(gravity.AXES) if self.gravity else 0),
+            *np.repeat(links, 6), *[gravity_rad] * (len(GRAVITY_AXES) if self.gravity else 0),
             *[wave_rad] * (12 * len(ORDERS) if self.waves else 0),
-            *[gravity_rad] * (len(gravity.TOOL_AXES) if self.tool else 0),
+            *[gravity_rad] * (len(TOOL_AXES) if self.tool else 0),
         ]  # fmt: skip
         size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
         mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -248,11 +253,11 @@ class Kinematics:
         """Return which joint (V - 30,) each parameter behind the links turns."""
         axes: list[int] = []
         if self.gravity:
-            axes += gravity.AXES
+            axes += GRAVITY_AXES
         if self.waves:
             axes += [axis for axis in range(6) for _ in range(2 * len(ORDERS))]
         if self.tool:
-            axes += gravity.TOOL_AXES
+            axes += TOOL_AXES
         for curve in self.curves:
             axes += [curve.axis] * (2 * len(curve.cycles) + 1)
         return axes
@@ -295,13 +300,13 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     at = np.frombuffer(joints).reshape(-1, 6)
     blocks = [np.zeros((len(at), 0))]
     if kinematics.gravity:
-        blocks.append(gravity.gravity_basis(kinematics.arm, at))
+        blocks.append(gravity_basis(kinematics.arm, at))
     if kinematics.waves:
         angles = at[..., None] * np.array(ORDERS)  # cos q, sin q, cos 2q, sin 2q of each joint
         pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         blocks.append(pairs.reshape(len(at), -1))
     if kinematics.tool:
-        blocks.append(gravity.tool_basis(kinematics.arm, at))
+        blocks.append(tool_basis(kinematics.arm, at))
     return np.concatenate(blocks, axis=1)
 
 
@@ -310,3 +315,68 @@ def _carried(flange: Array, smr_mm: Array) -> Array:
     carried: Array = np.einsum("mij,kj->mki", flange[:, :3, :3], smr_mm)
     carried += flange[:, None, :3, 3]
     return carried
+
+
+GRAVITY_AXES = (1, 1, 1, 1, 2, 2)
+GRAVITY_NAMES = (
+    "axis 2: cos upper arm",
+    "axis 2: sin upper arm",
+    "axis 2: cos forearm",
+    "axis 2: sin forearm",
+    "axis 3: cos forearm",
+    "axis 3: sin forearm",
+)
+TOOL_AXES = tuple(axis for axis in range(6) for _ in range(4))
+TOOL_NAMES = tuple(
+    f"axis {axis + 1}: tool {lever}" for axis in range(6) for lever in ("flange", "x", "y", "z")
+)
+
+
+def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
+    """Return the loads (..., 6), -1 .. 1, that deflect `GRAVITY_AXES`, as `GRAVITY_NAMES` says."""
+    links = link_transforms(arm, joints_rad)
+    shoulder = links[..., 0, :, :]
+    elbow = shoulder @ links[..., 1, :, :]
+    wrist = elbow @ links[..., 2, :, :] @ links[..., 3, :, :]
+    upper = _direction(elbow[..., :3, 3] - shoulder[..., :3, 3])
+    fore = _direction(wrist[..., :3, 3] - elbow[..., :3, 3])
+    axis_2, axis_3 = shoulder[..., :3, 2], elbow[..., :3, 2]
+    columns = [
+        _lever(axis_2, upper),
+        upper[..., 2],
+        _lever(axis_2, fore),
+        fore[..., 2],
+        _lever(axis_3, fore),
+        fore[..., 2],
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def tool_basis(arm: Arm, joints_rad: Array) -> Array:
+    """Return a tool's loads (..., 24), -1 .. 1: of each axis in turn by the flange's lever, over
+    the longest there is, and by a mass off the flange along its x, y and z.
+    """
+    links = link_transforms(arm, joints_rad)
+    frames = [np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)]
+    for row in range(6):
+        frames.append(frames[-1] @ links[..., row, :, :])
+    lengths_mm = np.abs(arm.a_mm) + np.abs(arm.d_mm)
+    flange, columns = frames[6], []
+    least_reach_mm = 1.0
+    for row in range(6):
+        reach_mm = max(float(lengths_mm[row:].sum()), least_reach_mm)
+        axis = frames[row][..., :3, 2]
+        columns.append(_lever(axis, (flange[..., :3, 3] - frames[row][..., :3, 3]) / reach_mm))
+        columns += [_lever(axis, flange[..., :3, n]) for n in range(3)]
+    return np.stack(columns, axis=-1)
+
+
+def _lever(axis: Array, link: Array) -> Array:
+    """Return how fast a link's tip rises per turn about an axis: the cosine of its slope."""
+    return axis[..., 0] * link[..., 1] - axis[..., 1] * link[..., 0]
+
+
+def _direction(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    return unit

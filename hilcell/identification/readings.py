@@ -1,4 +1,14 @@
-"""Static poses that were measured, one row a pose and one column a reflector."""
+"""Static poses that were measured, and how far their readings scatter about a smooth model.
+
+One row is a pose, one column a reflector. The scatter is estimated from the poses themselves, and
+has three sources: the tracker's own beyond what the readings' covariance says, independent from
+reading to reading; a shift common to all reflectors of a pose; and the joints' (repeatability, and
+short waves of gears that no parameter describes). One that is zero is absent and stays so.
+
+Several reflectors are not described by noise of the joints alone: where the wrist is nearly
+singular it claims that the robot cannot miss in some direction, and the few poses there outweigh
+all others (two real robots, `docs/decisions/0027-kinematic-identification.md`).
+"""
 
 from __future__ import annotations
 
@@ -94,3 +104,117 @@ def places_of(joints_rad: Array) -> Array:
 def folds_of(joints_rad: Array) -> Ints:
     """Return the fold (N,) in which each row is left out, one for all rows of a pose."""
     return (FOLDS * places_of(joints_rad)).astype(np.int_)
+
+
+TYPICAL_MM, TYPICAL_RAD = 0.02, 30e-6  # where the estimate starts, and what few data lean on
+DOUBT = 4.0  # readings' worth of data that the typical values count for
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations: of a coordinate of a reading, of a pose, and of the joints (6,)."""
+
+    reading_mm: float
+    pose_mm: float
+    joint_rad: Array
+
+    @classmethod
+    def of_joints(cls, reflectors: int = 1) -> Noise:
+        """Return noise of readings and joints, with several reflectors of poses too, to be
+        estimated.
+        """
+        pose_mm = TYPICAL_MM if reflectors > 1 else 0.0
+        return cls(TYPICAL_MM, pose_mm, np.full(6, TYPICAL_RAD))
+
+    @classmethod
+    def of_poses(cls, reflectors: int) -> Noise:
+        """Return noise of readings, and with several reflectors of poses, to be estimated."""
+        return cls(TYPICAL_MM, TYPICAL_MM if reflectors > 1 else 0.0, np.zeros(6))
+
+    @classmethod
+    def independent(cls, reading_mm: float) -> Noise:
+        """Return noise of the readings alone."""
+        return cls(reading_mm, 0.0, np.zeros(6))
+
+    def scaled(self, factor: float) -> Noise:
+        """Return the noise with all standard deviations times a factor."""
+        return Noise(self.reading_mm * factor, self.pose_mm * factor, self.joint_rad * factor)
+
+    def scatter(self, by_joint: Array) -> Array:
+        """Return the covariances (M, K, 3, 3) of readings, each by itself."""
+        levers = by_joint * self.joint_rad
+        scatter: Array = levers @ np.swapaxes(levers, -1, -2)
+        return scatter + (self.reading_mm**2 + self.pose_mm**2) * np.eye(3)
+
+    def covariance(self, by_joint: Array, own_mm2: Array, known: Bools) -> Array:
+        """Return the covariances (M, 3K, 3K) of the poses' readings.
+
+        ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown
+        reading (M, K) has variance 1 and no part in the others.
+        """
+        levers, shifts = _joined(by_joint, known), _shifts(known)
+        C: Array = np.einsum("mij,j,mkj->mik", levers, self.joint_rad**2, levers)
+        C += self.pose_mm**2 * shifts @ np.swapaxes(shifts, 1, 2)
+        for k in range(known.shape[1]):
+            at = slice(3 * k, 3 * k + 3)
+            own = own_mm2[:, k] + self.reading_mm**2 * np.eye(3)
+            C[:, at, at] += np.where(known[:, k, None, None], own, np.eye(3))
+        return C
+
+    def improved(self, weighted: Array, precision: Array, by_joint: Array, known: Bools) -> Noise:
+        """Return the estimate after one step that cannot lower the marginal likelihood.
+
+        ``weighted`` (M, 3K) is P y and ``precision`` (M, 3K, 3K) the blocks of P, the inverse of
+        the readings' whole covariance under the prior: the MM algorithm for variance components,
+        sigma^2 <- sigma^2 sqrt(y'P V P y / tr P V) (Zhou et al., J. Comp. Graph. Stat. 2019).
+        """
+        rows = np.repeat(known, 3, axis=1)
+        found = float(np.sum(np.where(rows, weighted, 0.0) ** 2))
+        wanted = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
+        reading = _step(self.reading_mm, found, wanted, TYPICAL_MM)
+        pose = self.pose_mm
+        if pose > 0.0:
+            of_pose = _components(_shifts(known), weighted, precision)
+            pose = _step(pose, float(of_pose[0].sum()), float(of_pose[1].sum()), TYPICAL_MM)
+        joint = self.joint_rad
+        if joint.all():
+            common = float(np.exp(np.mean(np.log(joint))))
+            pairs = zip(*_components(_joined(by_joint, known), weighted, precision), strict=True)
+            joint = np.array([
+                _step(float(sigma), float(f), float(w), common)
+                for sigma, (f, w) in zip(joint, pairs, strict=True)
+            ])  # fmt: skip
+        return Noise(reading, pose, joint)
+
+    def changed(self, before: Noise) -> float:
+        """Return the largest relative change of a standard deviation that is not zero."""
+        now, then = (
+            np.array([noise.reading_mm, noise.pose_mm, *noise.joint_rad])
+            for noise in (self, before)
+        )
+        return float(np.abs(np.log(now[now > 0.0] / then[now > 0.0])).max())
+
+
+def _components(factors: Array, weighted: Array, precision: Array) -> tuple[Array, Array]:
+    """Return y'P V P y and tr P V (J,) of the sources V = F F' by their factors (M, 3K, J)."""
+    found = np.sum(np.einsum("mij,mi->mj", factors, weighted) ** 2, axis=0)
+    wanted = np.sum(factors * (precision @ factors), axis=(0, 1))
+    return found, wanted
+
+
+def _joined(by_joint: Array, known: Bools) -> Array:
+    """Return the joints' levers (M, 3K, 6), zero for unknown readings."""
+    return np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
+
+
+def _shifts(known: Bools) -> Array:
+    """Return how a shift of the pose moves its readings (M, 3K, 3)."""
+    shifts = known[..., None, None] * np.eye(3)
+    return shifts.reshape(len(known), -1, 3)
+
+
+def _step(sigma: float, found: float, wanted: float, typical: float) -> float:
+    """Return sigma after a step, drawn to the typical value by an inverse chi^2 of `DOUBT`."""
+    found += DOUBT * typical**2 / sigma**4
+    wanted += DOUBT / sigma**2
+    return float(sigma * (found / wanted) ** 0.25)

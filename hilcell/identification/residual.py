@@ -16,8 +16,7 @@ import numpy as np
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import State
-from hilcell.identification.noise import Noise
-from hilcell.identification.readings import folds_of
+from hilcell.identification.readings import Noise, folds_of
 
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found

@@ -4,26 +4,26 @@ A lag between both streams looks like a constant error of the joint, of opposite
 directions, and shifts the curve along the joint by as much. So the constants tell the lag, as far
 as lost motion lets them, and the lines of both directions improve it. The constant of a curve, its
 slope and its long waves are never used: frames, kinematics and gravity are in them, too.
+
+Which lines there are, and how large, is found from both records at once, one a direction. They have
+smooth errors of their own, and lie apart along the joint by twice a shift. Signal is what both
+directions share; by what they differ is noise, at any frequency: so the noise may be coloured and
+need not be known beforehand.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
 from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.motion import BadStream, Motion, SweepStream, motion_of
-from hilcell.identification.spectrum import (
-    Found,
-    Known,
-    Records,
-    Shift,
-    search,
-    without_lines,
-)
 from hilcell.model.events import URAD, CurveMeasured
 
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ
@@ -247,3 +247,413 @@ def curve_of(measured: CurveMeasured) -> TransmissionCurve:
         measured.high_rad,
         measured.noise_rad,
     )
+
+
+Complex = NDArray[np.complex128]
+
+LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
+CHANCE = 1e-3  # that any line at all is found where there is none
+SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
+# 1 sigma of the joint's harmonics below the lowest line
+FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
+LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
+
+
+@dataclass(frozen=True)
+class Records:
+    """Both directions below one another: joint, error and direction of N samples."""
+
+    joint_rad: Array  # (N,) as read, not yet shifted
+    error_rad: Array  # (N,)
+    side: Array  # (N,) 1 upwards, -1 downwards
+
+    @property
+    def middle_rad(self) -> float:
+        """Return the middle of the joint's range."""
+        return float(self.joint_rad.max() + self.joint_rad.min()) / 2.0
+
+    @property
+    def half_rad(self) -> float:
+        """Return half the joint's range."""
+        return float(np.ptp(self.joint_rad)) / 2.0
+
+    @property
+    def width(self) -> float:
+        """Return the width of a line, in cycles per revolution."""
+        return np.pi / self.half_rad
+
+    @property
+    def lowest(self) -> float:
+        """Return the cycles per revolution below which an error counts as smooth."""
+        least_periods = 1.9  # of a line in the range
+        return max(LOWEST, least_periods * self.width)
+
+    def angle_rad(self, shift_rad: float) -> Array:
+        """Return the joint (N,) from its middle, each direction shifted."""
+        return self.joint_rad + shift_rad * self.side - self.middle_rad
+
+    @cached_property
+    def ways(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the numbers of the samples upwards and downwards."""
+        return np.flatnonzero(self.side > 0), np.flatnonzero(self.side < 0)
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
+        angle = self.angle_rad(0.0)
+        columns = [np.full_like(angle, FREE_RAD), FREE_RAD * angle / self.half_rad]
+        for order, sigma in SMOOTH_RAD.items():
+            columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
+        both = np.stack(columns, axis=1)
+        up = (self.side > 0)[:, None]
+        return np.hstack([both * up, both * ~up])
+
+    @cached_property
+    def _smooth_products(self) -> Array:
+        return self.smooth.T @ self.smooth
+
+    @cached_property
+    def _smooth_right(self) -> Array:
+        return self.smooth.T @ self.error_rad
+
+    def equations(self, columns: Array) -> tuple[Array, Array]:
+        """Return the normal equations of the error by smooth and more columns (N, Q).
+
+        Their matrix (P + Q, P + Q) and right side (P + Q,).
+        """
+        across = self.smooth.T @ columns
+        normal = np.block([[self._smooth_products, across], [across.T, columns.T @ columns]])
+        return normal, np.concatenate([self._smooth_right, columns.T @ self.error_rad])
+
+    def left_rad(self, columns: Array, found: Array) -> Array:
+        """Return what smooth and more columns (N, Q) with coefficients (P + Q,) leave (N,)."""
+        count = self.smooth.shape[1]
+        return self.error_rad - self.smooth @ found[:count] - columns @ found[count:]
+
+    def frequencies(self, oversampled: int) -> Array:
+        """Return frequencies (F,) in even steps, a part of a line's width apart."""
+        steps_rad = np.abs(np.diff(self.joint_rad))
+        highest = min(HIGHEST, 0.8 * np.pi / float(np.median(steps_rad)))
+        count = int((highest - self.lowest) / self.width * oversampled)
+        return np.linspace(self.lowest, highest, max(count, 4))
+
+    def rms_rad(self, lines: Lines) -> float:
+        """Return the root mean square of lines over the samples."""
+        waves = _waves(self.angle_rad(lines.shift.rad), lines.cycles)
+        return rms(waves @ lines.amplitude_rad.ravel())
+
+    def refined(self, lines: Lines, prior: Shift) -> Lines:
+        """Return the lines with amplitudes, frequencies and shift at their best together.
+
+        Gauss-Newton; smooth errors are found beside them.
+        """
+        cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
+        count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
+        first = self.smooth.shape[1]
+        steps = 12
+        settled, longest_step = 1e-4, 0.2  # of a line's width
+        for _ in range(steps):
+            angle = self.angle_rad(shift_rad)
+            waves = _waves(angle, cycles)
+            turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
+            by_cycles = self.width * angle[:, None] * turned
+            by_shift = prior.sigma_rad * (self.side * (turned @ cycles))[:, None]
+            columns = np.hstack([LINE_RAD * waves, by_cycles, by_shift])
+            towards = (prior.rad - shift_rad) / prior.sigma_rad
+            found, inverse = self._solved(columns, sigma_rad, towards)
+            sigma_rad = rms(self.left_rad(columns, found))
+            sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
+            amplitude = _pairs(found[first:], count)
+            step = np.clip(found[-1 - count : -1], -longest_step, longest_step)
+            cycles = np.clip(cycles + self.width * step, self.lowest, HIGHEST)
+            shift_rad += prior.sigma_rad * float(found[-1])
+            if not np.any(np.abs(step) > settled):
+                break
+        columns = LINE_RAD * _waves(self.angle_rad(shift_rad), cycles)
+        found, _ = self._solved(columns, sigma_rad)
+        left_rad = self.left_rad(columns, found)
+        amplitude = _pairs(found[first:], count)
+        return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
+
+    def _solved(self, columns: Array, sigma_rad: float, last: float = 0.0) -> tuple[Array, Array]:
+        """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
+
+        Their prior is 1 sigma = 1 about 0, of the last one about ``last``.
+        """
+        normal, right = self.equations(columns)
+        normal[np.diag_indices_from(normal)] += sigma_rad**2
+        right[-1] += sigma_rad**2 * last
+        inverse = np.linalg.inv(normal)
+        found: Array = inverse @ right
+        return found, np.array(inverse, dtype=float)
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """How far each direction lies behind, and its standard uncertainty, in rad."""
+
+    rad: float
+    sigma_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The variance of white noise as strong as the noise at a frequency; its log is a parabola."""
+
+    coefficients: Array  # (3,)
+    covariance: Array  # (3, 3)
+
+    def variance_rad2(self, cycles: Array) -> Array:
+        """Return the variances (...) at frequencies (...)."""
+        return np.exp(_powers_of_log(cycles) @ self.coefficients)
+
+    def chance(self, score: float, cycles: float) -> float:
+        """Return how likely noise has a power of ``score`` times its variance, or more.
+
+        Powers have two degrees of freedom. The noise is known from few frequencies itself: F
+        distribution with 2 and 2 / u^2 degrees, u of the variance's logarithm.
+        """
+        x = _powers_of_log(cycles)
+        degrees = 1.0 / float(x @ self.covariance @ x)
+        return float((1.0 + score / 2.0 / degrees) ** -degrees)
+
+    def is_line(self, score: Array, cycles: Array) -> bool:
+        """Whether the best of scores (F,) at frequencies (F,) is more than noise by chance."""
+        best = int(np.argmax(score))
+        return bool(len(score) * self.chance(score[best], cycles[best]) < CHANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """K lines about the records' middle, and what they leave of N samples."""
+
+    cycles: Array  # (K,) per revolution
+    amplitude_rad: Array  # (K, 2) of cosine and sine
+    shift: Shift
+    left_rad: Array  # (N,)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The lines that are no chance, with their covariance (2K, 2K).
+
+    ``differ_rad`` is the largest amplitude by which the directions differ at one frequency, 0
+    where that may be chance.
+    """
+
+    lines: Lines
+    covariance_rad2: Array
+    differ_rad: float
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """The sum of squares (F,) that each of F waves alone explains, and its amplitudes (F, 2)."""
+
+    powers_rad2: Array
+    amplitude_rad: Array
+
+    @classmethod
+    def by(cls, normal: Array, across: Complex, right: Complex) -> Self:
+        """Return what waves explain beside orthogonal columns.
+
+        Of the waves' products (F, 2, 2), with the columns (P, F) and with what is left (F,).
+        """
+        cosine, sine = across.real, across.imag
+        taken = (
+            np.einsum("pf,pf->f", *pair)
+            for pair in ((cosine, cosine), (cosine, sine), (sine, sine))
+        )
+        wanted = np.stack([right.real, right.imag], axis=1)
+        amplitude = np.linalg.solve(normal - _symmetric(*taken), wanted[..., None])[..., 0]
+        return cls(np.einsum("fi,fi->f", wanted, amplitude), np.array(amplitude, dtype=float))
+
+
+class Trial:
+    """Waves exp(i f angle) of many frequencies f (F,) at the samples of each direction, unshifted.
+
+    Their sums over the samples of a direction turn with its shift.
+    """
+
+    def __init__(self, records: Records) -> None:
+        oversampled = 4  # trial frequencies in one width of a line
+        self.cycles = records.frequencies(oversampled)
+        self.apart = slice(None, None, oversampled)  # of them, as good as independent
+        self._ways, angle_rad = records.ways, records.angle_rad(0.0)
+        half = records.smooth.shape[1] // 2
+        self._waves, self._squares, self._smooth = list[Complex](), list[Complex](), list[Complex]()
+        for n, way in enumerate(self._ways):
+            waves, squares = _even_waves(angle_rad[way], self.cycles)
+            self._waves.append(waves)
+            self._squares.append(squares)
+            self._smooth.append(_sums(records.smooth[way, n * half : (n + 1) * half], waves))
+
+    def explained(self, known: Known, shift: Shift) -> tuple[Explained, Explained]:
+        """Return what waves of both directions explain, and those of opposite sign in them."""
+        up = np.exp(1j * shift.rad * self.cycles)
+        turns = (up, up.conj())
+        rows = np.column_stack([known.waves, known.left_rad])
+        sums = [
+            _sums(rows[way], waves) * turn
+            for way, waves, turn in zip(self._ways, self._waves, turns, strict=True)
+        ]
+        smooth = [each * turn for each, turn in zip(self._smooth, turns, strict=True)]
+        squares = self._squares[0] * up**2 + self._squares[1] * up.conj() ** 2
+        count = len(rows)
+        normal = _symmetric(
+            (count + squares.real) / 2, squares.imag / 2, (count - squares.real) / 2
+        )
+        same, opposite = (
+            Explained.by(
+                normal,
+                known.root
+                @ np.vstack([smooth[0], sign * smooth[1], sums[0][:-1] + sign * sums[1][:-1]]),
+                sums[0][-1] + sign * sums[1][-1],
+            )
+            for sign in (1.0, -1.0)
+        )
+        return same, opposite
+
+    def difference(self, opposite: Explained) -> tuple[Noise, float]:
+        """Return the noise by what the directions differ, and the largest line in that."""
+        noise = noise_of(opposite.powers_rad2[self.apart], self.cycles[self.apart])
+        score = opposite.powers_rad2 / noise.variance_rad2(self.cycles)
+        best = int(np.argmax(score))
+        is_line = noise.is_line(score, self.cycles)
+        return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
+
+
+class Known:
+    """Smooth errors and the lines so far: columns (N, P) with priors of 1 sigma = 1, fitted."""
+
+    def __init__(self, records: Records, lines: Lines) -> None:
+        self.waves = LINE_RAD * _waves(records.angle_rad(lines.shift.rad), lines.cycles)
+        normal, right = records.equations(self.waves)
+        normal[np.diag_indices_from(normal)] += np.mean(lines.left_rad**2)
+        self.root = np.linalg.inv(np.linalg.cholesky(normal))
+        explained = self.root.T @ (self.root @ right)
+        self.left_rad = records.left_rad(self.waves, explained)
+
+    def covariance(self, lines: Lines, noises: tuple[Noise, ...]) -> Array:
+        """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
+        first = len(self.root) - 2 * len(lines.cycles)
+        block = (self.root.T @ self.root)[first:, first:] * LINE_RAD**2
+        variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
+        sigma = np.repeat(np.sqrt(variance_rad2), 2)
+        # variance of a line with its frequency free over that with a known one, in the mean
+        freed = 1.5
+        return freed * block * np.outer(sigma, sigma)
+
+
+def search(records: Records, shift: Shift) -> Found:
+    """Find lines one by one, each the strongest against the noise, until chance explains the rest.
+
+    ``shift`` is known beforehand; the lines improve it.
+    """
+    trial, lines = Trial(records), without_lines(records, shift)
+    smooth_left_rad, refused = rms(lines.left_rad), list[float]()
+    grown = 1.6  # rms of all lines over that of what smooth errors leave: more is trade with those
+    most_lines = 16
+    apart = 0.45  # widths of a line, between two of them
+    while True:
+        known = Known(records, lines)
+        same, opposite = trial.explained(known, shift)
+        noise, differ_rad = trial.difference(opposite)
+        score = same.powers_rad2 / noise.variance_rad2(trial.cycles)
+        tried = (*lines.cycles, *refused)
+        for cycles in tried:
+            score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
+        best = int(np.argmax(score))
+        rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
+        found = Found(lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
+        if len(tried) == most_lines or not noise.is_line(score, trial.cycles):
+            return found
+        more = Lines(
+            np.append(lines.cycles, trial.cycles[best]),
+            np.vstack([lines.amplitude_rad, same.amplitude_rad[best]]),
+            lines.shift,
+            lines.left_rad,
+        )
+        more = records.refined(more, shift)
+        better = bool(np.all(np.diff(np.sort(more.cycles)) >= apart * records.width))
+        better &= rms(more.left_rad) < rms(lines.left_rad)
+        if better and records.rms_rad(more) <= grown * smooth_left_rad:
+            lines = more
+        else:
+            refused.append(float(trial.cycles[best]))
+
+
+def without_lines(records: Records, shift: Shift) -> Lines:
+    """Return what smooth errors leave."""
+    return records.refined(Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
+
+
+def _pairs(found: Array, count: int) -> Array:
+    """Return cosines and sines (K, 2) of the lines that come first."""
+    return LINE_RAD * found[: 2 * count].reshape(-1, 2)
+
+
+def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
+    """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
+
+    They are exponentially distributed; maximum likelihood by Fisher's scoring, in which single
+    ones that stand out count little.
+    """
+    mean = np.maximum(powers_rad2 / 2.0, 1e-24)
+    X = _powers_of_log(cycles)
+    found: Array = np.array([np.log(mean.mean()), 0.0, 0.0])
+    prior = np.diag([0.0, 0.5, 0.5])  # few frequencies tell no colour
+    covariance = np.array(np.linalg.inv(X.T @ X + prior), dtype=float)
+    stands_out = 4.0  # times the mean power: single powers beyond it are no noise
+    least_step = 1e-14  # of a variance's logarithm
+    for _ in range(50):
+        ratio = np.minimum(mean * np.exp(-X @ found), stands_out) / (1.0 - np.exp(-stands_out))
+        step = covariance @ (X.T @ (ratio - 1.0) - prior @ found)
+        found = found + np.clip(step, -1.0, 1.0)
+        if np.abs(step).max() < least_step:
+            break
+    return Noise(found, covariance)
+
+
+def _powers_of_log(cycles: Array | float) -> Array:
+    x = 2.0 * np.log(np.asarray(cycles, dtype=float) / LOWEST) / np.log(HIGHEST / LOWEST) - 1.0
+    return np.stack([np.ones_like(x), x, x * x], axis=-1)
+
+
+def _waves(angle_rad: Array, cycles: Array) -> Array:
+    """Return cosines and sines (N, 2K) by turns."""
+    phases = angle_rad[:, None] * cycles
+    return np.stack([np.cos(phases), np.sin(phases)], axis=-1).reshape(len(angle_rad), -1)
+
+
+def _even_waves(angle_rad: Array, cycles: Array) -> tuple[Complex, Complex]:
+    """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
+    sums (F,).
+    """
+    step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
+    block = 16  # frequencies, of which one cosine and sine each is computed
+    fine = _series(np.ones_like(step), step, block)
+    first = np.exp(1j * angle_rad * cycles[0])
+    coarse = _series(first, fine[:, -1] * step, -(-len(cycles) // block))
+    waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
+    squares = ((coarse * coarse).T @ (fine * fine)).ravel()
+    return waves[:, : len(cycles)], squares[: len(cycles)]
+
+
+def _series(first: Complex, ratio: Complex, count: int) -> Complex:
+    """Return geometric series (N, count)."""
+    factors = np.repeat(ratio[:, None], count, axis=1)
+    factors[:, 0] = first
+    return np.multiply.accumulate(factors, axis=1)
+
+
+def _sums(columns: Array, waves: Complex) -> Complex:
+    """Return the sums (M, F) of waves (N, F) times columns (N, M), over the samples."""
+    found: Complex = (columns.T @ waves.view(float)).view(complex)
+    return found
+
+
+def _symmetric(first: Array, across: Array, last: Array) -> Array:
+    """Return matrices (F, 2, 2)."""
+    return np.stack([first, across, across, last], axis=-1).reshape(-1, 2, 2)

@@ -29,7 +29,6 @@ from hilcell.compensation.targets import HEADER, read_named_rows, target_rows
 from hilcell.fit.methods import UNDETERMINED_MM, Fitted, Method
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements, Robot
-from hilcell.geometry.closed_form import ReachError, status_of
 from hilcell.geometry.frames import (
     FrameError,
     apply,
@@ -39,7 +38,7 @@ from hilcell.geometry.frames import (
     rigid_fit,
     zyx_from_pose,
 )
-from hilcell.geometry.inverse import refined
+from hilcell.geometry.inverse import ReachError, refined, status_of
 from hilcell.geometry.kinematics import Arm, Array, Bools, forward
 from hilcell.ports import HilcellError
 from hilcell.programs.corrected import Corrected

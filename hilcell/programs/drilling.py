@@ -27,9 +27,8 @@ from hilcell.cell.surroundings import posture as with_slide
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
-from hilcell.geometry.closed_form import status_of
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import posture, reachable
+from hilcell.geometry.inverse import posture, reachable, status_of
 from hilcell.geometry.kinematics import Arm, Bools, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError

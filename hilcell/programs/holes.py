@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER, read_named_rows
+from hilcell.geometry.frames import from_rotvec, from_zyx
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_rotvec, from_zyx
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
 LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded

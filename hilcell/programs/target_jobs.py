@@ -34,8 +34,14 @@ from hilcell.compensation.programs import (
 )
 from hilcell.compensation.targets import HEADER, csv_of, read_targets, target_rows
 from hilcell.errors import bounded, indented
-from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.rotations import from_zyx
+from hilcell.geometry.frames import (
+    apply,
+    from_zyx,
+    inverse,
+    pose_from_zyx,
+    poses_from_zyx,
+    zyx_from_pose,
+)
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 from hilcell.programs.corrected import Corrected, Released, drill_mm_of

@@ -9,8 +9,7 @@ from fakes.truth.transforms import Chain, components, frame, inverse, rotation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose
 from hilcell.geometry import frames
-from hilcell.geometry.closed_form import status_of
-from hilcell.geometry.inverse import joint_jacobian, posture
+from hilcell.geometry.inverse import joint_jacobian, posture, status_of
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
 

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
+from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import to_rotvec
-from hilcell.identification.design import Design
 from hilcell.identification.readings import IdentificationError
 from hilcell.model.events import Event
 from hilcell.model.point import PointId
@@ -21,7 +20,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses
 from procedures import robot_grid
-from procedures.robot_grid import CANDIDATES, ChosenPoses, candidates_rad
+from procedures.robot_grid import CANDIDATES, ChosenPoses, Design, candidates_rad
 from tests.procedures.results import result_of
 
 QUICK = load_cell("paper", {"plan.quick": "true"})

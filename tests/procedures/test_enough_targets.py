@@ -12,13 +12,13 @@ from hilcell.calibration.decision import Guard, judged, limits_of
 from hilcell.calibration.errors import Errors
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
-from hilcell.geometry.sequential import Decision
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from procedures import enough_targets
 from procedures.calibrate import CALIBRATE
+from procedures.enough_targets import Decision
 from procedures.paper import PaperRows
 from procedures.validate import MARGIN_MM, Validate, targets
 

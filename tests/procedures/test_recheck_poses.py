@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
+from hilcell.geometry.frames import turned_deg
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import turned_deg
 from procedures.recheck import commands_rad
 from tests.hilcell.calibration.calibrations import calibration
 

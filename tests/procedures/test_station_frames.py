@@ -10,8 +10,7 @@ import pytest
 
 from drivers.leica.tracker_geocom import class_std_mm
 from hilcell.cell.file import Cell, Nest, Station, load_cell
-from hilcell.geometry.frames import apply, matrix
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError

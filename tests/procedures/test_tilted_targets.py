@@ -8,9 +8,8 @@ import pytest
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG, orientation_tolerance_deg
 from hilcell.calibration.form import Validity
 from hilcell.cell.file import Cell, load_cell
-from hilcell.geometry.frames import matrix
+from hilcell.geometry.frames import from_zyx, matrix, to_rotvec, turned_deg
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import from_zyx, to_rotvec, turned_deg
 from hilcell.ports import Array, HilcellError
 from procedures.plan import poses_at
 from procedures.robot_grid import ChosenPoses, RobotGrid, judged_rad

@@ -15,9 +15,8 @@ from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS
-from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId

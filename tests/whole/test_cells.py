@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import read_calibration
-from hilcell.geometry.frames import pose_from_zyx
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import pose_from_zyx, to_rotvec
 from hilcell.programs.holes import NORMALS
 from tests.whole.bench import command, end_of, sets
 

@@ -18,8 +18,7 @@ from fakes.truth.plant import Plant
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
 from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
-from hilcell.geometry.frames import apply, inverse, matrix, orientations
-from hilcell.geometry.rotations import from_zyx, to_rotvec
+from hilcell.geometry.frames import apply, from_zyx, inverse, matrix, orientations, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
 from hilcell.model.outcome import Outcome

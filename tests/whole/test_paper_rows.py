@@ -25,7 +25,6 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
-from hilcell.geometry.rigidity import Moved
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.frame import MeasuredBase
@@ -36,7 +35,7 @@ from hilcell.typed import typed
 from procedures import rail_survey, station_frames
 from procedures.paper import ROWS, Experiments, Row, commanded_rad, paper_table
 from procedures.plan import joints_for, poses_at
-from procedures.station_frames import station_fit, tool_uncertainty_mm
+from procedures.station_frames import Moved, station_fit, tool_uncertainty_mm
 from tests.hilcell.compensation.models import predicted_mm
 from tests.whole.conftest import PaperRun
 from tests.whole.paper_mistakes import (

@@ -37,9 +37,8 @@ from drivers.program_text import (
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
 from hilcell.compensation.programs import StatedTool, Stroke
-from hilcell.geometry.frames import matrix, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.frames import from_rotvec, matrix, poses_from_zyx, to_rotvec, zyx_from_pose
 from hilcell.geometry.kinematics import Arm
-from hilcell.geometry.rotations import from_rotvec, to_rotvec
 from hilcell.ports import Array, HilcellError
 
 LONGEST_QUOTE = 80

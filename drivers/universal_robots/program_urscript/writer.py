@@ -18,7 +18,7 @@ from drivers.universal_robots.program_urscript.files import SUFFIX
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import StationProgram
-from hilcell.geometry.rotations import from_zyx, to_rotvec
+from hilcell.geometry.frames import from_zyx, to_rotvec
 
 FULL_RAD_S = 1.05  # of the joint that moves farthest, the usual speed of movej
 ACCELERATION_RAD_S2 = 0.7

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hilcell.geometry.frames import pose_from_zyx
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import pose_from_zyx, to_rotvec
 
 TURN_RAD = to_rotvec(pose_from_zyx(0.0, 0.0, 0.0, 0.0, 75.0, 0.0)[:3, :3])
 OTHER_RAD = TURN_RAD * (1.0 - 2.0 * np.pi / np.linalg.norm(TURN_RAD))  # the same rotation

@@ -13,9 +13,8 @@ from hilcell.calibration.causes import ZEROS, patterns
 from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
-from hilcell.geometry.frames import inverse
+from hilcell.geometry.frames import from_rotvec, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL

@@ -18,8 +18,7 @@ from hilcell.calibration.influence import (
     motion,
     moved_frame,
 )
-from hilcell.geometry.frames import pose_from_zyx
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec, pose_from_zyx
 from hilcell.ports import Array
 
 TARGET = np.array([[0.0, 0.0, 2000.0]])

@@ -31,7 +31,7 @@ from hilcell.calibration.iso9283 import (
 )
 from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm
 from hilcell.cell.file import load_cell
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
 from hilcell.model.point import PointId

@@ -24,8 +24,7 @@ from hilcell.calibration.orientation import (
 )
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction, Turn
-from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
-from hilcell.geometry.rotations import from_rotvec, from_zyx
+from hilcell.geometry.frames import from_rotvec, from_zyx, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log

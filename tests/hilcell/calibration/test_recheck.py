@@ -16,9 +16,8 @@ from hilcell.calibration.recheck import (
 )
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction
-from hilcell.geometry.frames import apply, matrix
+from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array
 from procedures.plan import joints_for
 

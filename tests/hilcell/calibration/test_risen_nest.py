@@ -9,7 +9,7 @@ import pytest
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.since import risen_nest
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log

@@ -11,7 +11,7 @@ import pytest
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.since import changed_since, compared
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log

@@ -6,8 +6,7 @@ import pytest
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.compensation.model import Prediction, Turn
-from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx, to_rotvec, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, T_W_B, calibration, field_mm
 

@@ -12,9 +12,8 @@ from hilcell.compensation.correction import CorrectionError, corrected
 from hilcell.compensation.grid import Grid, OutsideGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import Prediction
-from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_rotvec
 from tests.hilcell.compensation.models import Kind, exact, level
 
 ErrorAt = Callable[[Array], Array]

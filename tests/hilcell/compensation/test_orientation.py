@@ -15,9 +15,8 @@ from hilcell.compensation.kinematic import Kinematic, seats_mm
 from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.model import ModelError, Prediction, Turn
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
-from hilcell.geometry.frames import matrix, orientations
+from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
 from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.geometry.rotations import from_rotvec, to_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.readings import Readings
 from tests.hilcell.compensation.models import lattice

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.surroundings import posture
-from hilcell.geometry.clear_motion import RESOLUTION_MM, Body
-from hilcell.geometry.clearance import Boxes, Capsules, joint_lines
+from hilcell.geometry.clearance import RESOLUTION_MM, Body, Boxes, Capsules, joint_lines
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import Array
 

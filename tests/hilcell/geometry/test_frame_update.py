@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.frame_update import updated_frame
-from hilcell.geometry.frames import FrameError, apply, cross_matrix, matrix, pose_from_zyx
+from hilcell.geometry.frames import (
+    FrameError,
+    apply,
+    cross_matrix,
+    from_rotvec,
+    matrix,
+    pose_from_zyx,
+)
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rotations import from_rotvec
 
 T = pose_from_zyx(-1850.0, 0.0, 300.0, 20.0, -10.0, 5.0)
 RNG = np.random.default_rng(7)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hilcell.cell.file import load_cell
-from hilcell.geometry.closed_form import ReachError, status_of
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.inverse import (
+    ReachError,
     inverse_kinematics,
     joint_jacobian,
     nearest_turns,
@@ -19,6 +19,7 @@ from hilcell.geometry.inverse import (
     reach_excess_mm,
     reachable,
     refine_inverse,
+    status_of,
 )
 from hilcell.geometry.kinematics import Arm, forward
 

@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.geometry.frames import orientations, turn_levers
-from hilcell.geometry.rotations import from_rotvec, to_rotvec
+from hilcell.geometry.frames import from_rotvec, orientations, to_rotvec, turn_levers
 
 PLACES_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 120.0]])
 seeds = st.integers(0, 2**32 - 1)

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hilcell.geometry.rotations import from_rotvec, from_zyx, to_rotvec
+from hilcell.geometry.frames import from_rotvec, from_zyx, to_rotvec
 
 angles = st.tuples(*[st.floats(-360.0, 360.0)] * 3)
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)

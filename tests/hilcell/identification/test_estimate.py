@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.identification.estimate import Estimate, identify, predict
+from hilcell.identification.estimate import Estimate, identify, observability, predict
 from hilcell.identification.kinematics import Kinematics
-from hilcell.identification.noise import Noise
-from hilcell.identification.readings import IdentificationError, Readings
-from hilcell.identification.system import observability
+from hilcell.identification.readings import IdentificationError, Noise, Readings
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 KINEMATICS = Kinematics(ARM, 1)

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.gravity import AXES, gravity_basis
-from hilcell.identification.kinematics import LINKS, Kinematics
+from hilcell.identification.kinematics import GRAVITY_AXES, LINKS, Kinematics, gravity_basis
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 seeds = st.integers(0, 2**32 - 1)
@@ -76,10 +75,10 @@ def test_a_curve_turns_its_own_joint() -> None:
 def test_gravity_bends_the_joints_by_its_loads() -> None:
     """Of two robots at the same joints, each by its own: the loads are kept from step to step."""
     bent, stiff = Kinematics(ARM, waves=False), Kinematics(ARM, waves=False, gravity=False)
-    state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(LINKS + len(AXES)))
+    state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(LINKS + len(GRAVITY_AXES)))
     state.values[LINKS:] = 1e-4 * np.arange(1.0, 7.0)
     joints = Robot(bent, state).joints_rad(1, 5)
-    by_axis = np.eye(6)[list(AXES)]
+    by_axis = np.eye(6)[list(GRAVITY_AXES)]
     wanted = (gravity_basis(ARM, joints) * state.values[LINKS:]) @ by_axis
     for _ in range(2):
         np.testing.assert_allclose(bent.joints_of(state, joints) - joints, wanted, atol=1e-15)
@@ -92,5 +91,5 @@ def test_gravity_loads_a_horizontal_link_most(axis: int) -> None:
     joints = np.zeros((1, 6))
     joints[0, 2] = np.arctan2(ARM.a_mm[2], ARM.d_mm[3])  # the forearm's line, not its tube
     loads = gravity_basis(ARM, joints)[0]
-    own = loads[[n for n, each in enumerate(AXES) if each == axis]]
+    own = loads[[n for n, each in enumerate(GRAVITY_AXES) if each == axis]]
     np.testing.assert_allclose(np.abs(own), [1.0, 0.0] * (len(own) // 2), atol=1e-9)

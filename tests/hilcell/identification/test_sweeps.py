@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.motion import SweepStream
-from hilcell.identification.spectrum import Known, Records, Shift, Trial, without_lines
-from hilcell.identification.sweeps import SweptAxis, swept_axis
+from hilcell.identification.sweeps import (
+    Known,
+    Records,
+    Shift,
+    SweptAxis,
+    Trial,
+    swept_axis,
+    without_lines,
+)
 from tests.hilcell.identification.axis_streams import (
     ARM,
     Axis,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.compensation.programs import Stroke
-from hilcell.geometry.frames import matrix, pose_from_zyx, zyx_from_pose
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 

@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import from_rotvec
 from hilcell.model.point import PointId, Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.cell.surroundings import Surroundings, posture
-from hilcell.geometry.clear_motion import Proof
+from hilcell.geometry.clearance import Proof
 from hilcell.model.point import PointId
 from hilcell.ports import Array, RobotReading
 from hilcell.run.cell_session import CellSession

@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.geometry.frames import apply, inverse, matrix
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix
 from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.geometry.frames import matrix, zyx_from_pose
-from hilcell.geometry.rotations import from_zyx
+from hilcell.geometry.frames import from_zyx, matrix, zyx_from_pose
 from hilcell.ports import Array
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.identification.design import Rows, design
+from procedures.robot_grid import Rows, design
 
 P = 5
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.rigidity import SIGMAS, moved_points
+from procedures.station_frames import SIGMAS, moved_points
 
 angle = st.floats(-180, 180)
 length = st.floats(-5000, 5000)
