@@ -129,17 +129,13 @@ def _floats(quantity: Element, name: str) -> Iterator[float]:
     """Yield the figures of a quantity's own element, or of its uncertainty's."""
     element = next(quantity.iter(f"{SI}{name}"), None)
     for word in ("" if element is None else element.text or "").split():
-        figure = _float(word)
+        try:
+            figure = float(word)
+        except ValueError:
+            figure = math.nan
         if not math.isfinite(figure):
             raise NotRead(f"{name} is {clean(word)!r}, wanted a figure")
         yield figure
-
-
-def _float(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return math.nan
 
 
 Limit = Annotated[float, Meta(ge=0, le=10)]
