@@ -94,7 +94,7 @@ class AxisSweeps:
         """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""
         if reason := left_out(cell):
             return Step(self.name, 0, 0.0, note=reason)
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         approach_rad, cube = np.radians(cell.robot.approach_deg), cube_joints(cell)
         for axis in axes_of(cell):
@@ -143,7 +143,7 @@ class AxisSweeps:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"
         cell, key = session.cell, f"sweep/A{axis}/{way}{again}"
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:
             session.flange_at(station)

@@ -67,7 +67,7 @@ class BaseFrame:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse sweeps that leave the joint limits or come too near to a volume."""
-        check_circles(cell, cell.station_named(cell.grid.station))
+        check_circles(cell, cell.reference)
         return step(self.name, 2 * points_on_arc(cell), [sweeps(cell), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
@@ -82,7 +82,7 @@ class BaseFrame:
         session.reach("frame_base")
 
     def _construct(self, session: CellSession) -> None:
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         poses_rad = {axis: sweep(session.cell, axis) for axis in (1, 6)}
         session.expect(station, np.vstack([*poses_rad.values()]))
         swept = [

@@ -18,7 +18,6 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
-from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.procedure import Procedure, Result
@@ -110,11 +109,9 @@ def measured(log: Log) -> Measurements:
     )
 
 
-def campaign_table(result: Result) -> Table:
-    """Return what each method leaves of the measured targets, cross-validated."""
-    return methods_table(typed(result["campaign"], FitResult)["methods"])
-
-
 CAMPAIGN = Procedure(
-    "campaign", "drive and measure the poses of a file, then fit", (Campaign(),), campaign_table
+    "campaign",
+    "drive and measure the poses of a file, then fit",
+    (Campaign(),),
+    lambda result: methods_table(typed(result["campaign"], FitResult)["methods"]),
 )

@@ -58,9 +58,12 @@ class GuardedBench(Bench):
 
     def connected(self) -> GuardedRail | GuardedRobot | GuardedTracker:
         """Return the device, connected as it is."""
-        if self.port == "tracker" and abilities(self.cell)["tracker_streams"]:
-            return GuardedStreams(self._session)
-        return _GUARDED[self.port](self._session)
+        if self.port == "rail":
+            return GuardedRail(self._session)
+        if self.port == "robot":
+            return GuardedRobot(self._session)
+        streams = abilities(self.cell)["tracker_streams"]
+        return (GuardedStreams if streams else GuardedTracker)(self._session)
 
 
 class GuardedRail:
@@ -182,11 +185,7 @@ def _agreed(session: CellSession, what: str) -> None:
     )
 
 
-_GUARDED: dict[Port, type[GuardedRail | GuardedRobot | GuardedTracker]] = {
-    "rail": GuardedRail,
-    "robot": GuardedRobot,
-    "tracker": GuardedTracker,
-}
+# -- the procedure --------------------------------------------------------------------------------
 
 
 class Conformance:

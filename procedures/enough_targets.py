@@ -35,6 +35,7 @@ from hilcell.model.point import Sent
 from hilcell.model.results import Decided
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
+from procedures.plan import stations_in_order
 
 OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
@@ -81,11 +82,10 @@ def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict
     every block covers the box.
     """
     blocks, half_mm = cell.plan.most_targets // BLOCK, (high_mm - low_mm) / 2
-    others = [station.name for station in cell.station if station.name != cell.grid.station]
     drawn = {}
-    for number, name in enumerate([cell.grid.station, *others]):
+    for number, station in enumerate(stations_in_order(cell)):
         inside = np.random.default_rng([seed, 2014, number]).uniform(size=(blocks * BLOCK, 3))
-        drawn[name] = low_mm + half_mm * (np.tile(OCTANTS, (blocks, 1)) + inside)
+        drawn[station.name] = low_mm + half_mm * (np.tile(OCTANTS, (blocks, 1)) + inside)
     return drawn
 
 

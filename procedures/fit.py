@@ -39,8 +39,8 @@ from procedures.plan import (
     flange_points,
     joints_for,
     leg,
-    other_stations,
     poses_at,
+    stations_in_order,
     step,
 )
 
@@ -150,9 +150,9 @@ class SignCheck:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
         cells = list(product(*(range(count - 1) for count in grid.shape)))
-        there, middles_mm = cell.station_named(cell.grid.station), middle_mm(grid, np.array(cells))
+        there, middles_mm = cell.reference, middle_mm(grid, np.array(cells))
         joints_rad = check_targets(cell, there, poses_at(cell, middles_mm), "middle of a grid cell")
-        last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
+        last = there if cell.plan.quick else stations_in_order(cell)[-1]
         back = leg(cell, last, there)
         both = flange_points(cell, joints_rad[[0] * len(IDS)])
         return step(self.name, len(IDS), [*back, both, *closing(cell)])
@@ -161,7 +161,7 @@ class SignCheck:
         """Send both, measure, and journal the verdict."""
         if "sign" in session.log.verdicts:
             return
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         target_mm = worst_mm(session.log)
         commands = {Sent.BEFORE: target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]

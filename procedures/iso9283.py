@@ -91,7 +91,7 @@ class PoseCycle:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""
         _check_load(cell)
         joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         before_rad = np.roll(joints_rad, 1, axis=0)
         check_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
         percent = np.full(len(joints_rad), velocity_percent(cell))
@@ -105,7 +105,7 @@ class PoseCycle:
 
     def perform(self, session: CellSession) -> None:
         """Measure every visit, prove the tracker, judge the limits that are stated."""
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
         T_W_B = session.frames.base_in_world(station)
@@ -154,7 +154,7 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
     if calibrated:
         calibration = calibration_named(cell, ISO)
         poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
-    return check_targets(cell, cell.station_named(cell.grid.station), poses, WHAT)
+    return check_targets(cell, cell.reference, poses, WHAT)
 
 
 COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
@@ -171,11 +171,6 @@ COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
     Column("U(RP)", lambda row: row[1].rp_u95_mm, "mm", ".4f"),
     Column("robot's", lambda row: row[1].rp_robot_mm, form=".4f"),
 )
-
-
-def pose_table(result: Result) -> Table:
-    """Return the characteristics pose by pose."""
-    return Table(COLUMNS, typed(result[ISO], PoseTest).poses.items())
 
 
 def pose_words(result: Result) -> str:
@@ -202,7 +197,7 @@ ISO9283 = Procedure(
     ISO,
     "the pose test of ISO 9283: accuracy and repeatability of poses and a distance",
     (Home(), WorldFrame(), HoldStation(), BaseOfTest(), PoseCycle()),
-    pose_table,
+    lambda result: Table(COLUMNS, typed(result[ISO], PoseTest).poses.items()),
     words=pose_words,
     may_use=ISO,
 )

@@ -65,7 +65,7 @@ from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame, FramedBase
 from procedures.fit import Choice, Fit, SignCheck, SignErrors
-from procedures.plan import other_stations
+from procedures.plan import other_stations, stations_in_order
 from procedures.rail_survey import BACK, FORTH, RailSurvey
 from procedures.repeatability import VISITS, Repeatability, distances_mm, floor, places_mm
 from procedures.robot_grid import RobotGrid
@@ -219,21 +219,11 @@ def nests_moved_mm(log: Log, result: Experiments) -> float:
 HOLE_PITCH_MM = 100.0
 
 
-def stations_planned(cell: Cell) -> float:
+def stations_planned(log: Log, result: Experiments) -> float:
     """Return how many stations the planner takes for the longest work piece."""
     from hilcell.programs.plan import plan  # loads long, and few runs judge the paper
 
-    return float(len(plan(cell, longest_work_piece(cell)).stations))
-
-
-def stations_needed(cell: Cell) -> float:
-    """Return the fewest stations for the longest work piece, by trying every set of them."""
-    ok = _reached(cell, longest_work_piece(cell).points_mm)
-    for count in range(1, len(cell.station) + 1):
-        for chosen in combinations(range(len(cell.station)), count):
-            if ok[:, chosen].any(axis=1).all():
-                return float(count)
-    return np.nan
+    return float(len(plan(log.cell, longest_work_piece(log.cell)).stations))
 
 
 def longest_work_piece(cell: Cell) -> Holes:
@@ -303,9 +293,13 @@ def between(low: float, high: float) -> Limit:
 
 
 def by_every_set(log: Log, result: Experiments) -> Limits:
-    """Return the fewest stations, found by trying every set of them."""
-    fewest = stations_needed(log.cell)
-    return fewest, fewest
+    """Return the fewest stations for the longest work piece, by trying every set of them."""
+    ok = _reached(log.cell, longest_work_piece(log.cell).points_mm)
+    for count in range(1, len(log.cell.station) + 1):
+        for chosen in combinations(range(len(log.cell.station)), count):
+            if ok[:, chosen].any(axis=1).all():
+                return float(count), float(count)
+    return np.nan, np.nan
 
 
 def beyond_chance(log: Log, result: Experiments) -> Limits:
@@ -369,15 +363,15 @@ def rigid_slide(log: Log, result: Experiments) -> Limits:
 
     That of the readings' noise alone, widened by the effect of chance on the fit's residuals.
     """
-    cell, reference = log.cell, log.cell.station_named(log.cell.grid.station)
-    at_reference_mm = slide_in_world_mm(log, reference)
+    cell = log.cell
+    at_reference_mm = slide_in_world_mm(log, cell.reference)
     slide_mm = apply(inverse(three_point_frame(*at_reference_mm[:3])), at_reference_mm)
     freedom = 3 * len(slide_mm) - 6
     widened = float(np.sqrt(chi2_quantile(SURE, freedom) / freedom))
     by_noise_mm = []
-    for station in (reference, *other_stations(cell)):
-        T = station_fit(log, station, reference).T
-        noise_mm2 = pair_noise_mm2(log, station, reference)
+    for station in stations_in_order(cell):
+        T = station_fit(log, station).T
+        noise_mm2 = pair_noise_mm2(log, station)
         exact = rigid_fit(slide_mm, apply(T, slide_mm), weights=noise_mm2)
         by_noise_mm.append(tool_uncertainty_mm(cell, exact))
     return -INFINITE, widened * max(by_noise_mm)
@@ -518,7 +512,7 @@ ROWS = (
         "the way back is approached from the same side as the way there",
     ),
     Row(
-        "fig2.stations", 3, "", lambda log, result: stations_planned(log.cell),
+        "fig2.stations", 3, "", stations_planned,
         by_every_set,
         "every hole takes its closest station, also where fewer stations reach all holes",
     ),

@@ -28,6 +28,11 @@ def other_stations(cell: Cell) -> list[Station]:
     return [station for station in cell.station if station.name != cell.grid.station]
 
 
+def stations_in_order(cell: Cell) -> list[Station]:
+    """Return the stations in the order in which they are visited, the grid's first."""
+    return [cell.reference, *other_stations(cell)]
+
+
 def poses_at(cell: Cell, points_mm: Array) -> Array:
     """Return poses (N, 4, 4) in {B} at ``points_mm`` (N, 3) with the grid's orientation."""
     return matrix(cell.grid.centre.matrix()[:3, :3], points_mm)

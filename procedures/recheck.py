@@ -58,7 +58,7 @@ class Recheck:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a calibration that is missing, and poses out of reach."""
         joints_rad = commands_rad(cell, calibration_named(cell, TABLE), seed)
-        check_poses(cell, cell.station_named(cell.grid.station), joints_rad, "re-check pose")
+        check_poses(cell, cell.reference, joints_rad, "re-check pose")
         return step(
             self.name,
             len(joints_rad),
@@ -69,7 +69,7 @@ class Recheck:
         """Keep the calibration, measure, judge."""
         cell = session.cell
         calibration = use(session, TABLE)
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         targets_mm = places_mm(calibration, cell.recheck.poses, session.seed)
         nominal_mm = apply(session.log.matrix("base"), targets_mm)
         joints_rad = commands_rad(cell, calibration, session.seed)
@@ -135,7 +135,7 @@ def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     tilt_deg = calibration.validity.orientation_tolerance_deg
     if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
         return poses
-    station = cell.station_named(cell.grid.station)
+    station = cell.reference
     for n in range(1, len(poses), 2):
         turns = np.radians(TILT_SHARE * tilt_deg) * np.roll(AXES, -n, axis=0)
         tried = turned(np.tile(poses[n], (len(turns), 1, 1)), turns)
@@ -167,21 +167,11 @@ COLUMNS: tuple[Column[CheckedPose], ...] = (
 )
 
 
-def recheck_table(result: Result) -> Table:
-    """Return every pose's error beside the predicted one, and the verdict."""
-    return Table(COLUMNS, typed(result[KIND], RecheckResult).poses)
-
-
-def recheck_words(result: Result) -> str:
-    """Return the verdict in words."""
-    return typed(result[KIND], RecheckResult).text
-
-
 RECHECK = Procedure(
     "recheck",
     "a few corrected poses: does the calibration still hold?",
     (Home(), WorldFrame(), HoldStation(), Recheck()),
-    recheck_table,
-    words=recheck_words,
+    lambda result: Table(COLUMNS, typed(result[KIND], RecheckResult).poses),
+    words=lambda result: typed(result[KIND], RecheckResult).text,
     uses=TABLE,
 )

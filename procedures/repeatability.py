@@ -36,7 +36,7 @@ class Repeatability:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""
-        there = cell.station_named(cell.grid.station)
+        there = cell.reference
         places = poses_at(cell, places_mm(cell))
         places_rad = check_targets(cell, there, places, "repeatability place")
         visits_rad = np.tile(places_rad, (visits_of(cell), 1))
@@ -44,7 +44,7 @@ class Repeatability:
 
     def perform(self, session: CellSession) -> None:
         """Go round the places; going on to the next is what leaves the last."""
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         joints = joints_for(session.cell, places_mm(session.cell))
         session.expect(station, np.vstack([joints[-1:], joints]))  # round and round
         for visit in range(visits_of(session.cell)):

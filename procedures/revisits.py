@@ -36,7 +36,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures.base_frame import points_on_arc, sweep
-from procedures.plan import closing, flange_points, joints_for, leg, other_stations, step
+from procedures.plan import closing, flange_points, joints_for, leg, stations_in_order, step
 from procedures.validate import judge_suspicions
 
 COUNT, QUICK_COUNT = 12, 3
@@ -69,8 +69,7 @@ class Revisits:
         joints_rad = np.array([visit.joints_rad for visit in visits(cell, self._kind)])
         spans = [flange_points(cell, joints_rad), *closing(cell)]
         if self._kind == CLOSING:
-            station = cell.station_named(cell.grid.station)
-            spans = [*leg(cell, [station, *other_stations(cell)][-1], station), *spans]
+            spans = [*leg(cell, stations_in_order(cell)[-1], cell.reference), *spans]
         return step(self.name, len(joints_rad), spans)
 
     def perform(self, session: CellSession) -> None:
@@ -79,7 +78,7 @@ class Revisits:
         Once more where something was measured since that the visits are to prove.
         """
         cell, log = session.cell, session.log
-        station, poses = cell.station_named(cell.grid.station), visits(cell, self._kind)
+        station, poses = cell.reference, visits(cell, self._kind)
         T_W_B = session.frames.base_in_world(station)
         while waiting := [visit for visit in poses if _waits(log, visit.id)]:
             session.expect(station, np.array([visit.joints_rad for visit in waiting]))

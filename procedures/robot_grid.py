@@ -68,7 +68,7 @@ class RobotGrid:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
-        there = cell.station_named(cell.grid.station)
+        there = cell.reference
         joints_rad = check_targets(cell, there, poses_at(cell, vertices_mm), "grid vertex")
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
@@ -85,7 +85,7 @@ class RobotGrid:
     def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
         cell = session.cell
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         grid = grid_of(cell)
         vertices_mm = grid.serpentine_mm()
         T_W_B = session.frames.base_in_world(station)
@@ -181,7 +181,7 @@ class ChosenPoses:
         if not any(session.cell.plan.pose_counts):
             return
         event = _chosen(session.log) or self._choose(session)
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         joints_rad = np.radians(event.joints_deg).reshape(-1, 6)
         nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
         world_mm = apply(session.frames.base_in_world(station), nominal_mm)
@@ -252,7 +252,7 @@ def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
     """Return joints (M, 6) of drawn poses (N, 6) that can be driven to: place and turn, 0..1."""
     turns_rad = (2.0 * drawn[:, 3:] - 1.0) * np.radians(turn_deg) / np.sqrt(3.0)
     poses = turned(poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
-    station = cell.station_named(cell.grid.station)
+    station = cell.reference
     return cell.robot.nominal().joints_for(poses[drivable(cell, station, poses)])
 
 

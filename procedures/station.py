@@ -36,13 +36,13 @@ class HoldStation:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         return step(self.name, 0, first_hold(cell, station))
 
     def perform(self, session: CellSession) -> None:
         """Hold the station once; a later act that needs it holds it itself."""
         if not session.reached("station_held"):
-            session.hold_station(session.cell.station_named(session.cell.grid.station))
+            session.hold_station(session.cell.reference)
             session.reach("hold_station")
 
     def result(self, log: Log) -> Result:
@@ -88,7 +88,7 @@ class StationRepeatability:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         away_s = rail_move_s(cell, APPROACH_MM)
         by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
         each_s = away_s + measure_s(cell, cell.nest_samples)
@@ -117,7 +117,7 @@ class StationRepeatability:
         id = PointId("repeat", how=how, way=way, number=number, side=side)
         if session.log.find(id):
             return
-        station = session.cell.station_named(session.cell.grid.station)
+        station = session.cell.reference
         session.rail_to(station.rail_mm + side * APPROACH_MM)
         if how == "strip":
             session.hold_station(station, again=True)

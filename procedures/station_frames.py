@@ -47,7 +47,16 @@ from procedures.base_frame import (
     sweep,
     sweeps,
 )
-from procedures.plan import check_range, closing, leg, other_stations, park_s, readings, step
+from procedures.plan import (
+    check_range,
+    closing,
+    leg,
+    other_stations,
+    park_s,
+    readings,
+    stations_in_order,
+    step,
+)
 
 THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
@@ -78,7 +87,7 @@ class StationFrames:
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
             check_range(cell, world_mm, f"slide nests at {station.name}")
-        here = cell.station_named(cell.grid.station)
+        here = cell.reference
         spans = [Span("park", 0, park_s(cell))]
         stations = self._stations(cell)
         for station in stations:
@@ -93,9 +102,8 @@ class StationFrames:
         session.reach("frame_stations")
 
     def _stations(self, cell: Cell) -> list[Station]:
-        reference = cell.station_named(cell.grid.station)
         later = self._validated and cell.plan.quick
-        return [reference] if later else [reference, *other_stations(cell)]
+        return [cell.reference] if later else stations_in_order(cell)
 
     def result(self, log: Log) -> Result:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
@@ -129,7 +137,6 @@ def frame_station(session: CellSession, station: Station) -> None:
     if not cell.has_rail:
         _frame_fixed(session, station)
         return
-    reference = cell.station_named(cell.grid.station)
     session.hold_station(station)
     session.park_robot()
     for number, nest in enumerate(cell.layout.slide):
@@ -144,9 +151,9 @@ def frame_station(session: CellSession, station: Station) -> None:
         three_mm = apply(session.log.matrix("world"), positions_mm(three))
         T, keys = three_point_frame(*three_mm), [point.key for point in three]
         session.frame(f"{THREE}.{station.name}", Frame(matrix=T.tolist(), points=keys))
-    moved = moved_nests(session.log, station, reference)
+    moved = moved_nests(session.log, station)
     left_out = check_nests(cell, station, moved)
-    fit = station_fit(session.log, station, reference)
+    fit = station_fit(session.log, station)
     cube_mm = check_accepted(cell, station, fit)
     points = session.log.select("slide", station.name)
     if (strip_mm := points[-1].strip_mm) is None:
@@ -207,28 +214,28 @@ def slide_in_world_mm(log: Log, station: Station) -> Array:
     return apply(log.matrix("world"), positions_mm(slide_points(log, station)))
 
 
-def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
+def station_fit(log: Log, station: Station) -> RigidFit:
     """Return the fit of T_W_S.
 
     At the reference eqs 14-16 on its first three nests define {S}; elsewhere {S} is the best fit
     of all nests that have not moved to where they were in the reference's {S}.
     """
-    at_reference_mm = slide_in_world_mm(log, reference)
+    at_reference_mm = slide_in_world_mm(log, log.cell.reference)
     T_S_W = inverse(three_point_frame(*at_reference_mm[:3]))
-    kept = list(moved_nests(log, station, reference).kept)
+    kept = list(moved_nests(log, station).kept)
     return rigid_fit(
         apply(T_S_W, at_reference_mm)[kept],
         slide_in_world_mm(log, station)[kept],
-        weights=pair_noise_mm2(log, station, reference)[kept],
+        weights=pair_noise_mm2(log, station)[kept],
     )
 
 
-def moved_nests(log: Log, station: Station, reference: Station) -> Moved:
-    """Return which nests have moved on the slide between reference and station."""
+def moved_nests(log: Log, station: Station) -> Moved:
+    """Return which nests have moved on the slide between the reference and ``station``."""
     return moved_points(
-        slide_in_world_mm(log, reference),
+        slide_in_world_mm(log, log.cell.reference),
         slide_in_world_mm(log, station),
-        pair_noise_mm2(log, station, reference),
+        pair_noise_mm2(log, station),
         coverage_factor(SIGMAS, run_noise(log).freedom),
     )
 
@@ -280,9 +287,9 @@ def check_accepted(cell: Cell, station: Station, fit: RigidFit) -> float:
     return found_mm
 
 
-def pair_noise_mm2(log: Log, station: Station, reference: Station) -> Array:
+def pair_noise_mm2(log: Log, station: Station) -> Array:
     """Return the covariances (N, 3, 3) in {W} of each nest at the station less at the reference."""
-    return _noise_mm2(log, station) + _noise_mm2(log, reference)
+    return _noise_mm2(log, station) + _noise_mm2(log, log.cell.reference)
 
 
 def _noise_mm2(log: Log, station: Station) -> Array:
@@ -390,7 +397,7 @@ def moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
     """Return by station how far the six points are from their places at the reference (mm), seen
     in its ``kind`` of frame: "base" or "station".
     """
-    reference_mm = seen_from(log, kind, log.cell.station_named(log.cell.grid.station))
+    reference_mm = seen_from(log, kind, log.cell.reference)
     return {
         station.name: lengths_mm(seen_from(log, kind, station) - reference_mm).tolist()
         for station in other_stations(log.cell)

@@ -148,16 +148,11 @@ def targets_table(result: Result) -> Table:
     return Table(COLUMNS, sorted(found, key=lambda each: -each.error_mm)[:ROWS])
 
 
-def targets_words(result: Result) -> str:
-    """Return the result in words."""
-    return typed(result[KIND], TargetsResult).text
-
-
 TARGETS = Procedure(
     "targets",
     "measure targets with their correction, and fold them into the calibration",
     (Home(), WorldFrame(), TargetPass()),
     targets_table,
-    words=targets_words,
+    words=lambda result: typed(result[KIND], TargetsResult).text,
     uses=TABLE,
 )

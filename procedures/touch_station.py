@@ -214,7 +214,7 @@ class TouchStation:
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""
         calibration, station = use(session, TABLE), station_of(session.cell)
-        reference = session.cell.station_named(session.cell.grid.station)
+        reference = session.cell.reference
         for each in (reference, station):
             key, entry = f"station.{each.name}", _entry(calibration, each)
             if key not in session.log.frames:

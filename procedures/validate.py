@@ -57,6 +57,7 @@ from procedures.plan import (
     leg,
     more_orientations,
     poses_at,
+    stations_in_order,
     step,
     turned,
 )
@@ -81,7 +82,7 @@ class Validate:
         """Refuse targets out of reach, and limits that nothing could keep."""
         check_limits(cell)
         check_turn_limit(cell)
-        here, points, spans = cell.station_named(cell.grid.station), 0, []
+        here, points, spans = cell.reference, 0, []
         T_W_T, ranges_mm = inverse(cell.tracker.pose.matrix()), list[float]()
         for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)
@@ -221,8 +222,7 @@ def judge_suspicions(session: CellSession) -> None:
 
 def _places(cell: Cell) -> dict[str, list[str]]:
     """Return the stations judged together by name: the grid's, all others, each other."""
-    reference = cell.grid.station
-    others = [station.name for station in cell.station if station.name != reference]
+    reference, *others = (station.name for station in stations_in_order(cell))
     together = {OTHERS: others} if others else {}
     return {reference: [reference]} | together | {name: [name] for name in others}
 
@@ -370,15 +370,13 @@ def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator
 
 def targets(cell: Cell, seed: int) -> dict[str, Array]:
     """Return random targets (N, 3) in {B} by station, the grid's first, stratified by grid cell."""
-    reference = cell.grid.station
-    rng = np.random.default_rng([seed, 2014])
-    grid = grid_of(cell)
+    rng, grid = np.random.default_rng([seed, 2014]), grid_of(cell)
     if cell.plan.quick:
         box = (grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM)
         return enough_targets.octant_targets(cell, seed, *box)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
+    reference, *others = (station.name for station in stations_in_order(cell))
     drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
-    others = [station.name for station in cell.station if station.name != reference]
     for number, name in enumerate(others):
         share = cell.validation.others // len(others)
         share += number < cell.validation.others % len(others)

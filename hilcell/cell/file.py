@@ -640,6 +640,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
             values["validation"].pop("max_tolerance_deg")
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
+    @property
+    def reference(self) -> Station:
+        """Return the grid's station, at which the robot's error is measured."""
+        return self.station_named(self.grid.station)
+
     def station_named(self, name: str) -> Station:
         """Return the station called ``name``; raises `SettingsError`."""
         for station in self.station:

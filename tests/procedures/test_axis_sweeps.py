@@ -102,7 +102,7 @@ class StreamingTracker(DeskTracker):
 
 
 def blocks(stream: SweepStream) -> list[StreamBlock]:
-    station = SWEPT.station_named(SWEPT.grid.station)
+    station = SWEPT.reference
     T_L_B = inverse(SWEPT.tracker.pose.matrix()) @ SWEPT.layout.nominal_base(station.rail_mm)
     xyz_mm = apply(T_L_B, stream.xyz_mm)
     cuts = np.flatnonzero(np.diff(stream.window_s[:, 1])) + 1

@@ -24,7 +24,7 @@ from procedures.robot_grid import CANDIDATES, ChosenPoses, Design, candidates_ra
 from tests.procedures.results import result_of
 
 QUICK = load_cell("paper", {"plan.quick": "true"})
-STATION = QUICK.station_named(QUICK.grid.station)
+STATION = QUICK.reference
 
 
 class Journal:

@@ -22,7 +22,7 @@ from procedures.plan import joints_for
 from tests.hilcell.verdicts import FITTED, plain
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})
-BASE = CELL.layout.nominal_base(CELL.station_named(CELL.grid.station).rail_mm)
+BASE = CELL.layout.nominal_base(CELL.reference.rail_mm)
 WORLD = np.eye(4)
 
 

@@ -187,6 +187,6 @@ def test_an_uncertain_station_is_refused() -> None:
 def test_the_worst_corner_of_a_smaller_cube_is_known_better() -> None:
     bench: Any = Slide()
     StationFrames().perform(bench)
-    fit = station_fit(bench.log, CELL.station_named("S300"), CELL.station_named("S1100"))
+    fit = station_fit(bench.log, CELL.station_named("S300"))
     inside = load_cell("paper", {"grid.size_mm": "[300.0, 300.0, 300.0]"})
     assert cube_uncertainty_mm(inside, fit) < cube_uncertainty_mm(bench.cell, fit)

@@ -31,7 +31,7 @@ from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
 SETTINGS = {"grid.pitch_mm": "450.0", "validation.per_cell": "1", "validation.others": "8"}
 CELL = load_cell("paper", SETTINGS)
 FAR = CELL.station_named("S300")
-HERE = CELL.station_named(CELL.grid.station)
+HERE = CELL.reference
 SLIP_MM = 0.03
 COVARIANCE = np.diag([1e-4] * 3 + [1e-10] * 3)
 

@@ -65,7 +65,7 @@ def test_control_points_come_after_the_slide_s_nests_at_every_station(
     def act(session: CellSession, number: int) -> None:
         session.reach("reference")
         WorldFrame().perform(session)
-        reference = CELL.station_named(CELL.grid.station)
+        reference = CELL.reference
         session.frame("base", base_at(CELL.layout.nominal_base(reference.rail_mm)))
         for trigger in ("hold_station", "frame_base", "measure_grid"):
             session.reach(trigger)
