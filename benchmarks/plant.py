@@ -32,7 +32,7 @@ from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
-from hilcell.plant.robots import robots
+from hilcell.plant.equipment import robots
 from hilcell.plant.shipper import ship
 from hilcell.plant.tables import POINT, RUN
 from tests.hilcell.plant.server import MISSING, server

@@ -37,8 +37,14 @@ if TYPE_CHECKING:
 
     from hilcell.plant.cells import CellState
     from hilcell.plant.database import Database
-    from hilcell.plant.equipment import AlarmCount, Instrument, StationCourse
-    from hilcell.plant.robots import Change, Drift, RobotCourse
+    from hilcell.plant.equipment import (
+        AlarmCount,
+        Change,
+        Drift,
+        Instrument,
+        RobotCourse,
+        StationCourse,
+    )
     from hilcell.plant.shipper import Behind
 
 
@@ -171,10 +177,8 @@ class Answers:
 
 
 def _answers(connection: Connection, args: PlantShow) -> Answers:
-    from hilcell.plant.cells import cells
-    from hilcell.plant.doubts import doubts
-    from hilcell.plant.equipment import alarms, instruments, worse_stations
-    from hilcell.plant.robots import robots
+    from hilcell.plant.cells import cells, doubts
+    from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
 
     cell, robot = args.cell or "", args.robot or ""
     states = cells(connection, datetime.now(UTC), args.max_age)
@@ -291,8 +295,8 @@ SIGNING = ("cryptography",)
 def export(args: PlantExport) -> int:
     """Write a cell's record with a signed manifest."""
     _require_packages(SIGNING)
+    from hilcell.plant.audit import read_private_key
     from hilcell.plant.export import export as export_cell
-    from hilcell.plant.signing import read_private_key
 
     key = read_private_key(args.key, _passphrase)
     with closing(_open_database(args.plant)) as database:
@@ -313,8 +317,8 @@ def export(args: PlantExport) -> int:
 def verify(args: PlantVerify) -> int:
     """Verify an exported record; exit code 1 where a file differs, is missing or is extra."""
     _require_packages(SIGNING)
+    from hilcell.plant.audit import read_public_key
     from hilcell.plant.audit import verify as verify_record
-    from hilcell.plant.signing import read_public_key
 
     manifest, findings = verify_record(args.record, read_public_key(args.public_key))
     for each in findings:

@@ -1,7 +1,13 @@
-"""Verifies an exported record with the plant's public key alone: no database is asked.
+"""Exported records: signed by the plant's own key, verified with its public key alone.
 
-The signature is verified before a word of the manifest is believed. Then each file must be there,
-be a plain file and have its digest, and nothing else may be there.
+The key is Ed25519, in PEM files as openssl makes: `openssl genpkey -algorithm ed25519 -out
+plant.key` makes one, and `openssl pkey -in plant.key -pubout -out plant.pub` the public key that
+proves its signatures.
+
+The manifest has every file of a record by its size and SHA-256. ``manifest.sig`` holds the 64 bytes
+of the signature of ``manifest.json`` as it lies there, so openssl verifies it as well. That is
+verified before a word of the manifest is believed, and no database is asked. Then each file must be
+there, be a plain file and have its digest, and nothing else may be there.
 """
 
 from __future__ import annotations
@@ -11,20 +17,26 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Protocol
 
 import msgspec
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    load_pem_private_key,
+    load_pem_public_key,
+)
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.plant.signing import fingerprint
 from hilcell.typed import decoded
+
+MOST_BYTES = 65536
+_WRONG = (ValueError, UnsupportedAlgorithm)
 
 _SPOILED = (
     zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
@@ -32,10 +44,116 @@ _SPOILED = (
 DIFFERS, MISSING, EXTRA = "differs", "is missing", "is not in the manifest"
 
 
+class BadKey(HilcellError):
+    """A key that cannot be used."""
+
+    code = "HC-J23"
+
+
 class NotProven(HilcellError):
     """A record whose manifest was not signed by the key, or is none."""
 
     code = "HC-J24"
+
+
+# -- keys -----------------------------------------------------------------------------------------
+
+
+def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519PrivateKey:
+    """Return the key of a file; raises `BadKey`.
+
+    ``ask`` returns the passphrase of an encrypted one, or None where nobody can be asked.
+    """
+    make = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
+    content = _content(path, make)
+    if b"PUBLIC KEY" in content:
+        raise _bad(path, "it is a public key, wanted the private one", f"name that one; {make}")
+    others = stat.S_IRWXG | stat.S_IRWXO
+    if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & others:
+        raise _bad(
+            path, f"others than its owner may use it (mode {mode:04o})", "`chmod 600` that file"
+        )
+    try:
+        key: object = load_pem_private_key(content, None)
+    except TypeError:
+        key = _decrypted(path, content, ask())
+    except _WRONG:
+        raise _bad(path, "it is no private key in PEM", make) from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise _bad(path, "it is another kind of key, wanted Ed25519", make)
+    return key
+
+
+def read_public_key(path: Path) -> Ed25519PublicKey:
+    """Return the key of a file; raises `BadKey`."""
+    publish = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
+    content = _content(path, publish)
+    if b"PRIVATE KEY" in content:
+        raise _bad(path, "it is a private key, wanted the public one", publish)
+    try:
+        key = load_pem_public_key(content)
+    except _WRONG:
+        raise _bad(path, "it is no public key in PEM", publish) from None
+    if not isinstance(key, Ed25519PublicKey):
+        raise _bad(path, "it is another kind of key, wanted Ed25519", publish)
+    return key
+
+
+def fingerprint(key: Ed25519PublicKey) -> str:
+    """Return by what people tell keys apart: the SHA-256 of its 32 bytes."""
+    return f"SHA256:{hashlib.sha256(key.public_bytes_raw()).hexdigest()}"
+
+
+def _decrypted(path: Path, content: bytes, passphrase: bytes | None) -> object:
+    if passphrase is None:
+        raise _bad(path, "it is encrypted", "export in a terminal, which asks for its passphrase")
+    try:
+        return load_pem_private_key(content, passphrase)
+    except (*_WRONG, TypeError):  # the last of an empty one
+        raise _bad(path, "its passphrase is another", "repeat the command") from None
+
+
+def _content(path: Path, act: str) -> bytes:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise _bad(path, f"it cannot be read: {error.strerror}", act) from None
+    if len(content) > MOST_BYTES:
+        raise _bad(path, "it is too long to be a key", act)
+    return content
+
+
+def _bad(path: Path, why: str, act: str) -> BadKey:
+    return BadKey(f"key {clean(str(path))}: {why}; {act}")
+
+
+# -- manifests ------------------------------------------------------------------------------------
+
+FORM = 3  # of a manifest
+MANIFEST, SIGNATURE = "manifest.json", "manifest.sig"
+RECORD = "run.json"
+
+
+class FileEntry(msgspec.Struct, frozen=True):
+    """A file as it was signed."""
+
+    bytes: int
+    sha256: str
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The cell, the time (UTC) and the key of an export, and its ``files`` by name."""
+
+    form: int
+    cell: str
+    serials: list[str]
+    runs: int
+    simulated_runs: int
+    made: str
+    software: str
+    key: str
+    files: dict[str, FileEntry]
 
 
 class Source(Protocol):
@@ -107,6 +225,13 @@ def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
             f"the first {clean(outside[0])!r}; nothing was read there"
         )
     return manifest
+
+
+def sound(name: str) -> bool:
+    """Whether a file's name leads to a place within the record, on any system."""
+    parts = name.split("/")
+    plain = not any(each in name for each in ("\\", ":", "\0"))
+    return plain and PurePosixPath(name).parts == tuple(parts) and ".." not in parts
 
 
 def _read(source: Source, name: str, most: int) -> bytes:
@@ -203,41 +328,3 @@ def _as_not_proven(what: str) -> Iterator[None]:
 
 def _refuse(error: OSError) -> None:
     raise error
-
-
-# -- the manifest of an exported record: every file by its size and SHA-256, and a signature over it
-
-# ``manifest.sig`` holds the 64 bytes of an Ed25519 signature of ``manifest.json`` as it lies there,
-# so openssl verifies it as well.
-
-FORM = 3  # of a manifest
-MANIFEST, SIGNATURE = "manifest.json", "manifest.sig"
-RECORD = "run.json"
-
-
-class FileEntry(msgspec.Struct, frozen=True):
-    """A file as it was signed."""
-
-    bytes: int
-    sha256: str
-
-
-class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The cell, the time (UTC) and the key of an export, and its ``files`` by name."""
-
-    form: int
-    cell: str
-    serials: list[str]
-    runs: int
-    simulated_runs: int
-    made: str
-    software: str
-    key: str
-    files: dict[str, FileEntry]
-
-
-def sound(name: str) -> bool:
-    """Whether a file's name leads to a place within the record, on any system."""
-    parts = name.split("/")
-    plain = not any(each in name for each in ("\\", ":", "\0"))
-    return plain and PurePosixPath(name).parts == tuple(parts) and ".." not in parts

@@ -23,10 +23,9 @@ from hilcell import __version__
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
+from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest, fingerprint
 from hilcell.plant.database import PlantError
 from hilcell.plant.record import digest_of
-from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
 from hilcell.typed import Json
 from hilcell.writing import NotWritten, as_not_written
