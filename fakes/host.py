@@ -1,9 +1,22 @@
-"""A whole simulated cell in one process: plant, simulated devices, control channel."""
+"""A whole simulated cell in one process: plant, simulated devices, control channel.
+
+``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
+stdout says where everything listens. It lives until stdin ends, so it never outlives its parent.
+
+On the control channel ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat"
+| "quit", ...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine
+uses it for time alone; faults and truth are for tests, and truth is answered only by a cell that
+was started with it; ``seat`` is the person who carries the reflector. Nothing of this reaches a
+device's wire.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -23,14 +36,9 @@ from fakes.wires import Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.errors import HilcellError, with_place
+from hilcell.typed import decoded
 
-# ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat" | "quit", ...}`` is
-# answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it for
-# time alone; faults and truth are for tests, and truth is answered only by a cell that was
-# started with it; ``seat`` is the person who carries the reflector. Nothing of this reaches a
-# device's wire.
-
-
+STDIN = 0
 Answer = dict[str, Any]
 
 
@@ -50,7 +58,7 @@ class ControlServer:
         port: int = 0,
     ) -> None:
         self._time, self._faults = time, faults
-        self._restore, self._quit = restore, quit_
+        self._seat, self._restore, self._quit = seat, restore, quit_
         self._commands: dict[str, Callable[[Answer], Answer]] = {
             "addresses": lambda order: addresses(),
             "now": lambda order: {"now_s": time.now_s()},
@@ -58,7 +66,7 @@ class ControlServer:
             "fault": self._fault,
             "clear": self._clear,
             "truth": truth,
-            "seat": lambda order: seat_at(seat, order),
+            "seat": self._carry,
             "quit": lambda order: {"leaving": True},
         }
         self._listener = Listener("control", self._serve, limit=100, port=port)
@@ -111,6 +119,11 @@ class ControlServer:
         )
         return {}
 
+    def _carry(self, order: Answer) -> Answer:
+        """Do a person's acts with the reflector of a cell where it is carried by hand."""
+        self._seat(str(order["place"]))
+        return {}
+
     def _clear(self, order: Answer) -> Answer:
         """Disarm faults; with no name also put their consequences right."""
         name = str(order.get("name", ""))
@@ -118,12 +131,6 @@ class ControlServer:
         if not name:
             self._restore()
         return {}
-
-
-def seat_at(seat: Callable[[str], None], order: Answer) -> Answer:
-    """Do a person's acts with the reflector of a cell where it is carried by hand."""
-    seat(str(order["place"]))
-    return {}
 
 
 def truth_of(plant: Plant, order: Answer) -> Answer:
@@ -173,7 +180,12 @@ class Host:
         cell = convert(order.cell, Cell, "simulated cell")
         faults = load_faults(order.faults)
         time = PlantTime(math.inf if order.speed is None else order.speed)
-        plant = _plant(cell, order, time, faults)
+        data = cell.simulation.data if cell.simulation is not None else ""
+        plant: Plant | ReplayPlant = (
+            ReplayPlant(cell, Path(data), time, faults)
+            if data
+            else Plant(cell, order.seed, time, faults)
+        )
         site = Site(cell, plant, faults, time)
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
@@ -243,7 +255,41 @@ def _truth(plant: Plant | ReplayPlant, asked: dict[str, Any], order: Order) -> d
     return truth_of(plant, asked) if isinstance(plant, Plant) else {}
 
 
-def _plant(cell: Cell, order: Order, time: PlantTime, faults: Faults) -> Plant | ReplayPlant:
-    if cell.simulation is not None and cell.simulation.data:
-        return ReplayPlant(cell, Path(cell.simulation.data), time, faults)
-    return Plant(cell, order.seed, time, faults)
+def main() -> int:
+    """Serve the ordered cell until stdin ends or the control channel says quit."""
+    threading.excepthook = _report
+    try:
+        host = Host(decoded(_first_line(), Order))
+    except (msgspec.DecodeError, HilcellError) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+    def watch() -> None:
+        while os.read(STDIN, 4096):
+            pass
+        host.end()
+
+    threading.Thread(target=watch, name="stdin", daemon=True).start()
+    print(msgspec.json.encode(host.addresses()).decode(), flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        host.run()
+    return 0
+
+
+def _first_line() -> bytes:
+    """Read up to the first newline, unbuffered: a buffer's lock would outlive the watcher."""
+    line = b""
+    while not line.endswith(b"\n") and (data := os.read(STDIN, 65536)):
+        line += data
+    return line
+
+
+def _report(failed: threading.ExceptHookArgs) -> None:
+    """Say which error ended a thread of a simulated device: its client sees a closed wire."""
+    error = failed.exc_value or failed.exc_type()
+    name = failed.thread.name if failed.thread else "a thread"
+    print(f"simulated cell: {name}: {with_place(error)}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -231,7 +231,7 @@ def _start(order: bytes) -> tuple[subprocess.Popen[bytes], IO[bytes], dict[str, 
     with ExitStack() as stack:
         words = stack.enter_context(tempfile.TemporaryFile())
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "fakes"],  # -P: no `fakes` of the working folder
+            [sys.executable, "-P", "-m", "fakes.host"],  # -P: no `fakes` of the working folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,

@@ -1,4 +1,12 @@
-"""A recorded wire as a device: it listens, and answers as `fakes.replay.recorded_script` says."""
+"""A recorded wire as a device: it listens, and answers by the exchanges of its connections.
+
+The driver may ask more or less often than when it was recorded: how often a motion is polled is a
+matter of time. So questions that were asked once only (a motion, a command) part the recording
+(`event_time`). In each part a question gets the answers to its name in their order, and at last the
+last one again, or before its first part the first one; one that is asked on and on has come to the
+part's end. Samples of a stream come when their time has come. A question that was never recorded
+gets no answer: there this run has left the recorded one.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +16,370 @@ import select
 import socket
 import threading
 import time
-from bisect import bisect_right
-from collections.abc import Sequence
+from bisect import bisect_left, bisect_right
+from collections import Counter, deque
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from fakes.replay.dialects import Dialect
-from fakes.replay.event_time import EventTime
-from fakes.replay.recorded_script import (
-    Exchange,
-    Flow,
-    Pulse,
-    Script,
-    connections,
-    cut_connections,
-    first_of_each,
-    landmarks,
-)
+from fakes.replay.event_time import EventTime, following
 from fakes.wires import HOST, Listener
 from hilcell.wire.recording import Piece
 
-LONGEST, SHOWN = 60, 24  # bytes of a question in a message, as text and in hex
-_WORDS = re.compile(rb"[ -~]{3,}")
+_NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
+NEAR = 1e-4  # deg, mm or rad
+STUCK = 200  # times that a part's last answer is repeated
+NOWHERE: Mapping[bytes, Exchange] = MappingProxyType({})
+
+
+@dataclass(slots=True)
+class Exchange:
+    """A question and everything that came before the next one; the first asks nothing."""
+
+    asked: bytes
+    answers: list[bytes] = field(default_factory=list)
+    time_s: float = 0.0
+    came_s: list[float] = field(default_factory=list)  # the answers, each
+    cut: bool = False  # the recording ends before the answer does
+    passed_s: list[float] = field(default_factory=list)  # messages of no exchange, before the next
+
+    def __post_init__(self) -> None:
+        self.came_s = self.came_s or [self.time_s] * len(self.answers)
+
+    def add(self, answer: bytes, came_s: float) -> None:
+        """Take a further answer."""
+        self.answers.append(answer)
+        self.came_s.append(came_s)
+
+    def awaited(self, dialect: Dialect) -> int:
+        """Return the number of answers up to the last one that is no sample of a stream."""
+        samples = [dialect.is_sample(answer) for answer in self.answers]
+        return len(samples) - next((n for n, each in enumerate(samples[::-1]) if not each), 0)
+
+
+def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
+    """Return the exchanges of one connection."""
+    found, asking, answering = [Exchange(b"")], b"", b""
+    apart_s = 1e-9  # of messages in one piece, so that what parts the recording has a before
+    for piece in pieces:
+        if piece.e == ">":
+            messages, asking = dialect.split_questions(asking + piece.data)
+            for n, each in enumerate(messages):
+                asked_s = piece.t + n * apart_s
+                if dialect.unheard(each):
+                    found[-1].passed_s.append(asked_s)
+                else:
+                    found.append(Exchange(each, time_s=asked_s))
+        elif piece.e == "<":
+            answers, answering = dialect.split(answering + piece.data)
+            for answer in answers:
+                of = (each for each in reversed(found) if dialect.belongs(answer, each.asked))
+                next(of, found[-1]).add(answer, piece.t)
+    ended = any(piece.e in ("end", "lost") for piece in pieces)
+    found[-1].cut = not ended and (bool(answering) or not found[-1].answers)
+    if answering and not dialect.flows:
+        found[-1].add(answering, pieces[-1].t)
+    # A driver's signs of life are answered whenever they come: when is a matter of this PC.
+    return [each for each in found if not (each.answers and dialect.alive(each.asked))]
+
+
+def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange]]:
+    """Return the exchanges of each connection of a recording, in their order."""
+    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
+    each_of = [[piece for piece in pieces if piece.c == number] for number in opened]
+    found = [exchanges(each, dialect) for each in each_of]
+    return [_merged(each, dialect) for each in found] if dialect.flows else found
+
+
+def cut_connections(pieces: Sequence[Piece]) -> list[bool]:
+    """Return for each connection whether its end is missing: the file was cut, or all died."""
+    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
+    ended = {piece.c for piece in pieces if piece.e in ("end", "lost")}
+    return [number not in ended for number in opened]
+
+
+def _merged(recorded: Sequence[Exchange], dialect: Dialect) -> list[Exchange]:
+    """Return exchanges in which questions in a row that ask the same are one."""
+    found, name = [recorded[0]], b""
+    for each in recorded[1:]:
+        if (asked := dialect.name(each.asked)) == name:
+            for answer, came_s in zip(each.answers, each.came_s, strict=True):
+                found[-1].add(answer, came_s)
+            found[-1].passed_s += each.passed_s
+        else:
+            found.append(each)
+            name = asked
+    return found
+
+
+def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[bytes]:
+    """Return the names of questions that were asked once only, on all connections of a wire.
+
+    A keep-alive, too, may have asked once on its connection, but asks what others ask.
+    """
+    counts = Counter(dialect.name(each.asked) for one in opened for each in one[1:])
+    return {name for name, count in counts.items() if count == 1}
+
+
+def first_of_each(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> dict[bytes, Exchange]:
+    """Return the first exchange of each name that was answered, on all connections of a wire."""
+    found: dict[bytes, Exchange] = {}
+    for each in sorted((each for one in opened for each in one[1:]), key=_time_s):
+        if each.answers:
+            found.setdefault(dialect.name(each.asked), each)
+    return found
+
+
+class Names:
+    """Names of questions. Two are one whose numbers are near: a target that is computed again from
+    the same answers may differ in its last digits.
+    """
+
+    def __init__(self, names: Iterable[bytes]) -> None:
+        self._names = set(names)
+        self._alike: dict[bytes, list[bytes]] = {}
+        for name in self._names:
+            self._alike.setdefault(_NUMBER.sub(b"#", name), []).append(name)
+
+    def of(self, name: bytes) -> bytes:
+        """Return the known name that is the same; this one where there is none."""
+        if name in self._names:
+            return name
+        alike = self._alike.get(_NUMBER.sub(b"#", name), [])
+        apart, nearest = min(((_apart(name, each), each) for each in alike), default=(NEAR, name))
+        return nearest if apart < NEAR else name
+
+
+def _apart(name: bytes, other: bytes) -> float:
+    pairs = zip(_NUMBER.findall(name), _NUMBER.findall(other), strict=True)
+    return max((abs(float(a) - float(b)) for a, b in pairs), default=NEAR)
+
+
+class Script:
+    """The recorded exchanges of one connection, and how far the driver has got."""
+
+    def __init__(
+        self,
+        recorded: Sequence[Exchange],
+        dialect: Dialect,
+        time: EventTime,
+        landmarks: Collection[bytes],
+        elsewhere: Mapping[bytes, Exchange] = NOWHERE,
+        *,
+        cut: bool = False,
+    ) -> None:
+        """``landmarks`` are the names of questions that part the recording.
+
+        ``elsewhere`` are what was asked on any connection of the wire: one that is idle for longer
+        than it was is kept alive by such a question.
+
+        Behind the last question of one that was ``cut``, an earlier answer is not given again.
+        """
+        self._last_s = recorded[-1].time_s if cut else float("inf")
+        self._dialect, self._time, self._landmarks = dialect, time, landmarks
+        self._elsewhere = elsewhere
+        self.greeting = recorded[0].answers
+        self._named: dict[bytes, list[Exchange]] = {}
+        for each in recorded[1:]:
+            self._named.setdefault(dialect.name(each.asked), []).append(each)
+        self._names = Names(self._named)
+        self._next: Counter[bytes] = Counter()
+        self._repeated = 0
+        self._cut = False
+        before = [each for each in recorded[1:] if each.time_s < time.stop_s]
+        self._last = before[-1] if before else None  # that was asked before the run was stopped
+        self.samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
+
+    def knows(self, asked: bytes) -> bool:
+        """Whether a question was recorded, the last one with its answer."""
+        name = self._names.of(self._dialect.name(asked))
+        known = name in self._named or bool(self._beside(asked, name))
+        return known and not self._cut
+
+    def reply(self, asked: bytes) -> list[bytes]:
+        """Return the answers to a question, in their pieces; samples behind them come later."""
+        name = self._names.of(self._dialect.name(asked))
+        found = self._named.get(name)
+        if found is None:
+            return self._beside(asked, name)
+        if name in self._landmarks:
+            self._time.pass_landmark(found[0].time_s)
+        elif self._dialect.is_command(asked):
+            self._time.pass_landmark(found[min(self._next[name], len(found) - 1)].time_s)
+        taken = self._taken(name, found)
+        if taken is None:
+            return []
+        self._cut = taken.cut
+        self._dialect.heard(asked, taken.asked)
+        answers = [self._dialect.answer(asked, taken.asked, each) for each in taken.answers]
+        count = taken.awaited(self._dialect)
+        self.samples.extend(zip(taken.came_s[count:], answers[count:], strict=True))
+        came_s = taken.came_s[0] if count else taken.time_s
+        self._time.reach(came_s)
+        if taken.time_s >= self._time.stop_s or self._time.stop_s == float("inf"):
+            return answers[:count]
+        before = bisect_left(taken.came_s, self._time.stop_s, hi=count)
+        silent = taken is self._last and not taken.answers and not self._dialect.is_command(asked)
+        if before < count or silent:  # the others answer the stop
+            self._time.reach(self._time.stop_s)
+        return answers[:before]
+
+    def _beside(self, asked: bytes, name: bytes) -> list[bytes]:
+        """Return the answers to a question that this connection was not asked; no time passes."""
+        other = None if name in self._landmarks else self._elsewhere.get(name)
+        if other is None:
+            return self._dialect.alive(asked)
+        return [self._dialect.answer(asked, other.asked, each) for each in other.answers]
+
+    def _taken(self, name: bytes, found: list[Exchange]) -> Exchange | None:
+        begin_s, end_s = self._time.part()
+        first = bisect_left(found, begin_s, key=_time_s)
+        end = bisect_left(found, end_s, key=_time_s)
+        at = max(self._next[name], first)
+        if at < end:
+            self._next[name], self._repeated = at + 1, 0
+            self._time.went_on()
+            return found[at]
+        if self._time.next_asked_s() >= self._time.stop_s < float("inf"):
+            self._time.reach(self._time.stop_s)  # the stop came before this was asked
+            return None
+        if self._time.now_s >= self._last_s:
+            self._cut = True
+            return None
+        self._repeated += 1
+        if self._repeated >= STUCK and end_s < float("inf"):
+            self._repeated = 0
+            self._time.pass_landmark(end_s)
+        return found[end - 1] if end > 0 else self._early(found[0])
+
+    def _early(self, first: Exchange) -> Exchange | None:
+        """Return the answer to a question that is asked before the part in which it was."""
+        now_s = self._time.heard_s
+        if not first.time_s < self._time.stop_s:
+            return None
+        return replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
+
+
+def _time_s(exchange: Exchange) -> float:
+    return exchange.time_s
+
+
+class Flow:
+    """A connection whose messages come by themselves: those of the last question, in their order.
+
+    One that came only after the driver had asked elsewhere, or had taken note of an earlier one,
+    waits for that, unless the device is at work. Meanwhile, and at the end, the last one comes
+    again and again. So the messages are as far as the driver, whichever thread runs first.
+    """
+
+    def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
+        self._dialect, self._time, self._recorded = dialect, time, recorded
+        self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
+        self._names = Names(self._order)
+        self._at = self._taken = self._repeated = 0
+        self._asked = b""
+        self._silent = False
+
+    def knows(self, asked: bytes) -> bool:
+        """Whether a question was recorded, here or later, the last one with its answer."""
+        name = self._names.of(self._dialect.name(asked))
+        at = self._order.index(name, self._at) if name in self._order[self._at :] else -1
+        return at >= 0 and not self._recorded[at].cut
+
+    def ask(self, asked: bytes) -> None:
+        """Go on with the messages that came after a question; with none if it was never asked."""
+        name = self._names.of(self._dialect.name(asked))
+        if name == self._order[self._at]:
+            return
+        self._silent = name not in self._order[self._at :]
+        if not self._silent:
+            self._at, self._taken = self._order.index(name, self._at), 0
+            self._asked, recorded = asked, self._recorded[self._at]
+            self._time.pass_landmark(recorded.time_s)
+            self._dialect.heard(asked, recorded.asked)
+
+    def passed(self) -> None:
+        """Take note of a message that has no part in any exchange, as a question for a fresh state.
+
+        The driver is as far as with the recorded one. One that asks on and on waits for what came
+        behind the next question on another wire, which it does not ask.
+        """
+        next_s = following(self._recorded[self._at].passed_s, self._time.heard_s)
+        self._repeated += 1
+        if not (self._works() or self._time.is_next(next_s)):
+            next_s = self._time.next_asked_s() if self._repeated >= STUCK else float("inf")
+        if next_s < float("inf"):
+            self._time.reach(next_s)
+            self._repeated = 0
+
+    def next(self) -> list[bytes]:
+        """Return the messages that have come by now, or the next one; none where none comes."""
+        recorded = self._recorded[self._at]
+        count, first, now_s = len(recorded.answers), self._taken, self._time.now_s
+        if self._silent or not count:
+            return []
+        while self._taken < count and recorded.came_s[self._taken] <= now_s:
+            self._taken += 1
+        if self._taken == first < count and not self._waits():
+            self._time.lead(recorded.came_s[first], at_work=self._works())
+            self._taken += 1
+        messages = recorded.answers[first : self._taken]
+        if not messages:
+            last = recorded.answers[first - 1]
+            messages = [last] if self._dialect.repeats(last) else []
+        return [self._dialect.answer(self._asked, recorded.asked, each) for each in messages]
+
+    def _waits(self) -> bool:
+        """Whether the next message came after something that the driver has not done yet."""
+        recorded, n = self._recorded[self._at], self._taken
+        if n == 0 or not self._dialect.repeats(recorded.answers[n - 1]):
+            return False
+        came_s = recorded.came_s[n]
+        if came_s > following(recorded.passed_s, self._time.heard_s):
+            return True
+        return came_s > self._time.next_asked_s() and not self._works()
+
+    def _works(self) -> bool:
+        """Whether the device is at work on what was asked, by the last message given."""
+        recorded, n = self._recorded[self._at], self._taken
+        return n > 0 and self._dialect.works(recorded.asked, recorded.answers[n - 1])
+
+
+class Pulse:
+    """Signs of life that a device gives by itself: the last ones again, while it gave any."""
+
+    def __init__(
+        self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime, *, cut: bool = False
+    ) -> None:
+        """One whose recording was ``cut`` while it gave them goes on to."""
+        self._dialect, self._time = dialect, time
+        ends_s = max((each.came_s[-1] for each in recorded if each.came_s), default=0.0)
+        self._last: dict[bytes, bytes] = {}
+        self._ends_s: dict[bytes, float] = {}
+        alive_s = 0.5  # after the last sign of life that was recorded
+        for each in recorded:
+            for answer, came_s in zip(each.answers, each.came_s, strict=True):
+                gives = cut and ends_s - came_s < alive_s
+                self._ends_s[dialect.beat(answer)] = float("inf") if gives else came_s + alive_s
+
+    def take(self, answers: Sequence[bytes]) -> None:
+        """Take note of signs of life among answers."""
+        self._last |= {beat: each for each in answers if (beat := self._dialect.beat(each))}
+
+    def due(self) -> bytes:
+        """Return the signs that are given by now."""
+        now_s = self._time.now_s
+        return b"".join(each for beat, each in self._last.items() if now_s <= self._ends_s[beat])
 
 
 def shown(asked: bytes) -> str:
     """Return the words of a question, or its bytes in hex where it is mostly no text."""
-    words = b" ".join(_WORDS.findall(asked))
+    longest, longest_hex = 60, 24  # bytes of a question in a message
+    words = b" ".join(re.findall(rb"[ -~]{3,}", asked))
     if 2 * len(words) < len(asked.strip(b"\0")):
-        return f"{asked[:SHOWN].hex(' ')}{' ..' if len(asked) > SHOWN else ''} (hex)"
-    return repr(words[:LONGEST].decode())
+        return f"{asked[:longest_hex].hex(' ')}{' ..' if len(asked) > longest_hex else ''} (hex)"
+    return repr(words[:longest].decode())
 
 
 class RecordedWire:

@@ -10,7 +10,7 @@ import pytest
 from fakes.replay import event_time
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
-from fakes.replay.recorded_script import (
+from fakes.replay.recorded_wire import (
     STUCK,
     Exchange,
     Flow,
@@ -20,8 +20,8 @@ from fakes.replay.recorded_script import (
     connections,
     cut_connections,
     exchanges,
+    shown,
 )
-from fakes.replay.recorded_wire import shown
 from fakes.universal_robots.dialect import Rtde
 from hilcell.wire.recording import Piece
 

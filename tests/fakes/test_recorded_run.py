@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fakes.replay import recorded_run
-from fakes.replay.recorded_run import without_dialect
+from fakes.replay import recorded_cell
+from fakes.replay.recorded_cell import without_dialect
 from hilcell.cell.file import load_cell
 from hilcell.wire.recording import CLOCK, Piece
 
@@ -34,7 +34,7 @@ def test_a_wire_that_is_no_plain_lines_needs_a_dialect(
     }
     paths = {name: Path(f"{name}.wire.jsonl") for name in pieces}
     assert [*without_dialect(cell, paths, pieces)] == []  # that of its driver is stated
-    monkeypatch.setattr(recorded_run, "dialects_of", lambda *_: {})
+    monkeypatch.setattr(recorded_cell, "dialects_of", lambda *_: {})
     found = [*without_dialect(cell, paths, pieces)]
     assert len(found) == bool(refused)
     for each in found:

@@ -12,8 +12,7 @@ import pytest
 from drivers.kuka.robot_c3 import decode_body, encode_write
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
-from fakes.replay.recorded_script import exchanges
-from fakes.replay.recorded_wire import RecordedWire
+from fakes.replay.recorded_wire import RecordedWire, exchanges
 from fakes.wires import Listener
 from hilcell.wire.channel import Socket, parse_channel
 from hilcell.wire.recording import Piece

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-import fakes.__main__ as by_hand
+import fakes.host as by_hand
 from fakes.simulator import Control, PaperCell, ReplayCell, SimulatedClock
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError

@@ -26,7 +26,7 @@ from drivers import strips
 from drivers.canopen import pdo, sdo
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
-from fakes.replay.recorded_script import Exchange, Script, exchanges, landmarks
+from fakes.replay.recorded_wire import Exchange, Script, exchanges, landmarks
 from hilcell.cell.devices import check_options, stand_ins
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fakes.exercises import EXERCISES
+from fakes.exercises import EXERCISES, page
 from fakes.faults import KNOWN
-from fakes.page import page
 from hilcell.alarms import catalogue
 from tests.whole.bench import HILCELL, SMALL, command, end_of, sets
 from tests.whole.test_alarms import ENDS
