@@ -20,7 +20,7 @@ from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import curves_used
-from hilcell.compensation.measured import Measured
+from hilcell.compensation.model import Measured
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log, noise_at, run_noise

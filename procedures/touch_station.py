@@ -20,6 +20,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.grid import grid_of
 from hilcell.calibration.in_use import NoCalibration, calibration_in, calibration_named, used
 from hilcell.calibration.touch import (
+    FrameUpdate,
     suspected,
     touch_ids,
     touch_targets_mm,
@@ -29,7 +30,6 @@ from hilcell.calibration.touch import (
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
-from hilcell.geometry.frame_update import FrameUpdate
 from hilcell.geometry.frames import apply, cross_matrix, to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hilcell.cell.file import Cell, coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
-from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
+from hilcell.compensation.model import Measured, MeasuredArm, StaticPoses
 from hilcell.geometry.frames import (
     apply,
     inverse,

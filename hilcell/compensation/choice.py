@@ -15,8 +15,7 @@ import numpy as np
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import Idw, Trilinear, check_covariance
 from hilcell.compensation.kinematic import Kinematic
-from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import LearntModel, Prediction
+from hilcell.compensation.model import LearntModel, Measured, Prediction
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.identification.readings import IdentificationError

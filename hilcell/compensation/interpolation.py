@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 
 from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
-from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import LearntModel, ModelError, Prediction
+from hilcell.compensation.model import LearntModel, Measured, ModelError, Prediction
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.typed import Json, typed
 

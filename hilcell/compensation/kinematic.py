@@ -14,8 +14,14 @@ import msgspec
 import numpy as np
 
 from hilcell.compensation.grid import Grid
-from hilcell.compensation.measured import Measured, MeasuredArm
-from hilcell.compensation.model import LearntModel, ModelError, Prediction, Turn
+from hilcell.compensation.model import (
+    LearntModel,
+    Measured,
+    MeasuredArm,
+    ModelError,
+    Prediction,
+    Turn,
+)
 from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array

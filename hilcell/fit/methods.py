@@ -20,8 +20,7 @@ import numpy as np
 
 from hilcell.compensation.choice import MODELS, NOMINAL, choose, listed
 from hilcell.compensation.interpolation import NEIGHBOURS
-from hilcell.compensation.measured import Measured, StaticPoses
-from hilcell.compensation.model import LearntModel
+from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.fit.fitted_arm import TERMS, FittedArm
 from hilcell.fit.placement import (
     ABSURD_MM,

@@ -21,8 +21,7 @@ from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import Fitted
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Robot
-from hilcell.fit.urdf_file import Urdf, urdf_of
-from hilcell.geometry.chain import beside, chain_of
+from hilcell.fit.urdf_file import Urdf, beside, chain_of, urdf_of
 from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array

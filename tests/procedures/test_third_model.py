@@ -13,8 +13,7 @@ from msgspec.structs import replace
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import LearntModel, Prediction
+from hilcell.compensation.model import LearntModel, Measured, Prediction
 from hilcell.fit.methods import fit
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array

@@ -15,7 +15,7 @@ from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertai
 from hilcell.cell.file import load_cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
-from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.model import Measured, StaticPoses
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.model.calibration import Device, Provenance, StationEntry
 from tests.hilcell.compensation import models

@@ -30,9 +30,9 @@ from hilcell.geometry.kinematics import Array, forward
 from hilcell.programs.arm_targets import JOINT_HEADER, joint_rows
 from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.fit.chains import chain_forward
 from tests.hilcell.fit.test_fit import IRB120
 from tests.hilcell.fit.urdfs import PLAIN
-from tests.hilcell.geometry.chains import chain_forward
 from tests.whole.bench import command
 
 T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)

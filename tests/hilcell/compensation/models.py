@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Interpolation
-from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.model import Measured, StaticPoses
 from hilcell.geometry.kinematics import Array
 
 Kind = type[Interpolation]

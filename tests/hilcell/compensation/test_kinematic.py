@@ -12,8 +12,7 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.choice import MODELS, Nominal, choose, chosen
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
-from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
-from hilcell.compensation.model import ModelError
+from hilcell.compensation.model import Measured, MeasuredArm, ModelError, StaticPoses
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, lengths_mm
 from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve

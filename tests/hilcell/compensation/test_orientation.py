@@ -12,8 +12,14 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.correction import corrected, corrected_poses
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, seats_mm
-from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
-from hilcell.compensation.model import ModelError, Prediction, Turn
+from hilcell.compensation.model import (
+    Measured,
+    MeasuredArm,
+    ModelError,
+    Prediction,
+    StaticPoses,
+    Turn,
+)
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
 from hilcell.geometry.kinematics import Arm, Array, forward

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hilcell.compensation.choice import Nominal
 from hilcell.compensation.grid import GridError
 from hilcell.compensation.interpolation import Idw, Trilinear
-from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.model import Measured, StaticPoses
 from hilcell.identification.readings import FOLDS
 from tests.hilcell.compensation.models import level
 

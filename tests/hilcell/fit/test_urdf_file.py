@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
-from hilcell.fit.urdf_file import Urdf, read_urdf, urdf_of
-from hilcell.geometry.chain import arm_of, beside, chain_of
+from hilcell.fit.urdf_file import Urdf, arm_of, beside, chain_of, read_urdf, urdf_of
 from hilcell.geometry.kinematics import Arm, Array, forward
+from tests.hilcell.fit.chains import chain_forward
 from tests.hilcell.fit.urdfs import IRB120, PLAIN, reached_m
-from tests.hilcell.geometry.chains import chain_forward
 
 NAMES = [f"joint_{n}" for n in range(1, 7)]
 JOINTS = np.random.default_rng(1).uniform(-2, 2, (5, 6))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.geometry.frame_update import updated_frame
+from hilcell.calibration.touch import updated_frame
 from hilcell.geometry.frames import (
     FrameError,
     apply,

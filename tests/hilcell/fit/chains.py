@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hilcell.geometry.chain import Chain
+from hilcell.fit.urdf_file import Chain
 from hilcell.geometry.kinematics import Array
 
 

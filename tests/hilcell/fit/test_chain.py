@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hilcell.geometry.chain import Chain, arm_of, beside, chain_of
+from hilcell.fit.urdf_file import Chain, arm_of, beside, chain_of
 from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Arm, Array, forward
-from tests.hilcell.geometry.chains import chain_forward
+from tests.hilcell.fit.chains import chain_forward
 from tests.hilcell.geometry.test_kinematics import arm_of as random_arm
 
 EXACT = 1e-9  # mm, and of a rotation's elements
