@@ -1,9 +1,8 @@
 """A model of a robot's errors: nominal poses in, predicted errors and their covariance out.
 
-It is learnt from the error as measured at poses at rest; where they are a lattice, and of which arm.
-
-A model is one class, registered in `hilcell.compensation.choice`; `hilcell run` and `hilcell fit`
-both learn, judge and choose from those, and nothing else in the core names them.
+It is learnt from the errors that were measured at poses at rest. A model is one class,
+registered in `hilcell.compensation.choice`; `hilcell run` and `hilcell fit` both learn, judge and
+choose from those, and nothing else in the core names them.
 """
 
 from __future__ import annotations
