@@ -12,9 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from hilcell.alarms.alarm import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, Severity
+from hilcell.model.events import AlarmsAcknowledged
+
+if TYPE_CHECKING:
+    from hilcell.journal.log import Log
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,3 +116,13 @@ class Latch:
         for each in [code] if code else [*self._latched]:
             if each in self._latched:
                 self._keep(each, replace(self._latched[each], acknowledged=True))
+
+
+def acknowledged_in(log: Log) -> dict[str, int]:
+    """Return, by code, up to which record the alarms of a run were acknowledged."""
+    until: dict[str, int] = {}
+    for record in log.events:
+        if isinstance(record.fact, AlarmsAcknowledged):
+            for code in record.fact.codes:
+                until[code] = max(until.get(code, 0), record.fact.until)
+    return until

@@ -26,8 +26,7 @@ from hilcell.commands.output import (
     terminal_columns,
 )
 from hilcell.commands.run_output import left_moving, print_suspected
-from hilcell.invariants.judging import judge
-from hilcell.invariants.tally import INVARIANTS, Break, Proof
+from hilcell.invariants.judging import INVARIANTS, Break, Proof, judge
 from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError

@@ -1,12 +1,15 @@
-"""The checker: all rules over the records of a journal, in their order."""
+"""The checker: the invariants in words, and their rules over the records of a journal, in order.
+
+It says for each how often it was judged, and where it is broken.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -14,9 +17,7 @@ import numpy as np
 from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
-from hilcell.invariants.motions import FUTURE_S, Motions
-from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
-from hilcell.invariants.tally import Proof, Tally
+from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, of_rail, pose_of, set_up_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import other_assets
 from hilcell.journal.states import OVER, WAITING
@@ -26,8 +27,8 @@ from hilcell.model.events import (
     ChangesAccepted,
     Closed,
     Connected,
-    ReadingTime,
     SafeStopSent,
+    StationHeld,
     StepBegun,
     StreamRecorded,
     TrackerMoved,
@@ -35,18 +36,199 @@ from hilcell.model.events import (
 )
 from hilcell.model.frame import Frame
 from hilcell.model.point import Point, Readings
-from hilcell.model.records import Ended, StateChanged
+from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 
 SIGMAS = 4.0
 FRAMING = "world"  # kind of the points of which {W} is framed
+TEARDOWN_S = 15.0
+HELD_DEVICES = ("Rail", "Robot")
+GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
+    "paused": ("command",),
+    "suspended": ("command", "answer", "look"),
+}
+SAFE_POSE_DEG = 0.1
+FUTURE_S = -0.001  # two readings of one clock
+NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
 
-class TrackerSetUps:
-    """Judges what was measured at which set-up, and when the tracker was proven."""
+INVARIANTS = {
+    "I1": "the slide gets power only with the robot at rest at its safe pose, by a young reading",
+    "I2": "the robot moves only with the slide at rest, held, and the strip at the station",
+    "I3": "nothing is measured while slide or robot moves or settles",
+    "I4": "a measurement is newer than the motion before it, and carries what it was made with",
+    "I5": "nothing moves while the run waits or has ended",
+    "I6": "the first reason of a fault is kept",
+    "I7": "the devices are closed once, in bounded time",
+    "I8": "no acknowledged point is lost, none is counted twice",
+    "I9": "a resumed run repeats nothing acknowledged, and verifies station and tracker first",
+    "I10": "a frame or a result uses only valid points of known set-ups of the tracker",
+    "I11": "motions are ordered by the engine that holds the run",
+    "I12": "every end leaves slide and robot held",
+    "I13": "a lost screen never makes a run go on",
+    "I14": "no reading beyond its greatest age is used",
+    "I15": "{W} is framed at one set-up, and proven at the tracker's uncertainty",
+    "I16": "the tracker is proven at each step's end, and before anything follows a pause",
+    "I17": "what did not hold is not passed on as if it did",
+    "I18": "who answers after a resume answered before, or it was accepted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """A place where an invariant is broken."""
+
+    seq: int
+    what: str
+
+
+@dataclass(slots=True)
+class Proof:
+    """``unproven`` are places where the journal says that a device could not tell."""
+
+    checked: int = 0
+    broken: list[Break] = field(default_factory=list)
+    unproven: list[Break] = field(default_factory=list)
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is broken nowhere."""
+        return not self.broken
+
+
+class Tally:
+    """The verdicts of all invariants, by name."""
+
+    def __init__(self) -> None:
+        self.verdicts = {name: Proof() for name in INVARIANTS}
+
+    def check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
+        """Count one check; ``what`` says what is wrong where it does not hold."""
+        verdict = self.verdicts[invariant]
+        verdict.checked += 1
+        if not holds:
+            verdict.broken.append(Break(record.seq, what))
+
+    def unproven(self, invariant: str, record: Record, what: str) -> None:
+        """Note a place that cannot be judged."""
+        self.verdicts[invariant].unproven.append(Break(record.seq, what))
+
+
+def judge(records: Iterable[Record]) -> dict[str, Proof]:
+    """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
+    tally, scene = Tally(), Scene()
+    kinds = (LifeRules, Motions, Measurements, TrackerSetUps, Identities)
+    rules: list[Rules] = [each(tally, scene) for each in kinds]
+    for record in records:
+        try:
+            for each in rules:
+                each.take(record)
+            scene.take(record)
+        except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
+            raise StorageError(
+                f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}",
+                code="HC-J02",
+            ) from error
+    return tally.verdicts
+
+
+class Rules:
+    """Judge each record by what the records before it say."""
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
-        self._check, self._scene = tally.check, scene
+        self._tally, self._check, self._scene = tally, tally.check, scene
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        raise NotImplementedError
+
+
+class Motions(Rules):
+    """Judges motions by what was known when each was journalled: I1, I2, I5, I11, I14.
+
+    I9 for motions to what is acknowledged.
+    """
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        match record.fact:
+            case Intended() as motion:
+                self._motion(record, motion)
+            case StationHeld(began=began) if began is not None:
+                self._young(record, "the motion before began", began.age_s)
+            case Point(readings=Readings(began=began)) if began is not None:
+                self._young(record, "the motion before began", began.age_s)
+
+    def _motion(self, record: Record, motion: Intended) -> None:
+        scene = self._scene
+        action = motion.action
+        allowed = not (scene.ended or scene.waits)
+        self._check("I5", record, allowed, f"{action} begun while {scene.state}")
+        found = f"{action} ordered by session {motion.session}, {scene.session} holds the run"
+        self._check("I11", record, motion.session == scene.session, found)
+        if of_rail(motion):
+            self._rail(record, motion)
+        else:
+            self._robot(record, motion)
+
+    def _rail(self, record: Record, motion: Intended) -> None:
+        last = self._scene.last
+        parked = last is None or of_rail(last) or last.action == "robot.park"
+        self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
+        seen = motion.seen or NOT_SEEN
+        self._young(record, motion.action, seen.age_s)
+        wrong = _not_parked(seen, self._scene)
+        self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
+
+    def _robot(self, record: Record, motion: Intended) -> None:
+        scene, key = self._scene, record.key
+        if key and key in scene.points:
+            asked = key in scene.again
+            self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
+        seen = motion.seen or NOT_SEEN
+        self._young(record, motion.action, seen.age_s)
+        station = scene.station(scene.held)
+        wanted_mm = None if station is None else station.strip_mm
+        wrong = _not_held(seen, wanted_mm, 2 * scene.cell.rail.strip_tolerance_mm)
+        self._check("I2", record, not wrong, f"{motion.action} {key}: {wrong}")
+
+    def _young(self, record: Record, motion: str, age_s: float) -> None:
+        limit_s = self._scene.cell.settle.reading_age_s
+        young = FUTURE_S <= age_s <= limit_s
+        what = f"{motion} by a reading {age_s:.3f} s old, at most {limit_s:g} s"
+        self._check("I14", record, young, what)
+
+
+def _not_parked(seen: SeenBefore, scene: Scene) -> str:
+    """Return why a reading does not say that the robot rests at its safe pose; "" where it does."""
+    safe_deg = scene.cell.robot.safe_deg
+    pairs = zip(seen.joints_deg, safe_deg, strict=False)
+    off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
+    if len(seen.joints_deg) != len(safe_deg) or not off_deg <= SAFE_POSE_DEG:
+        return f"the robot was {off_deg:.2f} deg off its safe pose"
+    return _before_end(seen) if seen.still else "the robot was moving"
+
+
+def _not_held(seen: SeenBefore, wanted_mm: float | None, limit_mm: float) -> str:
+    """Return why a reading does not say that the slide rests and is held; "" where it does."""
+    if not seen.still:
+        return "the slide was moving"
+    if seen.powered is not False:
+        return "the drive had power to move"
+    found_mm = math.nan if seen.strip_mm is None else seen.strip_mm
+    if wanted_mm is not None and not abs(found_mm - wanted_mm) <= limit_mm + 1e-9:
+        return f"strip {found_mm:.2f} mm, the station {wanted_mm:.2f} +-{limit_mm:.2f} mm"
+    return _before_end(seen)
+
+
+def _before_end(seen: SeenBefore) -> str:
+    """Return that a reading was taken before the motion had ended; "" where it was not."""
+    late = seen.ended_s is None or seen.taken_s >= seen.ended_s
+    return "" if late else "the reading was taken before the motion had ended"
+
+
+class TrackerSetUps(Rules):
+    """Judges what was measured at which set-up, and when the tracker was proven."""
 
     def take(self, record: Record) -> None:
         """Judge a record."""
@@ -184,20 +366,11 @@ def _apart_mm(one: Point, other: Point) -> float:
     return math.dist(one.xyz_mm, other.xyz_mm)
 
 
-TEARDOWN_S = 15.0
-HELD_DEVICES = ("Rail", "Robot")
-GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
-    "paused": ("command",),
-    "suspended": ("command", "answer", "look"),
-}
-
-
-class LifeRules:
+class LifeRules(Rules):
     """Judges states, teardowns and ends."""
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
-        self._tally, self._scene = tally, scene
-        self._check = tally.check
+        super().__init__(tally, scene)
         self._seq = 0
         self._state = "idle"
         self._closings: list[Closed] = []  # of this session
@@ -289,11 +462,8 @@ class LifeRules:
         self._check("I8", record, not wrong, f"the result counts {figures}")
 
 
-class Measurements:
+class Measurements(Rules):
     """Judges each point."""
-
-    def __init__(self, tally: Tally, scene: Scene) -> None:
-        self._check, self._scene = tally.check, scene
 
     def take(self, record: Record) -> None:
         """Judge a record."""
@@ -350,7 +520,8 @@ class Measurements:
                 self._rested(record, name, rested_s, rest_s)
         confirmed = readings.rail.taken_s >= taken_s
         self._check("I14", record, confirmed, f"{key}: the rail was not read after it")
-        ages = [each.age_s for each in (readings.tracker, readings.rail, *_one(readings.robot))]
+        read = (readings.tracker, readings.rail, readings.robot)
+        ages = [each.age_s for each in read if each is not None]
         known = all(FUTURE_S <= age_s < math.inf for age_s in ages)
         self._check("I14", record, known, f"{key}: readings {ages} s old")
 
@@ -361,15 +532,11 @@ class Measurements:
         self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")
 
 
-def _one(reading: ReadingTime | None) -> list[ReadingTime]:
-    return [] if reading is None else [reading]
-
-
-class Identities:
+class Identities(Rules):
     """Compares what answered with what answered before."""
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
-        self._check, self._scene = tally.check, scene
+        super().__init__(tally, scene)
         self._before: dict[str, Asset] = {}
         self._hilcell = ""
         self._accepted = False  # since the last connection
@@ -391,29 +558,3 @@ class Identities:
             what = f"changed, and nobody has accepted it: {', '.join(changed)}"
             self._check("I18", record, self._accepted or not changed, what)
         self._before, self._hilcell, self._accepted = now, hilcell, False
-
-
-class Rules(Protocol):
-    """Judge each record by what the records before it say."""
-
-    def take(self, record: Record) -> None:
-        """Judge a record."""
-
-
-def judge(records: Iterable[Record]) -> dict[str, Proof]:
-    """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
-    tally, scene = Tally(), Scene()
-    rules: list[Rules] = [
-        each(tally, scene) for each in (LifeRules, Motions, Measurements, TrackerSetUps, Identities)
-    ]
-    for record in records:
-        try:
-            for each in rules:
-                each.take(record)
-            scene.take(record)
-        except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
-            raise StorageError(
-                f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}",
-                code="HC-J02",
-            ) from error
-    return tally.verdicts
