@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 
-EXIT_ABORTED = 4  # of `hilcell.run.exits`, which is not imported yet
+EXIT_ABORTED = 4  # of `hilcell.errors`, which is not imported yet
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "1")  # numpy's, which spin and take turns with the engine's
 
 

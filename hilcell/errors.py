@@ -1,7 +1,8 @@
 """The errors of hilcell: facts as data, which become one clear message only where one is shown.
 
-Every error has the code of its entry in the catalogue of alarms (`hilcell.alarms`). Apart from
-`hilcell.ports`, so that an error can be shown without loading arrays.
+Every error has the code of its entry in the catalogue of alarms (`hilcell.alarms`), and the exit
+code that a run or a command ends with by it. Apart from `hilcell.ports`, so that an error can be
+shown without loading arrays.
 """
 
 from __future__ import annotations
@@ -15,6 +16,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hilcell.typed import Json
 
+
+# Exit codes of commands and runs: how they ended.
+EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_REFUSED, EXIT_FAULT = 0, 1, 2, 3
+EXIT_ABORTED, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE = 4, 5, 6, 7
+DONE = (EXIT_OK, EXIT_OUT_OF_TOLERANCE)  # the run came to its end
+RESUMABLE = (EXIT_FAULT, EXIT_ABORTED, EXIT_STORAGE)
 
 MOST_LISTED = 10
 
@@ -46,10 +53,12 @@ def with_place(error: BaseException) -> str:
 class HilcellError(Exception):
     """Anything that hilcell reports to its user in one clear message.
 
-    ``code`` is its entry in the catalogue of alarms; a class may have one for all its errors.
+    ``code`` is its entry in the catalogue of alarms, ``exit_code`` what a run or a command ends
+    with by it; a class may have one for all its errors.
     """
 
     code = "HC-C99"
+    exit_code = EXIT_REFUSED
 
     def __init__(self, text: str = "", *, code: str = "") -> None:
         super().__init__(text)
@@ -63,11 +72,14 @@ class HilcellError(Exception):
 class StoreAway(HilcellError):
     """A store that is not this PC's cannot be used now; the same command may do it later."""
 
+    exit_code = EXIT_STORAGE
+
 
 class DriverDefect(HilcellError):
     """A driver did what its port rules out: a defect of the driver, not of hilcell or a device."""
 
     code = "HC-C07"
+    exit_code = EXIT_INTERNAL
 
     def __init__(self, device: str, found: str) -> None:
         super().__init__(f"{device}: {found}; a defect of its driver, please report it there")
@@ -77,6 +89,7 @@ class Stopped(HilcellError):
     """The operator, or the program's end, asked everything to stop."""
 
     code = "HC-C05"
+    exit_code = EXIT_ABORTED
 
 
 class DeviceError(HilcellError):
@@ -85,6 +98,8 @@ class DeviceError(HilcellError):
     ``fields`` are the values behind the words, for programs: plain, with units in their names.
     ``causes`` are the errors of several devices that failed together.
     """
+
+    exit_code = EXIT_FAULT
 
     def __init__(
         self,
@@ -131,6 +146,8 @@ class DeviceError(HilcellError):
 class DeviceRefused(DeviceError):
     """The device answers, but is not the cell file's, or is not allowed to work."""
 
+    exit_code = EXIT_REFUSED
+
 
 class NoReading(DeviceError):
     """The device is well, yet this one measurement failed and may be tried again."""
@@ -154,6 +171,11 @@ class StripLost(NoReading):
     The drive still brings the slide to rest and holds it. A strip is absolute: once it reads well
     again, it is right.
     """
+
+
+def exit_code(error: Exception) -> int:
+    """Return the exit code that says how ``error`` ended a run or a command."""
+    return error.exit_code if isinstance(error, HilcellError) else EXIT_INTERNAL
 
 
 def facts_of(error: Exception) -> Json:

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hilcell.clean import clean
-from hilcell.errors import HilcellError
+from hilcell.errors import EXIT_STORAGE, HilcellError
 
 CSV = (".csv", ".txt")
 KNOWN = (
@@ -38,11 +38,14 @@ class NotWritten(HilcellError):
 class DiskFailed(NotWritten):
     """A file that a full or failing disk did not take."""
 
+    exit_code = EXIT_STORAGE
+
 
 class NotPrinted(HilcellError):
     """Data that stdout does not take: a full disk, or a pipe that nobody reads any more."""
 
     code = "HC-J14"
+    exit_code = EXIT_STORAGE
 
 
 def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> None:

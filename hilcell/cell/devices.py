@@ -16,7 +16,7 @@ from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import places
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
-from hilcell.errors import HilcellError, one_line, with_place
+from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_place
 from hilcell.ports import (
     Clock,
     DeviceError,
@@ -385,6 +385,8 @@ class ConnectFailed(DeviceError):
     def __init__(self, failures: Mapping[str, DeviceError]) -> None:
         found = f"{', '.join(failures)} failed"
         super().__init__("HC-C15", "Cell", "connect", found, causes=failures)
+        if all(isinstance(each, DeviceRefused) for each in failures.values()):
+            self.exit_code = EXIT_REFUSED
 
 
 def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:

@@ -27,6 +27,7 @@ from hilcell.commands.output import (
     print_message,
 )
 from hilcell.commands.parser import Parser, made
+from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED, HilcellError, exit_code
 from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
 
@@ -139,7 +140,7 @@ def main(
     words = sys.argv[1:] if words is None else words
     if not words:
         print_message(FIRST)
-        return 2
+        return EXIT_REFUSED
     try:
         act, takes, values = read(words)
     except NotPrinted as error:  # the help
@@ -156,7 +157,7 @@ def main(
         flush_data()
     except KeyboardInterrupt:
         print_message("hilcell: interrupted")
-        return 4
+        return EXIT_ABORTED
     except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
         return _refuse(error, as_json=takes is Order and bool(values["json"]))
     else:
@@ -164,7 +165,6 @@ def main(
 
 
 def _runs_of(named: Path | None) -> Path:
-    from hilcell.errors import HilcellError
     from hilcell.journal.runs_folder import at_home, usual_runs  # loads the journal
 
     if named is not None:
@@ -179,8 +179,6 @@ def _runs_of(named: Path | None) -> Path:
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:
-    from hilcell.run.exits import exit_code
-
     code = exit_code(error)
     print_error(error)
     if as_json:

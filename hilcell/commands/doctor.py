@@ -28,11 +28,11 @@ from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless_lines
 from hilcell.commands.orders import Doctor
 from hilcell.commands.output import print_data, print_json
+from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import bytes_free, bytes_needed, existing
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
-from hilcell.run.exits import EXIT_REFUSED
 from hilcell.tui.keys import default_file, load_keys
 from hilcell.tui.terminal.capabilities import has_colours, has_unicode, is_coerced
 from hilcell.writing import NotWritten

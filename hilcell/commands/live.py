@@ -17,12 +17,12 @@ from hilcell.commands.run_output import (
     kind_of,
     left_moving,
 )
+from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED
 from hilcell.journal.index import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, live_engine
 from hilcell.run.control import Command, order
-from hilcell.run.exits import EXIT_ABORTED
 
 FOLLOW_S = 0.1
 
@@ -60,7 +60,7 @@ def _watch(folder: Path, *, as_json: bool) -> int:
     first = next(records, None)
     if first is None or first.kind != "plan":
         print_message(f"run {folder.name}: nothing to see yet")
-        return 2
+        return EXIT_REFUSED
     log.take(first)
     name = encodable(folder.name)
     output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(name, log.inputs.points)

@@ -19,13 +19,13 @@ from typing import (
 
 from hilcell.arguments import MISSING, Field, Signature, Switches, fields_of, is_signature
 from hilcell.commands.output import print_message, stdout_checked
+from hilcell.errors import EXIT_REFUSED
 
 if TYPE_CHECKING:
     from hilcell.typed import Json
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
-REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
 Taken = TypeVar("Taken", bound=Signature)
 
 
@@ -114,7 +114,7 @@ class Parser(argparse.ArgumentParser):
         """Print an error, and where the arguments are listed, and end with exit code 2."""
         words = PASSWORD.sub(r"\1***@", message)
         print_message(f"{self.prog}: {words}\n`{self.prog} --help` lists what there is")
-        self.exit(REFUSED)
+        self.exit(EXIT_REFUSED)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Print the help, or an error; argparse takes no notice of a stdout that fails.

@@ -28,9 +28,8 @@ from hilcell.commands.output import (
     print_message,
     print_table,
 )
-from hilcell.errors import HilcellError
+from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, HilcellError
 from hilcell.present.table import Column, Table
-from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

@@ -19,6 +19,7 @@ from hilcell.commands.run_output import (
     print_unclosed,
     print_warnings,
 )
+from hilcell.errors import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE
 from hilcell.journal.index import find_run
 from hilcell.journal.log import Log
 from hilcell.journal.runs import live_engine, read_log
@@ -27,7 +28,6 @@ from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
-from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.procedure import Procedure
 

@@ -19,9 +19,8 @@ from hilcell.commands.output import (
     print_message,
     print_table,
 )
-from hilcell.errors import HilcellError
+from hilcell.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.present.table import Column, Table
-from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
 from hilcell.run.signals import interrupted_once
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, missing

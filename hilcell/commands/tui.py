@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hilcell.commands.orders import Tui
 from hilcell.commands.output import print_message
-from hilcell.errors import HilcellError
+from hilcell.errors import EXIT_INTERNAL, HilcellError
 from hilcell.journal.runs_folder import runs_option
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_unicode, is_coerced
@@ -51,8 +51,6 @@ def tui(args: Tui) -> int:
     if app.refused is not None:
         raise app.refused
     if app.return_code:
-        from hilcell.run.exits import EXIT_INTERNAL
-
         print_message(
             "hilcell: the screen ended by a defect of its own; please report it. A live run is"
             " not stopped by that: `hilcell tui last` shows it again"

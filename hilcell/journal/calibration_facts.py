@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
+from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.journal import Record
 from hilcell.model.events import CalibrationRevoked, CalibrationUsed
 from hilcell.model.outcome import Outcome
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 NOT_JUDGED = ("measured", "done")  # runs without a verdict, and without a point either
 SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
-REFUSED = 2  # the exit code of a run that nothing moved in
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
@@ -141,7 +141,7 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     """
     if code is None:
         return ""
-    if code == REFUSED:  # the devices may have been asked, and nothing moved
+    if code == EXIT_REFUSED:  # the devices may have been asked, and nothing moved
         return "refused"
     if state == "idle":
         return "not begun"

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from hilcell.errors import HilcellError
+from hilcell.errors import EXIT_REFUSED, EXIT_STORAGE, HilcellError
 from hilcell.journal.runs_folder import runs_option
 from hilcell.model.records import Fact, Kind, fact_of
 from hilcell.typed import Json, typed
@@ -122,6 +122,7 @@ class StorageError(HilcellError):
     """The journal cannot be written or read. ``record`` is the number of the first bad one."""
 
     code = "HC-J04"
+    exit_code = EXIT_STORAGE
 
     def __init__(self, text: str = "", *, code: str = "", record: int | None = None) -> None:
         super().__init__(text, code=code)
@@ -137,6 +138,7 @@ class NeverBegan(StorageError):
     """The journal holds no record: the run died before its first, and nothing is lost."""
 
     code = "HC-J06"
+    exit_code = EXIT_REFUSED
 
 
 class NotFinite(HilcellError):

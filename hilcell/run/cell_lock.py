@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from hilcell.errors import EXIT_LOCKED, HilcellError
 from hilcell.journal.journal import StorageError
-from hilcell.ports import HilcellError
 
 OVERRIDE = "HILCELL_LOCKS"  # names another folder, which all users of this machine must share
 USUAL = Path("/run/lock/hilcell")
@@ -31,6 +31,7 @@ class CellLocked(HilcellError):
     """Another run holds the cell."""
 
     code = "HC-C04"
+    exit_code = EXIT_LOCKED
 
 
 def lock_of_name(runs: Path, cell: str) -> Path:

@@ -25,6 +25,7 @@ from hilcell.cell.devices import build_devices, device_places, is_replay, start_
 from hilcell.cell.file import Cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
+from hilcell.errors import EXIT_STORAGE, exit_code
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.folder_order import clock_notes, next_order
 from hilcell.journal.index import read_index, row_of
@@ -45,7 +46,6 @@ from hilcell.run.cell_lock import (
     locks_folder,
 )
 from hilcell.run.control import Control
-from hilcell.run.exits import EXIT_STORAGE, exit_code
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, accepted, cell_file
 from hilcell.run.runner import Runner, finish

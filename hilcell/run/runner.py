@@ -17,7 +17,16 @@ from dataclasses import asdict
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.errors import DriverDefect, facts_of
+from hilcell.errors import (
+    EXIT_FAULT,
+    EXIT_OK,
+    EXIT_OUT_OF_TOLERANCE,
+    EXIT_REFUSED,
+    EXIT_STORAGE,
+    DriverDefect,
+    exit_code,
+    facts_of,
+)
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.states import PASSING
@@ -37,14 +46,6 @@ from hilcell.model.events import (
 from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status
-from hilcell.run.exits import (
-    EXIT_FAULT,
-    EXIT_OK,
-    EXIT_OUT_OF_TOLERANCE,
-    EXIT_REFUSED,
-    EXIT_STORAGE,
-    exit_code,
-)
 from hilcell.run.interlocks import Sight, overview
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import NONE, Changes

@@ -8,7 +8,7 @@ import pytest
 
 from campaigns.kills import figures, killed, problems
 from hilcell.commands.cli import main
-from hilcell.run.exits import EXIT_STORAGE
+from hilcell.errors import EXIT_STORAGE
 from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,

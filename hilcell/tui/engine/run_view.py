@@ -12,7 +12,7 @@ from datetime import datetime
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from hilcell.journal.calibration_facts import REFUSED
+from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.model.events import StepBegun
@@ -125,7 +125,7 @@ class RunView:
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end.exit else "done"
         if state == "faulted":
-            refused = self.log.end is not None and self.log.end.exit == REFUSED
+            refused = self.log.end is not None and self.log.end.exit == EXIT_REFUSED
             return "refused" if refused else "fault"
         return "stopping" if state == "aborting" else state
 

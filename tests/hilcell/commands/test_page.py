@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 import pytest
 
+from hilcell import errors
 from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
 from hilcell.commands import page as module
 from hilcell.commands.cli import EXITS, GROUPS, PLANT
 from hilcell.commands.page import page
-from hilcell.run import exits
 
 ROOT = Path(__file__).parents[3]
 
@@ -78,14 +78,14 @@ def test_a_default_in_words_is_the_one_that_counts() -> None:
 
 def test_exit_codes_are_those_of_runs() -> None:
     words = {
-        exits.EXIT_OK: "in tolerance",
-        exits.EXIT_OUT_OF_TOLERANCE: "out of tolerance",
-        exits.EXIT_REFUSED: "refused",
-        exits.EXIT_FAULT: "fault",
-        exits.EXIT_ABORTED: "aborted",
-        exits.EXIT_INTERNAL: "internal",
-        exits.EXIT_LOCKED: "locked",
-        exits.EXIT_STORAGE: "storage",
+        errors.EXIT_OK: "in tolerance",
+        errors.EXIT_OUT_OF_TOLERANCE: "out of tolerance",
+        errors.EXIT_REFUSED: "refused",
+        errors.EXIT_FAULT: "fault",
+        errors.EXIT_ABORTED: "aborted",
+        errors.EXIT_INTERNAL: "internal",
+        errors.EXIT_LOCKED: "locked",
+        errors.EXIT_STORAGE: "storage",
     }
     assert len(words) == len(EXITS)
     assert [code for code, word in words.items() if word not in EXITS[code]] == []

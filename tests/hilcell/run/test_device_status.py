@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 
 from hilcell.cell.devices import Devices, sweeps_of
-from hilcell.errors import DriverDefect
+from hilcell.errors import EXIT_INTERNAL, DriverDefect, exit_code
 from hilcell.ports import DeviceError, RailReading, TrackerReading
 from hilcell.run import device_status
 from hilcell.run.control import DeviceStatus
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.exits import EXIT_INTERNAL, exit_code
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
