@@ -156,7 +156,7 @@ def test_a_stroke_is_judged_on_all_of_its_way() -> None:
             return SimpleNamespace(error_mm=size_mm * np.sin(np.pi * depth_mm / 20)[:, None] * unit)
 
         model = SimpleNamespace(predict=predict)
-        rippled = SimpleNamespace(stations=made.stations, grid=made.grid, error_model=lambda: model)
+        rippled = SimpleNamespace(base=made.base, grid=made.grid, error_model=lambda: model)
         limits = StrokeLimits(20.0, most_mm, "")
         return check_strokes(
             cast("Calibration", rippled), "S1100", values, values, read.strokes, limits
