@@ -69,9 +69,9 @@ def init(args: PlantInit) -> int:
 
 def ship(args: PlantShip) -> int:
     """Ship the runs of a folder that are over; exit code 7 where one could not be."""
-    from hilcell.plant.shipper import ship as ship_runs
-
     with closing(_open_database(args.plant)) as database:
+        from hilcell.plant.shipper import ship as ship_runs  # loads what may not be installed
+
         done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
@@ -144,8 +144,8 @@ def _require_packages(names: Sequence[str]) -> None:
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
         raise HilcellError(
-            f"hilcell plant: {', '.join(missing)} is not installed; "
-            "in a clone, `pip install '.[plant]'` installs what it needs"
+            f"plant: not installed: {', '.join(missing)}; in a clone, `pip install '.[plant]'` "
+            "installs what it needs"
         )
 
 
@@ -155,7 +155,7 @@ def _open_database(url: str | None) -> Database:
     url = url or os.environ.get(URL, "")
     if not url:
         raise HilcellError(
-            f"hilcell plant: no database is named; say its URL by --to or --from, or set {URL}: "
+            f"plant: no database is named; say its URL by --to or --from, or set {URL}: "
             "postgresql://USER@HOST/DATABASE or sqlite:///FILE"
         )
     from hilcell.plant.database import Database

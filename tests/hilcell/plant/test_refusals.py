@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import socket
 import sqlite3
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -228,7 +229,12 @@ def test_a_damaged_database_is_no_server_that_is_away(office: Database, tmp_path
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "'.[plant]'" in said("init", "--to", "sqlite:///x.db")
+    for name in ("shipper", "database"):
+        monkeypatch.setitem(sys.modules, f"hilcell.plant.{name}", None)  # cannot be imported
+    for words in (("init", "--to"), ("ship", "runs", "--to"), ("show", "--from")):
+        line = said(*words, "sqlite:///x.db")
+        assert line.startswith("hilcell: plant: not installed: sqlalchemy, alembic, psycopg; ")
+        assert "'.[plant]'" in line
 
 
 def test_the_environment_names_the_database(
