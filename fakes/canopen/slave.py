@@ -1,10 +1,10 @@
-"""A simulated CANopen node: NMT, SYNC, heartbeat both ways, EMCY, SDO and PDO (CiA 301).
+"""A simulated CANopen node: dictionary, SDO, PDO, NMT, SYNC, heartbeat both ways, EMCY (CiA 301).
 
-A device is a subclass that fills the object dictionary and overrides the four hooks `written`,
-`switched_off`, `connection_lost` and `restarted`. One thread calls everything. Heartbeats and event
-timers run in real time, independent of the plant's clock, and no heartbeat is punctual. A lost
-heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched: a new master
-must start it again, and a START before its first new heartbeat does not hold.
+A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the four
+hooks `written`, `switched_off`, `connection_lost` and `restarted`. One thread calls everything.
+Heartbeats and event timers run in real time, independent of the plant's clock, and no heartbeat is
+punctual. A lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched:
+a new master must start it again, and a START before its first new heartbeat does not hold.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from enum import IntEnum
 import numpy as np
 
 Value = int | str
-
-# SDO abort codes, CiA 301 table 22.
 
 
 class Abort(IntEnum):
@@ -84,7 +82,11 @@ class Entry:
 
 
 class ObjectDictionary:
-    """All objects of a node, by index and sub-index."""
+    """All objects of a node, by index and sub-index (clause 7.4).
+
+    Values are held in the units of the object, little-endian on the wire. An object may exist and
+    still be refused; every refusal carries the abort code that a real node would send.
+    """
 
     def __init__(self) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
@@ -182,7 +184,11 @@ def abort_reply(index: int, sub: int, code: int) -> bytes:
 
 
 class SdoServer:
-    """Answers the requests of one SDO channel."""
+    """Answers the requests of one SDO channel (clause 7.2.4): expedited and segmented.
+
+    One transfer at a time; a new initiate request simply drops the transfer under way, and the
+    toggle bit is the only thing that tells a repeated segment from the next one.
+    """
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -276,7 +282,12 @@ Mapping = tuple[tuple[int, int], ...]
 
 
 class Pdo:
-    """The communication and mapping parameters of one PDO, and the data that they describe."""
+    """The communication and mapping parameters of one PDO, and the data that they describe.
+
+    A mapping may be changed only while the PDO is switched off (bit 31 of its COB-ID) and its count
+    is 0; the count is written last and is where the node judges the whole mapping. Remote frames
+    are not answered, so bit 30 of a COB-ID must stay set (clauses 7.2.2 and 7.5.2.35-38).
+    """
 
     def __init__(
         self,

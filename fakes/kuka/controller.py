@@ -1,5 +1,6 @@
 """The robot controller: system variables and the resident program hilcell.src, as KRL text.
 
+Values are as KRL writes them: ``{E6AXIS: A1 0.00000, A2 -90.00000}``, ``#EX``, ``TRUE``, ``100``.
 Nobody may read more here than a controller knows: joints and poses are its own nominal ones.
 The program waits for ``HC_SEQ <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and
 keeps the program in its interrupt until it is FALSE again. So does the timer that runs while a

@@ -38,7 +38,13 @@ Pack = Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm
 
 
 class SampleStream:
-    """One stream; its methods must not be called by two threads at once."""
+    """A continuous measurement: samples by the tracker's clock, in packets, late and cut.
+
+    The samples that are due follow from plant time alone, never from when somebody asks. As with
+    the original a packet holds several samples and comes late; it may come in two pieces, or
+    together with the next; only the times inside it say when a sample was taken. The methods must
+    not be called by two threads at once.
+    """
 
     def __init__(
         self,

@@ -169,8 +169,9 @@ class Pty:
     def _run(self) -> None:
         pending, sent = b"", 0
         split_every = 5
+        ends: tuple[SerialEnd | socket.socket, ...] = (self._end, self._wake)
         while True:
-            ready, _, _ = select.select([self._end, self._wake], [], [])
+            ready, _, _ = select.select(ends, [], [])
             if self._wake in ready:
                 return
             answers, pending = self._answers(pending + self._end.recv(RECEIVE))

@@ -430,22 +430,18 @@ def promises_of(port: Port) -> list[Promise]:
     return [promise for promise in PROMISES if port in promise.ports]
 
 
-def table() -> str:
-    """Return one line a promise."""
+def renewed(page: str) -> str:
+    """Return a page with its table renewed: one line a promise."""
     rows = [
         f"| `{each.name}` | {', '.join(each.ports)} | {each.sentence} | "
         f"{'yes' if each.real else 'no'} |"
         for each in PROMISES
     ]
-    return "\n".join(["| promise | ports | in words | real devices |", "|---|---|---|---|", *rows])
-
-
-def renewed(page: str) -> str:
-    """Return a page with its table renewed."""
+    lines = ["| promise | ports | in words | real devices |", "|---|---|---|---|", *rows]
     begin, end = "<!-- promises: python -m hilcell.conformance.kit -->", "<!-- end of promises -->"
     head, _, rest = page.partition(begin)
     _, _, tail = rest.partition(end)
-    return f"{head}{begin}\n{table()}\n{end}{tail}"
+    return "\n".join([head + begin, *lines, end + tail])
 
 
 if __name__ == "__main__":

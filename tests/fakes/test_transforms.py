@@ -1,4 +1,4 @@
-"""Rotations of the simulated cell, against those of scipy."""
+"""Rotations of the simulated cell, against those of scipy, and its arms against kinematics."""
 
 from __future__ import annotations
 
@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fakes.truth.transforms import rotation_vector
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.machine import chain_of_cell, machine_of
+from fakes.truth.transforms import Chain, components, frame, inverse, rotation, rotation_vector
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.tables import Pose
+from hilcell.geometry import frames
+from hilcell.geometry.inverse import joint_jacobian, posture, status_of
+from hilcell.geometry.kinematics import Array, forward
+from hilcell.ports import HilcellError
 
 AXES = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [-0.48, 0.64, 0.6]]
 
@@ -25,3 +33,85 @@ def test_half_a_turn_has_either_sign(axis: list[float]) -> None:
     found = rotation_vector(turned.as_matrix())
     assert np.linalg.norm(found) == pytest.approx(np.pi)
     assert Rotation.from_rotvec(found).as_matrix() == pytest.approx(turned.as_matrix(), abs=1e-14)
+
+
+CELLS = ("paper", "six-r", "replay")
+
+
+def joints(count: int = 100) -> Array:
+    return np.random.default_rng(7).uniform(-3.1, 3.1, (count, 6))
+
+
+def design(cell: Cell) -> Chain:
+    return controller_arm(cell).chain
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_design_is_the_cell_files_nominal_robot(name: str) -> None:
+    """The cell file only claims what the machine is; both are written down apart."""
+    cell = load_cell(name)
+    arm, q = cell.robot.arm(), joints()
+    chain = chain_of_cell(cell) if name == "replay" else machine_of(cell).chain(cell.robot.smr_mm)
+    np.testing.assert_allclose(chain.pose(q), forward(arm, q), atol=1e-9)
+    np.testing.assert_allclose(chain.jacobian(q), joint_jacobian(arm, q), atol=1e-9)
+
+
+def test_rows_give_the_same_arm_as_the_machines_axes(cell: Cell) -> None:
+    of_rows, of_file = chain_of_cell(cell), machine_of(cell).chain(cell.robot.smr_mm)
+    np.testing.assert_allclose(of_rows.pose(joints()), of_file.pose(joints()), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_controller_states_pose_status_and_turn_of_the_standard(name: str) -> None:
+    cell = load_cell(name, {"simulation.data": "A.csv"} if name == "replay" else {})
+    arm, controller = cell.robot.arm(), controller_arm(cell)
+    for q in joints(40):
+        stated = frames.pose_from_zyx(*controller.components(q).tolist())
+        np.testing.assert_allclose(stated, forward(arm, q), atol=1e-9)
+        assert controller.status(q) == int(status_of(arm, q))
+        assert controller.turn(q) == int(np.sum((q < 0) << np.arange(6)))
+
+
+def test_solve_finds_the_joints_of_the_starts_posture(cell: Cell) -> None:
+    chain = design(cell)
+    centre = cell.grid.centre.matrix()
+    poses = np.tile(centre, (8, 1, 1))
+    poses[:, :3, 3] += 450.0 * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
+    robot = cell.robot
+    closed = posture(
+        robot.arm(), poses, robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
+    )
+    found = chain.solve(poses, np.radians([0.0, -75.0, 100.0, 0.0, -40.0, 0.0]))
+    np.testing.assert_allclose(found, closed, atol=1e-9)
+
+
+def test_a_pose_out_of_reach_is_refused(cell: Cell) -> None:
+    pose = np.eye(4)
+    pose[0, 3] = 9000.0
+    with pytest.raises(HilcellError):
+        design(cell).solve(pose[None], np.zeros(6))
+
+
+def test_a_grown_arm_is_longer_by_the_strain(cell: Cell) -> None:
+    chain, q = design(cell), joints(20)
+    shorter, longer = chain.pose(q), chain.pose(q, 1e-3)
+    np.testing.assert_allclose(longer[:, :3, 3], 1.001 * shorter[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(longer[:, :3, :3], shorter[:, :3, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("b_deg", [0.0, 30.0, 90.0, -90.0, 120.0])
+def test_frames_agree_with_the_cores(b_deg: float) -> None:
+    pose = Pose(x_mm=1.0, y_mm=-2.0, z_mm=3.0, a_deg=40.0, b_deg=b_deg, c_deg=-70.0)
+    T = frame(pose)
+    np.testing.assert_allclose(T, pose.matrix(), atol=1e-12)
+    again = frames.pose_from_zyx(*components(T).tolist())
+    np.testing.assert_allclose(again, T, atol=1e-9)
+    np.testing.assert_allclose(inverse(T) @ T, np.eye(4), atol=1e-12)
+
+
+def test_rotation_vector_turns_about_itself() -> None:
+    vector = np.array([0.1, -0.2, 0.3])
+    np.testing.assert_allclose(rotation(vector) @ vector, vector, atol=1e-12)
+    quarter = rotation(np.array([0.0, 0.0, np.pi / 2]))
+    np.testing.assert_allclose(quarter @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(rotation(np.zeros(3)), np.eye(3))
