@@ -23,7 +23,6 @@ from hilcell.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERA
 from hilcell.present.table import Column, Table
 from hilcell.run.signals import interrupted_once
 from hilcell.study.design import Case, cases
-from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
 from hilcell.writing import check_output, write_whole
 
@@ -41,7 +40,11 @@ def study(args: RunStudy) -> int:
     try:
         return _report(args) if args.file == REPORT else _perform(args)
     except ImportError as error:
-        raise missing(error) from error
+        raise HilcellError(
+            f"study: {error.name or error} is not installed; in a clone, "
+            "`pip install '.[study]'` installs what it needs",
+            code="HC-D03",
+        ) from error
 
 
 def _check_words(args: RunStudy) -> None:
@@ -82,6 +85,8 @@ def _perform(args: RunStudy) -> int:
         kept = len(results.finished())
         print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
         if kept < planned:
+            from hilcell.study.cluster import Cluster
+
             try:
                 with interrupted_once() as check, _workers(args) as workers:
                     counts = _measured(results, workers, planned, kept, check)

@@ -2,7 +2,13 @@
 
 Every machine measures all points, so each answer is computed on every machine by itself, and its
 interval is that of the mean over machines (Student, 95 %). It says how far another lot of such
-machines could differ. One machine alone gives no interval.
+machines could differ. One machine alone gives no interval: its targets are no sample of others'.
+
+Effects are those of an additive model of the points that were done. A point's figure is a constant,
+and a part of each factor: one of each level, or in proportion along a range. A question to it is a
+contrast, a row of weights of these unknowns. It is estimable where it is a weighted sum of the
+points' own rows. Any other has no value here; least squares would give it one, with the unknowns
+that are smallest together.
 """
 
 from __future__ import annotations
@@ -11,115 +17,208 @@ import math
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.special import betaincinv, stdtrit  # scipy.stats takes half a second to import
 
 from hilcell.ports import Array
-from hilcell.study.additive import Additive
 from hilcell.study.case import CANNOT_BE, DONE, FAILED, Row
 from hilcell.study.design import Point, chosen
 from hilcell.study.factor import Factor
-from hilcell.study.intervals import Interval, Share, interval, share
 from hilcell.study.study_file import Optimum, Study
 
-Steps = Collection[tuple[str, str]]
-
-
-def not_estimable(
-    study: Study, model: Additive, done: Collection[Point], tried: Collection[Point], steps: Steps,
-    counts: Mapping[str, int],
-) -> list[str]:  # fmt: skip
-    """Return why steps other than ``steps`` (factor, level) have no figures, and what would help.
-
-    ``done`` are the points of the model; ``tried`` those of all rows, in ``counts`` by state.
-    """
-    lines = [line for n in range(len(study.factor)) for line in _unseen(n, model, done)]
-    lines += _mixed(study, model, len(done))
-    helped = [_help(study, counts)] if lines else []
-    for n, factor in enumerate(study.factor):
-        lines += _extrapolated(n, factor, done, tried)
-        lines += _apart(n, factor, model, steps)
-    return [*lines, *helped]
-
-
-def _unseen(n: int, model: Additive, done: Collection[Point]) -> Iterator[str]:
-    """Yield that a factor did not vary, or which of its levels have no result."""
-    choices = [each.choices[n] for each in done]
-    factor, seen = choices[0].factor, {each.share for each in choices}
-    if len(seen) == 1:
-        yield (
-            f"{factor.title}: every design with a result has {choices[0].word}, so its effect is "
-            "unknown."
-        )
-    elif not factor.is_range:
-        never = [word for level, word in enumerate(factor.names) if level not in seen]
-        start = model.start(n)
-        since = f"; changes are counted from {factor.names[start]}" if start else ""
-        if never:
-            yield f"{factor.title}: no design with {_listed(never, 'or')} has a result{since}."
-
-
-def _mixed(study: Study, model: Additive, designs: int) -> Iterator[str]:
-    for group in model.inseparable():
-        names = _listed([study.factor[n].title for n in group], "and")
-        few = f" (designs: {designs}, unknowns: {model.unknowns})" * (designs < model.unknowns)
-        yield (
-            f"{names} change together in the designs with results{few}: effects without a figure "
-            "cannot be separated."
-        )
-
-
-def _extrapolated(
-    n: int, factor: Factor, done: Collection[Point], tried: Collection[Point]
-) -> Iterator[str]:
-    """Yield where the results of a range end, if further cases had none."""
-    if factor.is_range:
-        found = sorted((each.choices[n] for each in done), key=lambda each: each.share)
-        wanted = [each.choices[n].share for each in tried]
-        low, high = found[0], found[-1]
-        if low.share < high.share and (min(wanted) < low.share or high.share < max(wanted)):
-            yield (
-                f"{factor.title}: results lie between {low.word} and {high.word} only; beyond "
-                "them its effect is extrapolated."
-            )
-
-
-def _apart(n: int, factor: Factor, model: Additive, steps: Steps) -> Iterator[str]:
-    """Yield the steps that only machines together would show."""
-    start = model.start(n)
-    words = [
-        word
-        for level, word in enumerate(factor.names)
-        if level != start
-        and (factor.name, word) not in steps
-        and model.estimable(model.change(n, level, start))
-    ]
-    if words:
-        yield (
-            f"{factor.title}: no machine by itself has the results that show the change to "
-            f"{_listed(words, 'or')}."
-        )
-
-
-def _help(study: Study, counts: Mapping[str, int]) -> str:
-    if (waiting := study.most_cases - sum(counts.values())) > 0:
-        return f"Cases that are not measured yet: {waiting}."
-    if study.samples is not None:
-        unknowns = 1 + sum(1 if f.is_range else len(f.ends) - 1 for f in study.factor)
-        wanted = max(2 * study.samples, 1 << (2 * unknowns - 1).bit_length())
-        return f"More samples would help, {wanted} for example."
-    if counts.get(CANNOT_BE, 0) or counts.get(FAILED, 0):
-        return "Levels that can all be combined would help; see the cases without a result."
-    return "More levels or combinations would help."
-
-
-def _listed(words: Collection[str], last: str) -> str:
-    *before, end = words
-    return f"{', '.join(before)} {last} {end}" if before else end
-
-
+LEVEL = 0.95
+UPPER = 0.5 + LEVEL / 2.0
+ROUNDING = 1e-9
+SAME = 1e-9  # of numbers that rounding alone sets apart
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Row]
+Steps = Collection[tuple[str, str]]  # (factor, level)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A mean over machines and half its 95 % interval, NaN where one machine gives none."""
+
+    mean: float
+    half: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it is shown to be other than nought, by more than rounding."""
+        return self.half >= 0.0 and abs(self.mean) > max(self.half, ROUNDING)
+
+    @property
+    def reversed(self) -> Interval:
+        """Return it with the other sign."""
+        return Interval(-self.mean, self.half)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return where it ends; the mean twice where there is none."""
+        half = self.half if self.half >= 0.0 else 0.0
+        return self.mean - half, self.mean + half
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share of targets (0 to 1) and its 95 % interval, NaN where one machine gives none."""
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return where its interval ends; the mean twice where there is none."""
+        return (self.low, self.high) if self.low <= self.high else (self.mean, self.mean)
+
+
+def interval(values: Iterable[float]) -> Interval:
+    """Return the mean of values, one a machine, with its 95 % interval."""
+    found: Array = np.array(list(values), dtype=float)
+    if len(found) < 2:
+        return Interval(float(found.mean()) if len(found) else float("nan"), float("nan"))
+    factor = _student(len(found) - 1)
+    return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
+
+
+def share(values: Iterable[float], targets: float) -> Share:
+    """Return the mean of shares, one a machine, of so many targets together; its interval.
+
+    Clopper and Pearson's, with the effective number of targets that the differences between
+    machines leave (Korn and Graubard 1998): targets of one machine go together.
+    """
+    found: Array = np.clip(np.array(list(values), dtype=float), 0.0, 1.0)
+    if len(found) < 2 or not targets > 1.0:
+        return Share(
+            float(found.mean()) if len(found) else float("nan"), float("nan"), float("nan")
+        )
+    mean, variance = float(found.mean()), float(found.var(ddof=1)) / len(found)
+    effective = min(targets, mean * (1.0 - mean) / variance) if variance > 0.0 else targets
+    effective *= (_student(targets - 1.0) / _student(len(found) - 1)) ** 2
+    within, beyond = effective * mean, effective * (1.0 - mean)
+    low = float(betaincinv(within, beyond + 1.0, 1.0 - UPPER)) if within > 0.0 else 0.0
+    high = float(betaincinv(within + 1.0, beyond, UPPER)) if beyond > 0.0 else 1.0
+    return Share(mean, low, high)
+
+
+def _student(freedom: float) -> float:
+    """Return Student's factor of the interval's upper end."""
+    return float(stdtrit(freedom, UPPER))
+
+
+class Additive:
+    """The additive model of points (N, one or more), whose figures may stand beside one another."""
+
+    def __init__(self, factors: Sequence[Factor], points: Sequence[Point]) -> None:
+        self._factors = factors
+        widths = [1 if each.is_range else len(each.ends) for each in factors]
+        ends = np.cumsum([1, *widths])
+        self._parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._rows = np.zeros((len(points), ends[-1]))
+        self._rows[:, 0] = 1.0
+        for n, part in enumerate(self._parts):
+            shares = np.array([[each.choices[n].share] for each in points])
+            self._rows[:, part] = (
+                2.0 * shares - 1.0 if factors[n].is_range else shares == range(widths[n])
+            )
+        self._u, sizes, rows = np.linalg.svd(self._rows, full_matrices=False)
+        some = sizes > SAME * sizes[0]
+        self._u, self._sizes, self._basis = self._u[:, some], sizes[some], rows[some]
+        self._average = self._averaged()
+
+    @property
+    def rank(self) -> int:
+        """Return how many independent contrasts are estimable."""
+        return len(self._basis)
+
+    @property
+    def unknowns(self) -> int:
+        """Return how many unknowns it has, of what varies."""
+        varies = np.ptp(self._rows, axis=0) > 0.0
+        return 1 + sum(
+            max(0, int(varies[part].sum()) - (not each.is_range))  # of levels one is the others'
+            for each, part in zip(self._factors, self._parts, strict=True)
+        )
+
+    def start(self, n: int) -> int:
+        """Return the level that changes of a factor are counted from: the first that occurs."""
+        if self._factors[n].is_range:
+            return 0
+        return int(self._rows[:, self._parts[n]].any(axis=0).argmax())
+
+    def mean(self, n: int, level: int) -> Array:
+        """Return the contrast of a level, or an end, of a factor with all else averaged."""
+        found = self._average.copy()
+        found[self._parts[n]] = self._of_end(n, level)
+        return found
+
+    def change(self, n: int, level: int, start: int) -> Array:
+        """Return the contrast of a level, or an end, against another."""
+        return self.mean(n, level) - self.mean(n, start)
+
+    def estimable(self, contrast: Array) -> bool:
+        """Whether a contrast lies in the space of the points' rows."""
+        rest = contrast - self._basis.T @ (self._basis @ contrast)
+        return bool(np.linalg.norm(rest) <= SAME * max(1.0, float(np.linalg.norm(contrast))))
+
+    def values(self, contrast: Array, figures: Array) -> Array:
+        """Return the contrast of the points' figures (N, K); NaN where it is not estimable."""
+        if not self.estimable(contrast):
+            return np.full(figures.shape[1], np.nan)
+        weights: Array = self._u @ ((self._basis @ contrast) / self._sizes)
+        return weights @ figures
+
+    def explained(self, figures: Array) -> float:
+        """Return how much of the differences between figures (N,) it explains, 0 to 1.
+
+        NaN where the points leave nothing to check that by.
+        """
+        if not self.rank < len(figures):
+            return float("nan")
+        total = float(((figures - figures.mean()) ** 2).sum())
+        rest = figures - self._u @ (self._u.T @ figures)
+        return 1.0 - float((rest**2).sum()) / total if total > 0.0 else 1.0
+
+    def inseparable(self) -> list[list[int]]:
+        """Return groups of factors, by number, whose parts the points cannot separate.
+
+        The unknowns fall into the finest groups between which nothing is mixed: those of the
+        projector on what is not estimable. The constant is taken off before.
+        """
+        moved = self._rows - self._rows.mean(axis=0)
+        _, sizes, rows = np.linalg.svd(moved[:, 1:], full_matrices=False)
+        some = rows[sizes > SAME * max(1.0, float(sizes[0]))]
+        mixing = np.abs(np.eye(moved.shape[1] - 1) - some.T @ some) > SAME
+        mixed = np.array([
+            [mixing[a.start - 1 : a.stop - 1, b.start - 1 : b.stop - 1].any() for b in self._parts]
+            for a in self._parts
+        ])  # fmt: skip
+        count, labels = connected_components(mixed, directed=False)
+        groups = [np.flatnonzero(labels == label).tolist() for label in range(count)]
+        return [group for group in groups if len(group) > 1]
+
+    def _averaged(self) -> Array:
+        """Return all levels that occur alike and the middle of ranges, where that is estimable.
+
+        Else the factors as often as they occur.
+        """
+        found = np.zeros(self._rows.shape[1])
+        found[0] = 1.0
+        for factor, part in zip(self._factors, self._parts, strict=True):
+            if not factor.is_range:
+                occurs = self._rows[:, part].any(axis=0)
+                found[part] = occurs / occurs.sum()
+        return found if self.estimable(found) else self._rows.mean(axis=0)
+
+    def _of_end(self, n: int, level: int) -> Array:
+        if self._factors[n].is_range:
+            return np.array([2.0 * level - 1.0])
+        found: Array = np.eye(len(self._factors[n].ends))[level]
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +252,11 @@ class Effect:
         """Whether it is a change that is estimable."""
         return self.word != self.start and math.isfinite(self.change.mean)
 
+    @property
+    def gains(self) -> bool:
+        """Whether it is shown to be more accurate than the start."""
+        return self.change.known and self.change.mean < 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class Answers:
@@ -180,11 +284,7 @@ class Answers:
     def purchases(self) -> list[Effect]:
         """Return the steps from first levels, the largest gain that is shown first."""
         steps = [each for each in self.effects if each.is_step]
-        return sorted(steps, key=lambda each: (not _gains(each), each.change.mean))
-
-
-def _gains(step: Effect) -> bool:
-    return step.change.known and step.change.mean < 0.0
+        return sorted(steps, key=lambda each: (not each.gains, each.change.mean))
 
 
 def answers(study: Study, rows: Rows) -> Answers:
@@ -357,3 +457,96 @@ def _known(values: Iterable[float]) -> Interval:
 def _means(study: Study, done: Rows) -> Array:
     """Return the accuracy of each point that was done, in the order of their numbers."""
     return np.array([_mean(own, study.accuracy) for own in _by_point(done).values()])
+
+
+def not_estimable(
+    study: Study, model: Additive, done: Collection[Point], tried: Collection[Point], steps: Steps,
+    counts: Mapping[str, int],
+) -> list[str]:  # fmt: skip
+    """Return why steps other than ``steps`` (factor, level) have no figures, and what would help.
+
+    ``done`` are the points of the model; ``tried`` those of all rows, in ``counts`` by state.
+    """
+    lines = [line for n in range(len(study.factor)) for line in _unseen(n, model, done)]
+    lines += _mixed(study, model, len(done))
+    helped = [_help(study, counts)] if lines else []
+    for n, factor in enumerate(study.factor):
+        lines += _extrapolated(n, factor, done, tried)
+        lines += _apart(n, factor, model, steps)
+    return [*lines, *helped]
+
+
+def _unseen(n: int, model: Additive, done: Collection[Point]) -> Iterator[str]:
+    """Yield that a factor did not vary, or which of its levels have no result."""
+    choices = [each.choices[n] for each in done]
+    factor, seen = choices[0].factor, {each.share for each in choices}
+    if len(seen) == 1:
+        yield (
+            f"{factor.title}: every design with a result has {choices[0].word}, so its effect is "
+            "unknown."
+        )
+    elif not factor.is_range:
+        never = [word for level, word in enumerate(factor.names) if level not in seen]
+        start = model.start(n)
+        since = f"; changes are counted from {factor.names[start]}" if start else ""
+        if never:
+            yield f"{factor.title}: no design with {_listed(never, 'or')} has a result{since}."
+
+
+def _mixed(study: Study, model: Additive, designs: int) -> Iterator[str]:
+    for group in model.inseparable():
+        names = _listed([study.factor[n].title for n in group], "and")
+        few = f" (designs: {designs}, unknowns: {model.unknowns})" * (designs < model.unknowns)
+        yield (
+            f"{names} change together in the designs with results{few}: effects without a figure "
+            "cannot be separated."
+        )
+
+
+def _extrapolated(
+    n: int, factor: Factor, done: Collection[Point], tried: Collection[Point]
+) -> Iterator[str]:
+    """Yield where the results of a range end, if further cases had none."""
+    if factor.is_range:
+        found = sorted((each.choices[n] for each in done), key=lambda each: each.share)
+        wanted = [each.choices[n].share for each in tried]
+        low, high = found[0], found[-1]
+        if low.share < high.share and (min(wanted) < low.share or high.share < max(wanted)):
+            yield (
+                f"{factor.title}: results lie between {low.word} and {high.word} only; beyond "
+                "them its effect is extrapolated."
+            )
+
+
+def _apart(n: int, factor: Factor, model: Additive, steps: Steps) -> Iterator[str]:
+    """Yield the steps that only machines together would show."""
+    start = model.start(n)
+    words = [
+        word
+        for level, word in enumerate(factor.names)
+        if level != start
+        and (factor.name, word) not in steps
+        and model.estimable(model.change(n, level, start))
+    ]
+    if words:
+        yield (
+            f"{factor.title}: no machine by itself has the results that show the change to "
+            f"{_listed(words, 'or')}."
+        )
+
+
+def _help(study: Study, counts: Mapping[str, int]) -> str:
+    if (waiting := study.most_cases - sum(counts.values())) > 0:
+        return f"Cases that are not measured yet: {waiting}."
+    if study.samples is not None:
+        unknowns = 1 + sum(1 if f.is_range else len(f.ends) - 1 for f in study.factor)
+        wanted = max(2 * study.samples, 1 << (2 * unknowns - 1).bit_length())
+        return f"More samples would help, {wanted} for example."
+    if counts.get(CANNOT_BE, 0) or counts.get(FAILED, 0):
+        return "Levels that can all be combined would help; see the cases without a result."
+    return "More levels or combinations would help."
+
+
+def _listed(words: Collection[str], last: str) -> str:
+    *before, end = words
+    return f"{', '.join(before)} {last} {end}" if before else end

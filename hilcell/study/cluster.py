@@ -21,10 +21,10 @@ from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError, connect
 from distributed.security import Security
 
+from hilcell.errors import HilcellError
 from hilcell.run.signals import postponed
 from hilcell.study.case import FAILED, Found, measured, versions
 from hilcell.study.design import Case
-from hilcell.study.errors import Cluster
 from hilcell.typed import typed
 
 CONNECT_S = 5.0
@@ -49,6 +49,12 @@ WORKERS_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "cri
 DROPPED = "after 5 to 10 minutes, or once to twice the scheduler's worker-ttl"
 Say = Callable[[str], object]  # takes a message for the user
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
+
+
+class Cluster(HilcellError):
+    """The scheduler or its workers cannot be used, or are gone."""
+
+    code = "HC-D01"
 
 
 @dataclass(slots=True)

@@ -26,9 +26,8 @@ from hilcell.report.drawings.drawing import (
     text,
     wide_mm,
 )
-from hilcell.study.analysis import Answers, Design, Effect, Rows
-from hilcell.study.intervals import Interval, Share
-from hilcell.study.outcome import RESULTS
+from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows, Share
+from hilcell.study.case import RESULTS
 from hilcell.study.study_file import Study
 from hilcell.study.tables import (
     best_sheet,

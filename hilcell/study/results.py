@@ -20,11 +20,11 @@ import pyarrow.parquet as pq
 
 from hilcell.cell.settings import convert, read_text
 from hilcell.cell.source import read_source
+from hilcell.errors import HilcellError
 from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, Found, Row, versions
 from hilcell.study.design import Case, chosen
-from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
 from hilcell.typed import decoded, typed
 from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
@@ -33,6 +33,12 @@ ASKED = "study.json"
 CASES = "cases"
 WHOLE = "all.parquet"
 OF_STUDY = b"hilcell.study"  # a file's metadata: the digest of the question that its rows answer
+
+
+class OtherStudy(HilcellError):
+    """A folder of results belongs to another study, or is damaged."""
+
+    code = "HC-D02"
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

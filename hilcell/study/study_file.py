@@ -25,8 +25,8 @@ from hilcell.cell.settings import (
 )
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
+from hilcell.study.case import IDW, RESULTS
 from hilcell.study.factor import UNREAD, Factor
-from hilcell.study.outcome import IDW, RESULTS
 from hilcell.typed import typed
 
 

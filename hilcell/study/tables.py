@@ -11,11 +11,9 @@ from operator import attrgetter, itemgetter
 from typing import Protocol
 
 from hilcell.present.table import Column, Table
-from hilcell.study.analysis import Answers, Design, Effect, Rows, whole
-from hilcell.study.case import CANNOT_BE, DONE, FAILED
+from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows, Share, whole
+from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
 from hilcell.study.design import Point
-from hilcell.study.intervals import Interval, Share
-from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Optimum, Study
 
 MOST_REASONS = 10
@@ -243,7 +241,7 @@ def signed(value: float, digits: int) -> str:
 def _shown(each: Effect) -> str:
     if not each.change.known:
         return "no"
-    return "gain" if each.change.mean < 0.0 else "loss"
+    return "gain" if each.gains else "loss"
 
 
 def _one_machine(study: Study, found: Answers) -> str:

@@ -23,8 +23,8 @@ import hilcell.__main__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
 from hilcell.study.case import Found, measured, packed, versions
+from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.errors import Cluster
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, row_of
 from hilcell.study.study_file import cell_of, read_study

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from hilcell.ports import Array
-from hilcell.study.additive import Additive
-from hilcell.study.analysis import Answers, answers
+from hilcell.study.analysis import Additive, Answers, answers
 from hilcell.study.case import Row
 from hilcell.study.design import Case, Point, placed, points
 from hilcell.study.page import page

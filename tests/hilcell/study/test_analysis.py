@@ -11,10 +11,9 @@ import pytest
 from msgspec.structs import replace
 from scipy.stats import t as student
 
-from hilcell.study.analysis import answers, on_front
+from hilcell.study.analysis import answers, interval, on_front, share
 from hilcell.study.case import Found, Row
 from hilcell.study.design import Case, cases
-from hilcell.study.intervals import interval, share
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study

@@ -13,8 +13,7 @@ from hilcell.ports import NoReading
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
-from hilcell.study.case import measured, packed, versions
-from hilcell.study.outcome import RESULTS
+from hilcell.study.case import RESULTS, measured, packed, versions
 from hilcell.study.study_file import Study, cell_of
 from hilcell.typed import typed
 from tests.hilcell.study.studies import study

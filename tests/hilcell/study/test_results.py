@@ -16,10 +16,10 @@ import pytest
 from hilcell.errors import HilcellError
 from hilcell.run.cell_lock import CellLocked
 from hilcell.study.case import Found, unpacked
+from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.errors import Cluster, OtherStudy
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, open_results, row_of
+from hilcell.study.results import OtherStudy, Results, open_results, row_of
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.whole.bench import command

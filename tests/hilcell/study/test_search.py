@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from hilcell.cell.file import Cell
 from hilcell.study.analysis import answers
 from hilcell.study.case import Found, unpacked
+from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.errors import Cluster
 from hilcell.study.page import page
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, open_results
