@@ -20,11 +20,16 @@ from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
 from procedures.fit import Choice, Fit, SignCheck, sign_table
-from procedures.rail_survey import RailSurvey, survey_table
+from procedures.rail import (
+    HoldStation,
+    RailSurvey,
+    StationRepeatability,
+    approach_table,
+    survey_table,
+)
 from procedures.repeatability import Repeatability
 from procedures.revisits import Revisits, suspicion_words
 from procedures.robot_grid import ChosenPoses, RobotGrid
-from procedures.station import HoldStation, StationRepeatability, approach_table
 from procedures.station_frames import FrameRepeatability, StationFrames, frame_repeatability_table
 from procedures.validate import Validate
 from procedures.world_frame import Home, TwoFaces, WorldFrame

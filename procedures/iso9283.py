@@ -44,8 +44,8 @@ from procedures.plan import (
     robot_moves_s,
     step,
 )
+from procedures.rail import HoldStation
 from procedures.recheck import use
-from procedures.station import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
 WHAT = "ISO 9283 pose"

@@ -66,10 +66,16 @@ from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame, FramedBase
 from procedures.fit import Choice, Fit, SignCheck, SignErrors
 from procedures.plan import other_stations, stations_in_order
-from procedures.rail_survey import BACK, FORTH, RailSurvey
+from procedures.rail import (
+    BACK,
+    FORTH,
+    HoldStation,
+    RailSurvey,
+    StationRepeatability,
+    StationRepeated,
+)
 from procedures.repeatability import VISITS, Repeatability, distances_mm, floor, places_mm
 from procedures.robot_grid import RobotGrid
-from procedures.station import HoldStation, StationRepeatability, StationRepeated
 from procedures.station_frames import (
     FrameRepeatability,
     StationFrames,

@@ -36,7 +36,7 @@ from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.plan import closing, drivable, flange_points, step, turned
-from procedures.station import HoldStation
+from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
 TABLE = "recheck"

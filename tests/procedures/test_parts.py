@@ -13,7 +13,7 @@ from hilcell.ports import HilcellError
 from procedures.base_frame import sweep
 from procedures.calibrate import CALIBRATE
 from procedures.plan import check_range, check_reach, joints_for, poses_at
-from procedures.station import random_sides
+from procedures.rail import random_sides
 from procedures.validate import MARGIN_MM, targets
 
 CELL = load_cell("paper")

@@ -32,7 +32,7 @@ from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
 from hilcell.typed import typed
-from procedures import rail_survey, station_frames
+from procedures import rail, station_frames
 from procedures.paper import ROWS, Experiments, Row, commanded_rad, paper_table
 from procedures.plan import joints_for, poses_at
 from procedures.station_frames import Moved, station_fit, tool_uncertainty_mm
@@ -108,10 +108,10 @@ def test_a_way_back_in_the_order_of_the_way_there(
     paper: PaperRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def in_order(log: Log, way: str, name: str) -> Array:
-        return path_mm(log, way, name)[:: -1 if way == rail_survey.BACK else 1]
+        return path_mm(log, way, name)[:: -1 if way == rail.BACK else 1]
 
-    path_mm = rail_survey.path_mm
-    monkeypatch.setattr(rail_survey, "path_mm", in_order)
+    path_mm = rail.path_mm
+    monkeypatch.setattr(rail, "path_mm", in_order)
     assert fails("fig1.error.max", paper.log)
 
 
