@@ -13,6 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.fit.methods import FitResult, fit, methods_table
+from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import Step
@@ -38,13 +39,14 @@ class Campaign:
     yields = "measured targets and the fit of the robot's nominal kinematics to them"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Refuse poses outside the joint limits, and a reflector that would have to be carried."""
+        """Refuse poses of another robot or outside the joint limits, and reflectors by hand."""
         if cell.layout.by_hand:
             raise HilcellError(
                 "reflectors are by_hand: those of a campaign must be mounted",
                 code="HC-C16",
             )
         rows = poses_of(cell)
+        check_robot(cell, rows)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
         first = [at[0] for _, at in visits_of(rows)]
@@ -74,6 +76,18 @@ def poses_of(cell: Cell) -> Measurements:
             code="HC-C13",
         )
     return read_measurements(Path(cell.campaign.poses))
+
+
+def check_robot(cell: Cell, rows: Measurements) -> None:
+    """Raise `FitError` for poses that were measured on another robot."""
+    try:
+        place(robot_of(cell).arm(), rows)
+    except FitError as error:
+        assert cell.campaign is not None  # noqa: S101 - it names the rows
+        raise FitError(
+            f"campaign.poses {cell.campaign.poses}: expected rows measured on robot "
+            f"{cell.robot.name!r} of cell {cell.name}: {error} (hilcell explain {error.code})"
+        ) from error
 
 
 def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:

@@ -195,7 +195,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     """Learn from ``train`` and judge every method on ``test``, or by cross-validation.
 
     The choice is made by cross-validation in both cases: test rows judge, they do not choose.
-    Raises `FitError`, and `FrameError` for mirrored rows.
+    Raises `FitError`.
     """
     start_s = time.perf_counter()
     arm = robot.arm()

@@ -28,6 +28,7 @@ from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
 
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error
+CHECK_ROBOT = "check the robot file, joint signs and units, and that the rows are of this robot"
 ITERATIONS = 100
 CONVERGED = 1e-9
 EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains the rows
@@ -87,16 +88,14 @@ class Placement:
 def place(arm: Arm, rows: Measurements) -> Placement:
     """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows.
 
-    Raises `FitError` where the rows do not determine them or the robot is plainly another, and
-    `FrameError` for mirrored rows that nothing explains.
+    Raises `FitError` where the rows do not determine them or the robot is plainly another.
     """
     try:
         placement, step = _placed(arm, rows)
     except FrameError as error:
         fitting = next(_supposed(arm, rows, ABSURD_MM / EXPLAINED), None)
-        if fitting is None:
-            raise
-        raise FitError(f"{error}; they fit if {fitting}") from error
+        act = CHECK_ROBOT if fitting is None else f"they fit if {fitting}"
+        raise FitError(f"{error}; {act}") from error
     refuse_another_robot(placement, rows, "the training set")
     if not step <= CONVERGED:
         raise FitError(
@@ -111,10 +110,10 @@ def refuse_another_robot(placement: Placement, rows: Measurements, which: str) -
     half_mm = float(np.median(placement.miss_mm(rows)))
     if not half_mm <= ABSURD_MM:
         found = [*placement.relabelled(rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
-        check = f"they fit if {found[0]}; check" if found else "check"
+        fitting = f"they fit if {found[0]}; " if found else ""
         raise FitError(
             f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
-            f"or more, wanted <= {ABSURD_MM:g} mm: {check} the robot file, joint signs and units"
+            f"or more, expected <= {ABSURD_MM:g} mm: {fitting}{CHECK_ROBOT}"
         )
 
 

@@ -2,6 +2,7 @@
 
 from importlib.metadata import entry_points
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
@@ -77,12 +78,10 @@ def test_longer_arcs_tell_more(paper: PaperRun) -> None:
         assert arcs[-1]["centre_u_mm"] < arcs[0]["centre_u_mm"]
 
 
-def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
-    """Joints over the C3 wire, positions over the tracker's: the fit is the file's own."""
-    file = tmp_path / "poses.csv"
-    head = "pose,target,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg,x_mm,y_mm,z_mm"
-    lines = [head]
-    arm = load_cell("replay").robot.arm()
+def recorded_campaign(file: Path, cell: str = "replay") -> list[str]:
+    """Write poses measured on the robot of a cell, and return them as lines."""
+    lines = ["pose,target,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg,x_mm,y_mm,z_mm"]
+    arm = load_cell(cell).robot.arm()
     for pose in range(24):
         joints = [((pose * step) % 50) - 25.0 + 0.123456 for step in (7, 11, 13, 17, 19, 23)]
         flange = forward(arm, np.radians(joints))
@@ -92,10 +91,19 @@ def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
             values = ",".join(f"{value:.6f}" for value in (*joints, *xyz))
             lines.append(f"{pose},SMR{number + 1},{values}")
     file.write_text("\n".join(lines) + "\n")
+    return lines
+
+
+def replayed_campaign(file: Path) -> CompletedProcess[str]:
     words = {"campaign.poses": str(file), "simulation.data": str(file)}
-    done = command(
-        "run", "campaign", "--cell", "replay", "--json", "--runs", tmp_path, *sets(words)
-    )
+    runs = file.parent / "runs"
+    return command("run", "campaign", "--cell", "replay", "--json", "--runs", runs, *sets(words))
+
+
+def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
+    """Joints over the C3 wire, positions over the tracker's: the fit is the file's own."""
+    lines = recorded_campaign(tmp_path / "poses.csv")
+    done = replayed_campaign(tmp_path / "poses.csv")
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     points = {e["key"]: e for e in events(done.stdout) if e["kind"] == "point"}
@@ -106,3 +114,17 @@ def test_a_campaign_comes_back_as_it_was_recorded(tmp_path: Path) -> None:
         assert point["commanded_deg"] == pytest.approx([float(v) for v in given[:6]], abs=1e-9)
         assert point["xyz_mm"] == pytest.approx([float(v) for v in given[6:]], abs=1e-9)
     assert judge(events(done.stdout)) == []
+
+
+@pytest.mark.parametrize("cell", ["paper", "six-r"])
+def test_a_campaign_of_another_robot_is_refused_before_anything_moves(
+    cell: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "poses.csv"
+    recorded_campaign(file, cell)
+    done = replayed_campaign(file)
+    assert done.returncode == 2, done.stderr
+    assert f"campaign.poses {file}: expected rows measured on robot 'ABB IRB 120'" in done.stderr
+    assert "check the robot file" in done.stderr
+    assert "(hilcell explain HC-C22)" in done.stderr
+    assert not (tmp_path / "runs").exists()
