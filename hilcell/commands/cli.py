@@ -44,7 +44,9 @@ EXITS = (  # by their number
     "cell locked by another run",
     "storage fault",
 )
-AFTER = "After 3, 4 and 7, `hilcell resume RUN` continues."
+AFTER = (
+    "Where `run` or `resume` ends with 3, 4, 5 or 7 and the run can go on, the last line says how."
+)
 SAFETY = "hilcell is not a safety function: keep the E-stop in reach."
 FIRST = """\
 `hilcell run` calibrates a simulated cell in about a minute; nothing real moves

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.devices import load_entry
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
     ProgressOutput,
+    how_to_resume,
     kind_of,
     print_dry_run,
     print_end,
@@ -19,11 +19,10 @@ from hilcell.commands.run_output import (
     print_unclosed,
     print_warnings,
 )
-from hilcell.errors import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE
+from hilcell.errors import DONE, EXIT_ABORTED, EXIT_STORAGE
 from hilcell.journal.index import find_run
 from hilcell.journal.log import Log
 from hilcell.journal.runs import live_engine, read_log
-from hilcell.journal.runs_folder import runs_option
 from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
@@ -70,16 +69,9 @@ def _performed(engine: Engine, *, as_json: bool) -> int:
     print_end(plan.folder, log, plan.procedure, output, fault)
     print_unclosed(unclosed, fault)
     print_lost(plan.folder, output)
-    if code in RESUMABLE and not _wants_new_run(fault):
-        runs = runs_option(plan.folder.parent)
-        print_message(f"resume with: hilcell resume {plan.folder.name}{runs}")
+    if line := how_to_resume(plan.folder, code, fault):
+        print_message(line)
     return EXIT_STORAGE if output.lost is not None and code in DONE else code
-
-
-def _wants_new_run(fault: Exception | None) -> bool:
-    """Whether what ended a run leaves nothing to resume."""
-    entry = catalogue().get(fault.code) if isinstance(fault, HilcellError) else None
-    return entry is not None and entry.then == "new run"
 
 
 def _resume_live(folder: Path, args: Resume) -> int:

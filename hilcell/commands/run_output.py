@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 import msgspec
 
-from hilcell.alarms.catalogue import code_of_verdict, entry_of
+from hilcell.alarms.catalogue import catalogue, code_of_verdict, entry_of
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless, harmless_lines
 from hilcell.commands.output import (
@@ -27,10 +27,11 @@ from hilcell.commands.output import (
     print_table,
     stdout_checked,
 )
-from hilcell.errors import DeviceError, HilcellError, facts_of
+from hilcell.errors import RESUMABLE, DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED, run_outcome
-from hilcell.journal.journal import Record
+from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import Log
+from hilcell.journal.runs_folder import command_on
 from hilcell.journal.states import WAITING
 from hilcell.journal.words import OTHERS, verdict_words
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
@@ -232,6 +233,19 @@ def print_end(
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
     print_message(f"{kind_of(log)} {folder.name}: {ended_words(log)}; journal in {folder}")
+
+
+def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
+    """Return the line that says how a run which ended early goes on; "" where it cannot."""
+    if code not in RESUMABLE:
+        return ""
+    resume = command_on(folder, "resume")
+    advised = catalogue().get(fault.code) if isinstance(fault, HilcellError) else None
+    if advised is None or advised.then != "new run":
+        return f"resume with: {resume}"
+    if isinstance(fault, StorageError):
+        return ""  # the journal takes no more
+    return f"a new run is advised (hilcell explain {advised.code}); resume this one with: {resume}"
 
 
 def ended_words(log: Log) -> str:

@@ -50,6 +50,12 @@ def runs_option(runs: Path) -> str:
     return "" if usual.resolve() == runs.resolve() else f" --runs {shlex.quote(str(runs))}"
 
 
+def command_on(run: Path, command: str, *words: str) -> str:
+    """Return a command of hilcell on the run of a folder, as a shell takes it from anywhere."""
+    line = shlex.join(["hilcell", command, run.name, *words])
+    return line + runs_option(run.parent)
+
+
 def _data_home(environment: Mapping[str, str]) -> Path | None:
     """Return the user's folder of data by the XDG base directory specification, if there is one."""
     stated = Path(environment.get(XDG, ""))

@@ -13,9 +13,16 @@ from hilcell.alarms.alarm import alarms_of
 from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands import live
 from hilcell.commands.cli import main
-from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
+from hilcell.commands.run_output import (
+    ProgressOutput,
+    RunOutput,
+    failed_words,
+    how_to_resume,
+    print_end,
+)
 from hilcell.errors import DeviceError
-from hilcell.journal.journal import Record
+from hilcell.geometry.frames import FrameError
+from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.suspicion import Cause, Suspicion
@@ -52,6 +59,30 @@ def test_a_fault_names_the_alarms_that_say_what_to_do(
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"hilcell: {fault}".splitlines()[0]
     assert [line.split()[-1] for line in lines if "explain" in line] == codes
+
+
+@pytest.mark.parametrize(
+    ("code", "fault", "line"),
+    [
+        (3, LOST, "resume with: {resume}"),
+        (4, None, "resume with: {resume}"),
+        (5, ValueError("x"), "resume with: {resume}"),
+        (7, StorageError("full", code="HC-J01"), "resume with: {resume}"),
+        (
+            3,
+            FrameError("a line"),
+            "a new run is advised (hilcell explain HC-C20); resume this one with: {resume}",
+        ),
+        (7, StorageError("damaged", code="HC-J13"), ""),
+        (2, REFUSED, ""),
+        (0, None, ""),
+    ],
+)
+def test_the_last_line_says_how_a_run_goes_on_wherever_it_can(
+    tmp_path: Path, code: int, fault: Exception | None, line: str
+) -> None:
+    resume = f"hilcell resume 'r 1' --runs {tmp_path}"
+    assert how_to_resume(tmp_path / "r 1", code, fault) == line.format(resume=resume)
 
 
 def test_the_cause_that_ended_a_run_is_shown(
