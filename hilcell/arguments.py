@@ -143,13 +143,9 @@ def is_signature(hint: object) -> bool:
 
 
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
-MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
-MOST_WORKERS = 1024
 MOST_DAYS = 36_500.0
-STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
-MOST_STROKE_MISS_MM = 5.0
-MOST_STANDOFF_MM = 1000.0  # as in hilcell.cell.robot
+STROKE_MM = 20.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
@@ -181,14 +177,23 @@ def speed_of(text: str) -> float:
     return value
 
 
-def seed_of(text: str) -> int:
-    """Return a whole number."""
-    value = int(text) if text.isascii() and text.isdecimal() and len(text) < 20 else -1
-    if not 0 <= value <= MOST_SEED:
-        raise argparse.ArgumentTypeError(
-            f"a whole number of 0 .. {MOST_SEED} is wanted, found {text[:80]!r}"
-        )
-    return value
+def _whole(least: int, most: int) -> Callable[[str], int]:
+    """Return the reader of a whole number."""
+
+    def read(text: str) -> int:
+        """Return a whole number."""
+        short = len(text) <= len(str(most))
+        value = int(text) if text.isascii() and text.isdecimal() and short else -1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(
+                f"a whole number of {least} .. {most} is wanted, found {text[:80]!r}"
+            )
+        return value
+
+    return read
+
+
+seed_of, workers_of = _whole(0, 2**63 - 1), _whole(1, 1024)
 
 
 def ports_of(text: str) -> dict[str, int]:
@@ -258,28 +263,23 @@ def days(text: str) -> float:
     return value
 
 
-def stroke(text: str) -> float:
-    """Return a length of strokes, mm."""
-    return _length(text, "a length", MOST_STROKE_MM)
+def _length(name: str, most_mm: float) -> Callable[[str], float]:
+    """Return the reader of a length, mm."""
+
+    def read(text: str) -> float:
+        """Return a length, mm."""
+        value = _number(text)
+        if not 0.0 < value <= most_mm:
+            raise argparse.ArgumentTypeError(
+                f"expected {name} above 0 up to {most_mm:g} mm, got {text[:80]!r}"
+            )
+        return value
+
+    return read
 
 
-def standoff_of(text: str) -> float:
-    """Return a stand-off, mm."""
-    return _length(text, "a stand-off", MOST_STANDOFF_MM)
-
-
-def stroke_tolerance_of(text: str) -> float:
-    """Return by how far strokes may miss, mm."""
-    return _length(text, "a tolerance", MOST_STROKE_MISS_MM)
-
-
-def _length(text: str, name: str, most_mm: float) -> float:
-    value = _number(text)
-    if not 0.0 < value <= most_mm:
-        raise argparse.ArgumentTypeError(
-            f"expected {name} above 0 up to {most_mm:g} mm, got {text[:80]!r}"
-        )
-    return value
+stroke, stroke_tolerance_of = _length("a length", 200.0), _length("a tolerance", 5.0)
+standoff_of = _length("a stand-off", 1000.0)  # as in hilcell.cell.robot
 
 
 def moment(text: str) -> datetime:
@@ -298,16 +298,6 @@ def assignment(text: str) -> tuple[str, str]:
     if not (key and sign) or "\n" in text:
         raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
     return key.strip(), value.strip()
-
-
-def workers_of(text: str) -> int:
-    """Return a number of worker processes."""
-    value = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else 0
-    if not 1 <= value <= MOST_WORKERS:
-        raise argparse.ArgumentTypeError(
-            f"a whole number of 1 .. {MOST_WORKERS} is wanted, found {text[:80]!r}"
-        )
-    return value
 
 
 def scheduler_of(text: str) -> str:

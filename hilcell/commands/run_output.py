@@ -194,8 +194,12 @@ class ProgressOutput(RunOutput):
         elif change.to == "checking":
             self._print("connecting; a tracker may take half a minute to initialise")
         elif change.to in WAITING:
+            for_what = f"{change.reason}; " if change.reason else ""
+            if change.prompt is not None:
+                question = f"{change.prompt['title']}. {change.prompt['text']}"
+                for_what = f"{question} When it is done, "
             go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
-            self._print(f"{change.to}: {_waits_for(change)}{go_on}")
+            self._print(f"{change.to}: {for_what}{go_on}")
 
     def _print(self, text: str) -> None:
         self._console.print(harmless_lines(text), markup=False, highlight=False)
@@ -312,13 +316,6 @@ def print_lost(folder: Path, output: RunOutput) -> None:
 def kind_of(log: Log) -> str:
     """Return how to name a run: a simulated one is always marked."""
     return "SIMULATED run" if log.inputs.simulated else "run"
-
-
-def _waits_for(change: StateChanged) -> str:
-    """Return what a paused or suspended run waits for, as the start of a sentence."""
-    if change.prompt is not None:
-        return f"{change.prompt['title']}. {change.prompt['text']} When it is done, "
-    return f"{change.reason}; " if change.reason else ""
 
 
 def failed_words(key: str, verdict: Verdict) -> str:

@@ -92,14 +92,14 @@ def _perform(args: RunStudy) -> int:
                     counts = _measured(results, workers, planned, kept, check)
             except (Cluster, KeyboardInterrupt) as error:
                 lost = isinstance(error, Cluster)
-                if not _has_rows(results, kept if lost else 0):
+                if not len(results.finished()) > (kept if lost else 0):
                     raise
                 print_message(
                     f"hilcell: {error if lost else 'interrupted'}; finished cases are kept, the "
                     "same command goes on"
                 )
                 return EXIT_FAULT if lost else EXIT_ABORTED
-            print_message(_ended(counts))
+            print_message(", ".join(f"{n} {state}" for state, n in sorted(counts.items())))
         else:
             results.merge()
     return _answer(results, planned, as_json=args.json)
@@ -167,14 +167,6 @@ def _measured(
             check()
 
         return perform(results, workers, heard)
-
-
-def _has_rows(results: Results, kept: int) -> bool:
-    return len(results.finished()) > kept
-
-
-def _ended(counts: Counter[str]) -> str:
-    return ", ".join(f"{n} {state}" for state, n in sorted(counts.items()))
 
 
 def _report(args: RunStudy) -> int:

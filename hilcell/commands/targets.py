@@ -80,7 +80,11 @@ def fit(args: Fit) -> int:
         print_message("\n".join(job.write(Path(args.output), bounds, inputs)))
         more["corrected"] = job.summary
     if args.json:
-        print_json({**found.result, **_covariance(found), **more})
+        covariance: dict[str, object] = {}
+        arm = found.methods[found.result["model"]["method"]] if found.result["model"] else None
+        if isinstance(arm, FittedArm):  # in the order of the parameters' names in ``model``
+            covariance["covariance"] = arm.estimate.system.covariance.tolist()
+        print_json({**found.result, **covariance, **more})
     else:
         _print(found.result)
     return 0
@@ -101,14 +105,6 @@ def _tool(args: Fit, train: Measurements) -> str:
     if tool not in names:
         raise SettingsError("fit", [f"--tool {tool}: measured were {', '.join(names)}"])
     return tool
-
-
-def _covariance(fit: Fitted) -> dict[str, list[list[float]]]:
-    """Return the covariance of the parameters of ``model``, in the order of their names."""
-    arm = fit.methods[fit.result["model"]["method"]] if fit.result["model"] else None
-    if not isinstance(arm, FittedArm):
-        return {}
-    return {"covariance": arm.estimate.system.covariance.tolist()}
 
 
 def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict[str, float]:
