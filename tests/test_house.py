@@ -107,7 +107,7 @@ WORDED = {"HilcellError": 1, "SettingsError": 2}  # and of how many parts
 LACKING = {"HC-R38", "HC-B21", "HC-T34", "HC-S12", "HC-C18", "HC-T40", "HC-T10", "HC-T11", "HC-C16"}
 HELPERS = {  # their callers say the code, and what was expected, in the words that they hand over
     "drivers/kuka/external.py",
-    "drivers/universal_robots/link.py",
+    "drivers/universal_robots/rtde.py",
 }
 
 

@@ -19,7 +19,7 @@ from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.files import read_program
-from drivers.universal_robots.state import INPUTS, OUTPUTS, UrState, unlike
+from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState, unlike
 from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock

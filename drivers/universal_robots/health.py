@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 from drivers.robot_errors import DEVICE
-from drivers.universal_robots.state import UrState
+from drivers.universal_robots.rtde import UrState
 from hilcell.ports import Array, DeviceError, DeviceRefused
 
 RUNNING, NORMAL = 7, 1

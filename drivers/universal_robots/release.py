@@ -17,8 +17,7 @@ from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import Runtime, joints_text, runtime_text
-from drivers.universal_robots.link import UrLink
-from drivers.universal_robots.state import UrState
+from drivers.universal_robots.rtde import UrLink, UrState
 from hilcell.ports import DeviceError
 
 RELEASE_S = 5.0  # wire deadline: a brake from full speed (stopj, 2 rad/s2), then 3 s to standstill

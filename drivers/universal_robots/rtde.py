@@ -1,18 +1,40 @@
-"""RTDE, the real-time data exchange of Universal Robots: packages and recipes, without a wire.
+"""RTDE, the real-time data exchange of Universal Robots: packages, states in, registers out.
 
 Big-endian. Package ``size u16 of the whole, type u8, payload``. A recipe names the fields of data
 packages once; from then on they carry its number and the values in its order. The controller
 answers a field that it lacks with NOT_FOUND, an input that another client holds with IN_USE.
+
+Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``script/hilcell.script``. It
+reads no input register 28, which numbers the questions for a fresh state: a state shows what was
+written last, so one with the number of a question was taken after it.
+
+The controller sends a package at every cycle, asked or not, and drops those that nobody fetches.
+The thread that asks for a state fetches them; while none does, a thread here empties the buffer.
+A package that waited in a buffer, or on its way, is no fresh one.
 """
 
 from __future__ import annotations
 
 import math
+import secrets
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
+from itertools import takewhile
+from typing import Self
+
+import numpy as np
+
+from drivers.robot_errors import ALARMS, DEVICE
+from drivers.supervision import Patience, go_on, on_failure
+from drivers.wires.tcp import TcpLink
+from hilcell.geometry.frames import from_rotvec
+from hilcell.ports import Array, DeviceError, DeviceRefused
 
 VERSION = 2  # of the protocol
 LONGEST = 4096
@@ -159,3 +181,357 @@ class Packages:
                 return
             payload, self._bytes = self._bytes[_HEAD.size : size], self._bytes[size:]
             yield kind, payload
+
+
+_TOOL = tuple(f"output_double_register_{n}" for n in range(24, 30))
+_SIX = ("actual_q", "actual_qd", "actual_TCP_pose")
+ECHO = "input_int_register_28"
+OUTPUTS = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_pose",
+    "robot_mode",
+    "safety_status",
+    "runtime_state",
+    "target_speed_fraction",
+    "output_int_register_24",
+    "output_int_register_25",
+    "output_int_register_26",
+    "output_int_register_27",
+    *_TOOL,
+    ECHO,
+)
+INPUTS = (
+    "input_int_register_24",
+    "input_int_register_25",
+    "input_int_register_26",
+    "input_int_register_27",
+    *(f"input_double_register_{n}" for n in range(24, 31)),  # the joints, and the speed
+)
+NOTHING, MOVE_JOINTS = 0, 1  # commands
+GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
+LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
+
+
+@dataclass(frozen=True, slots=True)
+class UrState:
+    """One data package. It arrived between ``after_s`` and ``by_s`` (monotonic)."""
+
+    numbers: dict[str, Numbers]  # by field
+    after_s: float
+    by_s: float
+
+    @classmethod
+    def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
+        """Return the state that a data package's numbers mean; raises `RtdeError`."""
+        for name in (*_SIX, *_TOOL):
+            if not sum(map(abs, numbers[name])) <= LARGEST:
+                raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
+        return cls(numbers, after_s, by_s)
+
+    @property
+    def timestamp_s(self) -> float:
+        """Return the time by the controller's clock."""
+        return self.numbers["timestamp"][0]
+
+    @property
+    def joints_rad(self) -> Array:
+        """Return the joints (6,)."""
+        return np.array(self.numbers["actual_q"])
+
+    @property
+    def speeds_rad_s(self) -> Array:
+        """Return the joints' speeds (6,)."""
+        return np.array(self.numbers["actual_qd"])
+
+    @property
+    def pose(self) -> Array:
+        """Return the pose of the TCP (4, 4) in mm."""
+        tcp = np.array(self.numbers["actual_TCP_pose"])
+        T = np.eye(4)
+        T[:3, :3] = from_rotvec(tcp[3:])
+        T[:3, 3] = tcp[:3] * 1000.0
+        return T
+
+    @property
+    def robot_mode(self) -> int:
+        """Return whether the arm is on."""
+        return int(self.numbers["robot_mode"][0])
+
+    @property
+    def safety_status(self) -> int:
+        """Return what the safety system says."""
+        return int(self.numbers["safety_status"][0])
+
+    @property
+    def runtime_state(self) -> int:
+        """Return whether a program plays."""
+        return int(self.numbers["runtime_state"][0])
+
+    @property
+    def speed_fraction(self) -> float:
+        """Return the place of the speed slider, 0 to 1."""
+        return self.numbers["target_speed_fraction"][0]
+
+    @property
+    def acknowledged(self) -> int:
+        """Return the number of the last motion that has ended."""
+        return int(self.numbers["output_int_register_24"][0])
+
+    @property
+    def error(self) -> int:
+        """Return the script's error of that motion."""
+        return int(self.numbers["output_int_register_25"][0])
+
+    @property
+    def session(self) -> int:
+        """Return the number of the script that plays."""
+        return int(self.numbers["output_int_register_26"][0])
+
+    @property
+    def count(self) -> int:
+        """Return the count of the script's loop."""
+        return int(self.numbers["output_int_register_27"][0])
+
+    @property
+    def echo(self) -> int:
+        """Return the number of the last question that had reached the controller."""
+        return int(self.numbers[ECHO][0])
+
+    @property
+    def tool(self) -> Array:
+        """Return the tool (6,) in mm and rad."""
+        return np.array([self.numbers[name][0] for name in _TOOL]) * ([1000.0] * 3 + [1.0] * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """The values of the registers that command the script."""
+
+    sequence: int
+    target_rad: Array
+    speed_rad_s: float
+    stop: int = GO
+    command: int = MOVE_JOINTS
+
+    def registers(self, life: int) -> dict[str, Numbers]:
+        """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
+        integers = (self.sequence, self.command, life, self.stop)
+        floats = (*self.target_rad.tolist(), self.speed_rad_s)
+        return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}
+
+
+def unlike(recipe: Recipe) -> list[str]:
+    """Return the outputs whose type is none of which a state can be read, with their types."""
+    fields = zip(recipe.names, recipe.types, strict=True)
+    return [
+        f"{name} ({kind})"
+        for name, kind in fields
+        if FORMATS.get(kind) not in (("6d",) if name in _SIX else tuple("?BiIQd"))
+    ]
+
+
+ANSWER_S = 3.0
+SILENT_S = 1.0  # without a package
+LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
+IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
+KEPT = 4096  # packages
+SIZE = 65536
+JOIN_S = 2.0
+MAX_LIFE = MAX_QUESTION = 1_000_000_000
+
+
+class UrLink:
+    """One connection. Writes and ``end_script`` may come from any thread, all else from one."""
+
+    def __init__(self, host: str, port: int, rate_hz: float, check: Callable[[], None]) -> None:
+        """Set the exchange up and start it; raises `DeviceError`."""
+        self._check, self._rate_hz = check, rate_hz
+        check()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._empty, name="rtde", daemon=True)
+        self._link = TcpLink(DEVICE, host, port, go_on, ALARMS)  # it asks for a stop itself
+        self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
+        self._fetching = threading.Lock()
+        self._states: deque[UrState] = deque(maxlen=KEPT)
+        self._emptied_s = 0.0  # when the buffer was last seen empty
+        self._failure: DeviceError | None = None
+        self._writing, self._life = threading.Lock(), 0
+        self._order, self._ending = Order(0, np.zeros(6), 0.0, command=NOTHING), 0
+        # The register keeps the last number of the connection before.
+        self._question = secrets.randbelow(MAX_QUESTION) + 1
+        with on_failure(self._link.close):
+            self.version = self._set_up()
+        self._thread.start()
+
+    def fresh(self, *, patiently: bool = False) -> UrState:
+        """Return a state that the controller took after this call began, however late it comes.
+
+        ``patiently`` waits on when a stop was asked for. Raises `DeviceError`.
+        """
+        self._question = self._question % MAX_QUESTION + 1
+        seen_s = time.monotonic()
+        with self._writing:
+            self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
+        patience, over = Patience(ANSWER_S), False
+        while True:
+            newest = self.following(seen_s, patiently=patiently)[-1]
+            if newest.echo == self._question:
+                return newest
+            if over:
+                found = f"no package after question {self._question} within {ANSWER_S:.0f} s"
+                raise self._link.broken("receive", f"{found}: {ECHO} is {newest.echo}")
+            over, seen_s = patience.over(), newest.by_s
+
+    def next(self) -> UrState:
+        """Return a state that arrived after this call began; raises `DeviceError`."""
+        begun_s = seen_s = time.monotonic()
+        while True:
+            newest = self.following(seen_s)[-1]
+            if newest.after_s >= begun_s:
+                return newest
+            seen_s = newest.by_s
+
+    def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
+        """Wait for states fetched after a time (monotonic); return all of these."""
+        patience = Patience(SILENT_S)
+        while True:
+            if not patiently:
+                self._check()
+            over = patience.over()
+            with self._fetching:
+                found = self._since(by_s)
+                if not found and self._failure is None:
+                    self._fetch(0.0 if over else LOOK_S)
+                    found = self._since(by_s)
+            if found:
+                return found
+            if self._failure is not None:
+                raise self._failure
+            if over:
+                raise self._link.broken("receive", f"no package for {SILENT_S:.1f} s")
+
+    def write(self, order: Order) -> None:
+        """Write the registers, with the next sign of life; raises `DeviceError`."""
+        with self._writing:
+            self._life = self._life % MAX_LIFE + 1
+            self._order = order
+            self._write()
+
+    def end_script(self, session: int) -> None:
+        """Have the script of a session brake and end; no later write takes that back.
+
+        Gives no sign of life. Raises `DeviceError`.
+        """
+        with self._writing:
+            self._ending = session
+            self._write()
+
+    def close(self) -> None:
+        """End the thread and the connection."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
+        self._link.close()
+
+    def _write(self) -> None:
+        order = replace(self._order, stop=self._ending or self._order.stop)
+        self._link.send(self._inputs.encode(order.registers(self._life)), "write registers")
+
+    # -- setting up ---------------------------------------------------------------------------
+
+    def _set_up(self) -> str:
+        if not accepted(self._ask(Kind.VERSION, request_version())):
+            raise self._refused("HC-B69", f"version {VERSION} of RTDE is refused")
+        version = controller_version(
+            self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
+        )
+        asked = request_outputs(OUTPUTS, self._rate_hz)
+        self._outputs = self._recipe(Kind.OUTPUTS, asked, OUTPUTS)
+        if found := unlike(self._outputs):
+            raise self._refused("HC-B69", f"unexpected type of {', '.join(found)}")
+        self._inputs = self._recipe(Kind.INPUTS, request_inputs(INPUTS), INPUTS)
+        self._echo = self._recipe(Kind.INPUTS, request_inputs((ECHO,)), (ECHO,))
+        if not accepted(self._ask(Kind.START, encode(Kind.START))):
+            raise self._refused("HC-B69", "the exchange is not started")
+        return version
+
+    def _recipe(self, kind: Kind, request: bytes, names: tuple[str, ...]) -> Recipe:
+        answer = self._ask(kind, request)
+        try:
+            recipe = Recipe.from_answer(names, answer)
+        except RtdeError as error:
+            raise self._link.broken("set up", str(error)) from error
+        if lacking := recipe.lacking(NOT_FOUND):
+            raise self._refused("HC-B69", f"the controller has no {', '.join(lacking)}")
+        if held := recipe.lacking(IN_USE):
+            raise self._refused("HC-B68", f"another client writes {', '.join(held)}")
+        return recipe
+
+    def _ask(self, kind: Kind, request: bytes) -> bytes:
+        """Return the payload of the answer of the same type."""
+        self._link.send(request, kind.name.lower())
+        patience, over = Patience(ANSWER_S), False
+        while True:
+            while self._arrived:
+                found, payload = self._arrived.popleft()
+                if found == kind:
+                    return payload
+            if over:
+                raise self._no_rtde(kind, f"no answer within {ANSWER_S:.0f} s")
+            self._check()
+            over = patience.over()
+            data = self._link.receive(SIZE, Patience(0.0 if over else LOOK_S))
+            try:
+                self._arrived.extend(self._packages.feed(data))
+            except RtdeError as error:
+                raise self._no_rtde(kind, str(error)) from error
+
+    def _no_rtde(self, kind: Kind, found: str) -> DeviceError:
+        return self._link.broken(kind.name.lower(), f"{found}; is rtde_port that of RTDE?")
+
+    def _refused(self, code: str, found: str) -> DeviceRefused:
+        act = {
+            "HC-B68": "end the other program, or the fieldbus, that writes these registers",
+            "HC-B69": "bring PolyScope up to date: 3.12, 5.6 or later",
+        }[code]
+        return DeviceRefused(code, DEVICE, "connect", found, act=act)
+
+    # -- fetching -----------------------------------------------------------------------------
+
+    def _empty(self) -> None:
+        """Fetch what nobody wants, until `close`."""
+        while not self._closing.wait(IDLE_S):
+            if self._fetching.acquire(blocking=False):
+                try:
+                    self._fetch(0.0)
+                finally:
+                    self._fetching.release()
+
+    def _fetch(self, wait_s: float) -> None:
+        """Take what has arrived, or does within a time; a failure is kept."""
+        if self._failure is not None:
+            return
+        try:
+            looked_s = time.monotonic()
+            data = self._link.receive(SIZE, Patience(0.0))
+            if not data:
+                self._emptied_s = looked_s
+                data = self._link.receive(SIZE, Patience(wait_s)) if wait_s else b""
+            self._arrived.extend(self._packages.feed(data))
+            by_s = time.monotonic()
+            while self._arrived:
+                kind, payload = self._arrived.popleft()
+                if kind == Kind.DATA:
+                    numbers = self._outputs.decode(payload)
+                    self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
+        except RtdeError as error:
+            act = "restart the controller; resume"
+            self._failure = DeviceError("HC-B26", DEVICE, "receive", str(error), act=act)
+        except DeviceError as error:
+            self._failure = error
+
+    def _since(self, by_s: float) -> list[UrState]:
+        newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
+        return list(newer)[::-1]

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from drivers.universal_robots import rtde
-from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
-from drivers.universal_robots.state import INPUTS, OUTPUTS, Order, UrState
+from drivers.universal_robots.rtde import (
+    INPUTS,
+    OUTPUTS,
+    Kind,
+    Order,
+    Packages,
+    Recipe,
+    RtdeError,
+    UrState,
+)
 
 RECIPE = Recipe(1, ("timestamp", "actual_q", "robot_mode"), ("DOUBLE", "VECTOR6D", "INT32"))
 DATA = struct.pack(">B7di", 1, 12.5, *range(6), 7)

@@ -13,10 +13,8 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.universal_robots import link as ur_link
-from drivers.universal_robots.link import UrLink
-from drivers.universal_robots.rtde import Kind, Packages, encode
-from drivers.universal_robots.state import ECHO, OUTPUTS, Order
+from drivers.universal_robots import rtde as ur_link
+from drivers.universal_robots.rtde import ECHO, OUTPUTS, Kind, Order, Packages, UrLink, encode
 from hilcell.ports import DeviceRefused
 from tests.drivers.peers import Server, wire_time
 from tests.drivers.rail_bed import refusal
