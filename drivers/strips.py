@@ -14,12 +14,11 @@ from typing import Annotated, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen import cia406, rail_setup
+from drivers.canopen import cia, rail_setup
 from drivers.canopen.can_link import CanLink, open_bus
-from drivers.canopen.cia301 import NMT, NodeCommand
+from drivers.canopen.cia import NMT, NodeCommand
 from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.pdo import Inbox
-from drivers.canopen.process_image import strip_mapping, strip_values
+from drivers.canopen.process_image import Inbox, strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
@@ -297,7 +296,7 @@ class CanopenStrip:
 
     def alarm_text(self, alarms: int) -> str:
         """Return the bits of 6503h in words."""
-        return cia406.alarm_text(alarms)
+        return cia.alarm_text(alarms)
 
     def statistics(self) -> LinkStatistics:
         """Return the bus's counts since `connect`, also after `close`."""
@@ -315,12 +314,12 @@ class CanopenStrip:
     def _set_up(self, link: CanLink) -> Identity:
         options, check = self._options, self._clock.check
         sdo = open_channel(DEVICE, link, options.node, "strip.eds", check)
-        watch = NodeWatch(DEVICE, link, options.node, in_pdo=cia406.SENSOR_ERRORS)
+        watch = NodeWatch(DEVICE, link, options.node, in_pdo=cia.SENSOR_ERRORS)
         inbox = Inbox(DEVICE, link, (self._pdo,), SYNCS)
         expected = Expected(
             "strip",
             options.node,
-            cia406.DEVICE_PROFILE,
+            cia.STRIP_PROFILE,
             options.vendor,
             options.product,
             options.serial,

@@ -32,7 +32,7 @@ QUAINT = re.compile(
     re.MULTILINE,
 )
 TRAPS = {  # a motion or a result that would be wrong without notice; all else is a plain reason
-    "drivers/canopen/cia402.py": "a motion counts as ended that has not begun",
+    "drivers/canopen/cia.py": "a motion counts as ended that has not begun",
     "drivers/kuka/controller.py": "a stop is lost",
     "drivers/canopen/process_image.py": "a stop is undone",
     "drivers/kuka/program_krl/data.py": "a target is relative in disguise",

@@ -21,7 +21,7 @@ import msgspec
 from campaigns.fuzz.wire_parsers import WIRE_PARSERS
 from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink
-from drivers.canopen.cia301 import NodeState
+from drivers.canopen.cia import NodeState
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus

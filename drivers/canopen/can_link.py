@@ -16,7 +16,7 @@ from collections.abc import Callable
 import can
 import canopen
 
-from drivers.canopen.cia301 import NodeState
+from drivers.canopen.cia import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.wires.link import system_words
 from hilcell.ports import Clock, DeviceError, LinkStatistics

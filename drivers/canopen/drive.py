@@ -13,11 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.canopen import cia402, cia406, emcy
-from drivers.canopen.cia402 import Bit, Control, Mode, Object, Option, State
+from drivers.canopen import cia
+from drivers.canopen.cia import Bit, Control, Mode, Object, Option, State
 from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
-from drivers.canopen.pdo import SYNCS
-from drivers.canopen.process_image import NO_MODE, ProcessImage, Snapshot
+from drivers.canopen.process_image import NO_MODE, SYNCS, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.motion_limits import MotionLimits
 from drivers.standstill import DEVICE, Standing
@@ -42,7 +41,7 @@ class Drive:
         limits: Limits,
         watch: Callable[[str], None],
         supervision: Supervision,
-        alarm_text: Callable[[int], str] = cia406.alarm_text,
+        alarm_text: Callable[[int], str] = cia.alarm_text,
     ) -> None:
         """``alarm_text`` is the strip's."""
         self._image, self._sdo, self._clock = image, sdo, clock
@@ -99,9 +98,9 @@ class Drive:
         except DeviceError as silent:
             code, said = 0, f"its error (603Fh) is unknown: {silent.found}"
         else:
-            said = f"error {emcy.text(code)}"
+            said = f"error {cia.error_text(code)}"
         return DeviceError(
-            emcy.alarm(code),
+            cia.error_alarm(code),
             DEVICE,
             operation,
             f"{found}, {said}",
@@ -212,7 +211,7 @@ class Drive:
         if now.mode != mode:
             self._set_mode(mode)
         while (now := self.standing.poll(operation)).state is not State.ENABLED:
-            word = cia402.next_control(now.state)
+            word = cia.next_control(now.state)
             if word is not None:
                 self._image.control(word, now.position)
             self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
@@ -374,7 +373,7 @@ class Drive:
     def _side(self, now: Snapshot) -> int:
         """Return on which limit switch the slide stands: -1, 1, or 0 where nothing says it."""
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS) or 0
-        side = {1: -1, 2: 1}.get(inputs & cia402.LIMIT_SWITCHES, 0)
+        side = {1: -1, 2: 1}.get(inputs & cia.LIMIT_SWITCHES, 0)
         near, limits = AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
         if now.position <= limits.lowest + near:
             return side or -1
@@ -391,7 +390,7 @@ class Drive:
         if left is not None and abs(now.position - left) <= LEAVE_MM * self._limits.counts_per_mm:
             return False
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS, tries=1)
-        return inputs is None or inputs & cia402.LIMIT_SWITCHES != 0
+        return inputs is None or inputs & cia.LIMIT_SWITCHES != 0
 
     def _fields(self, now: Snapshot) -> dict[str, object]:
         """Return the values of a poll, as data."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import struct
 
-from drivers.canopen import emcy
+from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink
-from drivers.canopen.cia301 import NodeState, state_text
+from drivers.canopen.cia import NodeState, state_text
 from hilcell.ports import DeviceError
 
 PC_HEARTBEAT_LIMIT_MS = 1000
@@ -95,19 +95,19 @@ class NodeWatch:
         code, register, _vendor = _EMCY.unpack(data)
         if code >> 8 == self._in_pdo:
             self.sensor_fails = True
-        elif not emcy.is_error(code):  # one is gone; the register has those that are left
+        elif not cia.is_error(code):  # one is gone; the register has those that are left
             self.sensor_fails = doubts_sensor(register)
-        if self._armed and emcy.is_error(code) and code >> 8 != self._in_pdo:
-            found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
+        if self._armed and cia.is_error(code) and code >> 8 != self._in_pdo:
+            found = f"EMCY {cia.error_text(code)}, error register 0x{register:02X}"
             pause_s = self._link.pause_s
-            if code != emcy.HEARTBEAT_LOST:
-                self._fail(emcy.alarm(code), f"node {self.node}: {found}")
+            if code != cia.HEARTBEAT_LOST:
+                self._fail(cia.error_alarm(code), f"node {self.node}: {found}")
             elif pause_s * 1000 < PC_HEARTBEAT_LIMIT_MS:
                 found += f"; the PC's heartbeat has paused for {pause_s:.1f} s"
-                self._fail(emcy.alarm(code), f"node {self.node}: {found}")
+                self._fail(cia.error_alarm(code), f"node {self.node}: {found}")
             else:
                 late = f"PC late: its heartbeat paused for {pause_s:.1f} s"
-                reports = f"so node {self.node} reports {emcy.text(code)}"
+                reports = f"so node {self.node} reports {cia.error_text(code)}"
                 self._fail("HC-R44", f"{late}, {reports}", _PC_ADVICE)
 
     def _fail(self, code: str, found: str, act: str = _ADVICE) -> None:

@@ -7,6 +7,7 @@ loop above it decides.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated
@@ -14,20 +15,19 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen import cia406, rail_setup
+from drivers.canopen import cia, rail_setup
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
-from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject
+from drivers.canopen.cia import NMT, Control, NodeCommand, NodeObject, NodeState, Object, State
 from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
-from drivers.canopen.release import Release
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standstill import DEVICE, Windows, check_travel
+from drivers.standstill import DEVICE, READINGS, Rest, Standstill, Windows, check_travel
 from drivers.strips import CountsPerMm, StripFeed, StripOptions, strip_of, summed
-from drivers.supervision import Supervision, go_on, on_failure
+from drivers.supervision import Patience, Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
@@ -36,6 +36,11 @@ WINDOW_MM = 0.05
 STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 LARGEST_COUNT = 2**31 - 1
+RELEASE_S = 5.0  # wire deadline, beside two dwells
+SILENT_S = 1.0  # more than a poll takes that nothing answers
+POLL_S = 0.02
+HEARD = 5  # looks within which a drive shows that it obeys
+NO_STRIP = -1  # alarms: SDO asks the drive alone
 
 Positive = Annotated[float, Meta(gt=0)]
 Node = Annotated[int, Meta(ge=1, le=127)]
@@ -168,7 +173,7 @@ class CanopenRail:
         self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
         if feed is None:
             strip_sdo = open_channel(DEVICE, link, options.strip_node, "strip.eds", check)
-            of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
+            of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia.SENSOR_ERRORS)
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
         image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
@@ -184,7 +189,7 @@ class CanopenRail:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
         limits = self._limits()
-        text = cia406.alarm_text if feed is None else feed.alarm_text
+        text = cia.alarm_text if feed is None else feed.alarm_text
         drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision, text)
         drive.reset_fault()
         for watch in self._watches:
@@ -242,7 +247,7 @@ class CanopenRail:
         for sdo, expected in (
             (drive_sdo, Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
                                  o.drive_serial)),
-            (strip_sdo, Expected("strip", o.strip_node, cia406.DEVICE_PROFILE, o.strip_vendor,
+            (strip_sdo, Expected("strip", o.strip_node, cia.STRIP_PROFILE, o.strip_vendor,
                                  o.strip_product, o.strip_serial)),
         ):  # fmt: skip
             if sdo is None:
@@ -328,3 +333,147 @@ class CanopenRail:
         if link is not None:
             self._statistics = replace(link.statistics(), held_by_sdo=self._held_by_sdo)
             link.close()
+
+
+class Release:
+    """The end of a session: the drive without power, the slide at rest, and both confirmed.
+
+    It looks without the run's clock, which no longer waits after a stop. No PDO is confirmed, so a
+    drive that goes on after a quick stop is asked again at each look, then by SDO and by the end of
+    the PC's heartbeat, then to take its power away. One without power may still roll: it counts as
+    held only when its positions stand for a dwell, or where they stood before.
+
+    A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301,
+    1029h). It then sends and obeys no PDO, but it answers SDO: the same values are read and the
+    same control words are written that way.
+    """
+
+    def __init__(
+        self,
+        link: CanLink,
+        image: ProcessImage,
+        sdo: SdoChannel,
+        windows: Windows,
+        *,
+        watch: NodeWatch,
+        rest: Rest | None,
+    ) -> None:
+        """``watch`` is that of the drive; ``rest`` is where its slide is known to stand."""
+        self._link, self._image, self._sdo = link, image, sdo
+        self._windows, self._watch, self._rest = windows, watch, rest
+        self._standstill = Standstill(windows)
+        self._unheard = 0  # looks at a drive that goes on, though it was asked to stop
+        self.by_sdo = watch.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
+        self._began_s, self._looks = time.monotonic(), 0  # of asking this way
+
+    def leave_held(self) -> None:
+        """Return when the drive has no power and the slide stands; raises `DeviceError`."""
+        limit_s = RELEASE_S + 2 * self._windows.dwell_s
+        patience, had_power = Patience(limit_s, SILENT_S), True
+        while True:
+            now = self._answer(patience)
+            powered = now.powered or now.state is State.UNKNOWN
+            if had_power and not powered:
+                patience, had_power = Patience(limit_s, SILENT_S), False  # as long to come to rest
+            if powered:
+                self._take_power(now)
+            elif self._standstill.rest is not None or self._stands_as_before(now):
+                return
+            if patience.over():
+                found = "the drive keeps its power" if powered else "the slide does not rest"
+                raise DeviceError(
+                    "HC-R37",
+                    DEVICE,
+                    "close",
+                    f"{found}: {now.state.value}, speed {now.velocity} counts/s",
+                    wanted=f"held within {limit_s:.0f} s",
+                    act="keep away from the slide; press the E-stop, or switch the drive off",
+                    fields={"state": now.state.value, "waited_s": RELEASE_S},
+                )
+            time.sleep(POLL_S)
+
+    def _stands_as_before(self, now: Snapshot) -> bool:
+        """Whether a slide that was known to stand has not moved since."""
+        windows, rest = self._windows, self._rest
+        return (
+            rest is not None
+            and abs(now.velocity) <= windows.speed
+            and abs(now.position - rest.position) <= windows.spread
+        )
+
+    def _take_power(self, now: Snapshot) -> None:
+        windows, passed_s = self._windows, time.monotonic() - self._began_s
+        # A busy PC looks seldom: until it has looked as often as rest needs, time tells nothing.
+        # These looks fit into the deadline, however slow: a slide that creeps is always braked.
+        restless = passed_s > 2 * windows.dwell_s and self._looks >= READINGS
+        if self._standstill.rest is not None:
+            self._control(Control.DISABLE_VOLTAGE)
+        elif now.state in cia.BRAKING:
+            self._unheard = 0
+        elif not abs(now.velocity) <= windows.speed or restless:
+            self._unheard += 1
+            last = self._unheard > 2 * HEARD
+            self._control(Control.DISABLE_VOLTAGE if last else Control.QUICK_STOP)
+            if self._unheard > HEARD:
+                self._stop_by_all_ways()
+
+    def _control(self, controlword: int) -> None:
+        if self.by_sdo:
+            try:
+                self._sdo.command(Object.CONTROLWORD, 0, controlword)
+            except DeviceError:
+                self._link.check()
+                return  # the next poll shows that the drive has kept its power
+        elif controlword == Control.QUICK_STOP:
+            self._image.quick_stop()
+        else:
+            self._image.control(controlword)
+
+    def _stop_by_all_ways(self) -> None:
+        """Stop a drive that does not answer, or does not obey."""
+        self._link.end_heartbeat()
+        if self._watch.state == NodeState.STOPPED:  # it serves no SDO there
+            self._link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, self._watch.node)))
+        self._sdo.post(Object.CONTROLWORD, 0, Control.QUICK_STOP)
+
+    def _answer(self, patience: Patience) -> Snapshot:
+        """Return the next poll that is answered; one that is not proves nothing before the end."""
+        silent: DeviceError | None = None
+        while True:
+            over = patience.over()
+            try:
+                now = self._read_by_sdo() if self.by_sdo else self._image.refresh(go_on)
+            except DeviceError as error:
+                self._link.check()  # a link that is lost brings no answer
+                silent = silent or error
+                if self.by_sdo:
+                    self._stop_by_all_ways()
+                    if over:
+                        raise DeviceError(
+                            silent.code,
+                            DEVICE,
+                            "close",
+                            silent.found,
+                            wanted="a drive that is confirmed held",
+                            act="keep away from the slide, it may move: press the E-stop; then "
+                            "check the drive's power and the bus",
+                            fields=silent.fields,
+                        ) from error
+                self._ask(by_sdo=not self.by_sdo)
+            else:
+                self._standstill.take(now, time.monotonic() - self._began_s)
+                self._looks += 1
+                return now
+
+    def _ask(self, *, by_sdo: bool) -> None:
+        """Change the way of asking: earlier looks prove nothing now."""
+        self.by_sdo = by_sdo
+        self._standstill.forget()
+        self._began_s, self._looks = time.monotonic(), 0
+
+    def _read_by_sdo(self) -> Snapshot:
+        statusword, velocity, position = (
+            self._sdo.read(index, tries=1)
+            for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
+        )
+        return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, self._link.clock.pc_s())

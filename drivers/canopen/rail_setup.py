@@ -10,12 +10,19 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.canopen import cia406
+from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
-from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject, NodeState, state_text
-from drivers.canopen.cia402 import Object, Option
+from drivers.canopen.cia import (
+    NMT,
+    NodeCommand,
+    NodeObject,
+    NodeState,
+    Object,
+    Option,
+    state_text,
+)
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_sensor
-from drivers.canopen.pdo import Mapping as Pdo
+from drivers.canopen.process_image import Mapping as Pdo
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
 from drivers.canopen.slcan_bus import has_long_stamp
 from hilcell.clean import clean
@@ -163,10 +170,10 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
 
 def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
     """Refuse a strip whose step, where it tells one, is not that of the cell file."""
-    wanted_nm = cia406.step_nm(counts_per_mm)
+    wanted_nm = cia.step_nm(counts_per_mm)
     for found_nm, where in (
         (_step(sdo), "6005h"),
-        (sdo.read_if_present(cia406.Object.POSITION_STEP), "6501h"),
+        (sdo.read_if_present(cia.StripObject.POSITION_STEP), "6501h"),
     ):
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
@@ -182,11 +189,11 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
 
 def _step(sdo: SdoChannel) -> int | None:
     """Return 6005h: sub-index 1 of an array, or the plain value."""
-    step = sdo.read_if_present(cia406.Object.MEASURING_STEP, 1)
+    step = sdo.read_if_present(cia.StripObject.MEASURING_STEP, 1)
     if step is not None:
         return step
     try:
-        return int.from_bytes(sdo.read_bytes(cia406.Object.MEASURING_STEP, 0), "little")
+        return int.from_bytes(sdo.read_bytes(cia.StripObject.MEASURING_STEP, 0), "little")
     except Aborted as error:
         if error.abort_code not in ABSENT:
             raise
@@ -286,8 +293,8 @@ def map_strip(sdo: SdoChannel, pdo: Pdo, watch: NodeWatch) -> Pdo:
     was sent before is still in the error register.
     """
     mapped = pdo.configure_most(sdo)
-    supported = sdo.read_if_present(cia406.Object.SUPPORTED_ALARMS)
-    silent = supported is not None and not supported & cia406.POSITION_ERROR
+    supported = sdo.read_if_present(cia.StripObject.SUPPORTED_ALARMS)
+    silent = supported is not None and not supported & cia.POSITION_ERROR
     watch.speaks_for_sensor = silent or mapped is not pdo
     watch.sensor_fails = watch.speaks_for_sensor and doubts_sensor(
         sdo.read(NodeObject.ERROR_REGISTER)

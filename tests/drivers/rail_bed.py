@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from drivers import standstill, supervision
-from drivers.canopen import can_link, drive, rail_setup, release, sdo, slcan_bus
+from drivers.canopen import can_link, drive, rail_setup, sdo, slcan_bus
+from drivers.canopen import rail as canopen_rail
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import Clock, DeviceError
 from tests.drivers.can_peer import CanPeer
@@ -54,12 +55,12 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
         (rail_setup, "FIND_S", 0.5),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),
-        (release, "RELEASE_S", 0.5),
+        (canopen_rail, "RELEASE_S", 0.5),
         (sdo, "REPLY_S", 0.1),
         (sdo, "LATE_S", 0.15),
         (can_link, "PAUSE_S", 0.0),
         (supervision, "time", time),
-        (release, "time", time),
+        (rail, "time", time),
         (slcan_bus, "select", time),
     ):
         monkeypatch.setattr(module, name, value)

@@ -8,9 +8,9 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen import pdo
+from drivers.canopen import process_image
 from drivers.canopen.can_link import Callback, CanLink, LinkTime
-from drivers.canopen.pdo import REPLY_S, Inbox, Mapping, Transmission
+from drivers.canopen.process_image import REPLY_S, Inbox, Mapping, Transmission
 from drivers.supervision import go_on
 from tests.clocks import DrivenClock
 
@@ -51,7 +51,7 @@ def link() -> SlowLink:
 
 @pytest.fixture
 def inbox(link: SlowLink, monkeypatch: pytest.MonkeyPatch) -> Inbox:
-    monkeypatch.setattr(pdo, "POLL_S", 0.0)  # time passes by the link's looks alone
+    monkeypatch.setattr(process_image, "POLL_S", 0.0)  # time passes by the link's looks alone
     return Inbox("Rail", cast("CanLink", link), (PDO,))
 
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.canopen import can_link, pdo
+from drivers.canopen import can_link
 from drivers.canopen.can_link import PAUSE_S, CanLink, LinkTime
+from drivers.canopen.process_image import STALE_S
 from drivers.canopen.rail import CanopenRail
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer
@@ -85,5 +86,5 @@ def test_a_reading_that_has_waited_in_a_late_pc_is_asked_for_again(
         peer.on_sync = lambda: pauses.set() if len(peer.frames(0x080)) == began + 1 else None
         assert rail._image is not None
         reading = rail._image.refresh(lambda: None)
-        assert time.pc_s() - reading.taken_s <= pdo.STALE_S
+        assert time.pc_s() - reading.taken_s <= STALE_S
         assert len(peer.frames(0x080)) == began + 2

@@ -5,7 +5,7 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.pdo import DISABLED, NO_RTR, Mapping, Transmission
+from drivers.canopen.process_image import DISABLED, NO_RTR, Mapping, Transmission
 from drivers.canopen.sdo import SdoChannel
 
 PDO = Mapping(

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.canopen import drive, node_watch, release
-from drivers.canopen.pdo import SYNCS
+from drivers.canopen import drive, node_watch
+from drivers.canopen import rail as canopen_rail
+from drivers.canopen.process_image import SYNCS
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped, StripLost
 from tests.drivers.can_peer import (
@@ -352,7 +353,7 @@ def test_close_says_when_the_power_stays(peer: CanPeer, time: RailTime) -> None:
 def test_close_waits_for_a_drive_that_is_silent_for_a_while(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(release, "RELEASE_S", 60.0)
+    monkeypatch.setattr(canopen_rail, "RELEASE_S", 60.0)
     rail = holding(peer, time)
     peer.ignore.add((0x6041, 0))
     silent = iter(range(2 * SYNCS))  # two polls without an answer, by SDO neither

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers import motion_limits, standstill
-from drivers.canopen import drive, release
+from drivers.canopen import drive
+from drivers.canopen import rail as canopen_rail
 from hilcell.cell.file import load_cell
 from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held
 from tests.drivers.can_peer import DISABLED, DRIVE, ENABLED, CanPeer, u16, u32
@@ -95,7 +96,7 @@ def test_a_long_dwell_is_no_lack_of_progress(
 ) -> None:
     monkeypatch.setattr(standstill, "LONGEST_PAUSE_S", 0.01)
     monkeypatch.setattr(drive, "STALL_S", 0.1)
-    monkeypatch.setattr(release, "RELEASE_S", 0.1)
+    monkeypatch.setattr(canopen_rail, "RELEASE_S", 0.1)
     with connected(peer, time, standstill_dwell_s=0.3) as rail:
         rail.move_to(700.0)
         assert rail.settle().still

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.cia301 import NodeState
+from drivers.canopen.cia import NodeState
 from drivers.canopen.rail import CanopenRail
 from hilcell.run.stopping import close_all
 from tests.drivers.rail_bed import soon

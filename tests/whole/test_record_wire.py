@@ -23,7 +23,7 @@ import msgspec
 import pytest
 
 from drivers import strips
-from drivers.canopen import pdo, sdo
+from drivers.canopen import process_image, sdo
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_wire import Exchange, Script, exchanges, landmarks
@@ -69,7 +69,7 @@ def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Never ask a drive or a strip twice because a busy PC was late: it shows another place."""
-    for module in (pdo, sdo, strips):
+    for module in (process_image, sdo, strips):
         monkeypatch.setattr(module, "REPLY_S", 30.0)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from drivers.canopen import release, sdo
+from drivers.canopen import rail, sdo
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.wire.recording import SUFFIX, Piece, read_recording, recordings
@@ -170,7 +170,7 @@ def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path
 @pytest.fixture
 def _nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait shortly where a recording has ended."""
-    monkeypatch.setattr(release, "RELEASE_S", 0.2)
+    monkeypatch.setattr(rail, "RELEASE_S", 0.2)
     monkeypatch.setattr(sdo, "LATE_S", 0.05)
 
 

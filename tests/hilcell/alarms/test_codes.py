@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from drivers.canopen import emcy
+from drivers.canopen import cia
 from drivers.leica import emscon
 from fakes.exercises import EXERCISES
 from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of
@@ -82,8 +82,8 @@ def test_every_error_of_a_device_names_its_code_first() -> None:
 
 
 def test_every_error_code_of_a_drive_has_an_alarm() -> None:
-    for code in (*emcy.CODES, *(family << 8 for family in emcy.FAMILIES), 0x1234):
-        assert entry_of(emcy.alarm(code)).specific
+    for code in (*cia.ERRORS, *(family << 8 for family in cia.FAMILIES), 0x1234):
+        assert entry_of(cia.error_alarm(code)).specific
 
 
 def test_an_error_code_raises_the_alarm_of_its_family() -> None:
@@ -93,7 +93,7 @@ def test_an_error_code_raises_the_alarm_of_its_family() -> None:
         0x8500: "HC-R26", 0x8611: "HC-R26", 0x8612: "HC-R32", 0x1000: "HC-R27",
         0x7122: "HC-R27", 0x0000: "HC-R27",
     }  # fmt: skip
-    assert {code: emcy.alarm(code) for code in known} == known
+    assert {code: cia.error_alarm(code) for code in known} == known
 
 
 def test_every_status_of_the_tracker_has_an_alarm() -> None:
