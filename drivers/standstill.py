@@ -29,6 +29,7 @@ DEVICE = "Rail"
 POLL_S = 0.02
 SETTLE_S = 10.0  # wire deadline, beside the dwell
 STRIP_TRIES = 3  # dwells
+STRIP_SPREAD_MM = 0.02  # at rest
 READINGS = 5  # at least, of one dwell; the reading is their median
 HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
 LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
@@ -302,6 +303,11 @@ class Standing(Generic[P]):
             act="the slide creeps or the strip's head is loose; check, then resume",
             fields={"strip_mm": strip_mm, "speed_mm_s": speed_mm_s, "waited_s": SETTLE_S},
         )
+
+
+def strip_spread(counts_per_mm: float) -> int:
+    """Return the window of a strip at rest, in counts: one about the middle at least."""
+    return max(2, round(STRIP_SPREAD_MM * counts_per_mm))
 
 
 def check_travel(position_mm: float, lowest_mm: float, highest_mm: float) -> None:

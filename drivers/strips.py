@@ -42,6 +42,8 @@ from hilcell.wire.channel import parse_channel
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
 
 CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more
+Positive = Annotated[float, Meta(gt=0)]
+Node = Annotated[int, Meta(ge=1, le=127)]
 U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
@@ -54,7 +56,7 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     serial: U32 = 0  # of the sensor; 0: any
     interface: Interface = "slcan"  # from here on: of a CAN bus
     bitrate: int = 500_000
-    node: Annotated[int, Meta(ge=1, le=127)] = 6
+    node: Node = 6
     vendor: U32 = 0x484
     product: U32 = 0x406
 
@@ -150,8 +152,6 @@ def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
 
 REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
 ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
-POSITION = re.compile(r"[+-]\d{6,9}")
-REGISTER = re.compile(r"0x[0-9a-fA-F]{2}")
 _BITS = {
     0: "the head is too far from the strip",
     1: "the absolute value is not plausible",
@@ -193,9 +193,9 @@ class SerialStrip:
         """Return counts and alarms; the alarms are asked for after the counts."""
         self._check = check
         check()
-        counts = int(self._ask("Z", POSITION))
+        counts = int(self._ask("Z", r"[+-]\d{6,9}"))
         check()
-        return counts, int(self._ask("X", REGISTER), 16)
+        return counts, int(self._ask("X", r"0x[0-9a-fA-F]{2}"), 16)
 
     def alarm_text(self, alarms: int) -> str:
         """Return the bits of the system register in words."""
@@ -217,7 +217,7 @@ class SerialStrip:
 
     def _identify(self, address: str) -> Identity:
         model, firmware = self._ask("A0"), self._ask("A1")
-        serial = self._ask("A2", re.compile(r"\d{1,10}")).lstrip("0")
+        serial = self._ask("A2", r"\d{1,10}").lstrip("0")
         if self._options.serial and serial != str(self._options.serial):
             raise DeviceRefused(
                 "HC-R08",
@@ -231,7 +231,7 @@ class SerialStrip:
         simulated = says_simulated(model)
         return Identity(DEVICE, model, serial, address, simulated, "strip", "", firmware)
 
-    def _ask(self, command: str, form: re.Pattern[str] | None = None) -> str:
+    def _ask(self, command: str, form: str = ".*") -> str:
         """Return the answer to a command; raises `DeviceError` for none, or one of another form."""
         if (lines := self._lines) is None:
             raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
@@ -240,7 +240,7 @@ class SerialStrip:
         if answer is None:
             raise lines.link.broken(command, f"the strip sensor did not answer in {REPLY_S:.1f} s")
         text = answer.removesuffix(">")
-        if text == answer or (form is not None and not form.fullmatch(text)):
+        if text == answer or not re.fullmatch(form, text):
             self._bad += 1
             raise DeviceError(
                 "HC-S13",
@@ -276,8 +276,8 @@ class CanopenStrip:
         """Open the bus, verify the sensor, and have it send its counts on SYNC."""
         self._statistics = LinkStatistics()
         options = self._options
-        bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
-        self._link = CanLink(DEVICE, bus, self._clock)
+        bus = open_bus(options.interface, options.channel, options.bitrate)
+        self._link = CanLink(bus, self._clock)
         with on_failure(self.close):
             return self._set_up(self._link)
 
@@ -313,9 +313,9 @@ class CanopenStrip:
 
     def _set_up(self, link: CanLink) -> Identity:
         options, check = self._options, self._clock.check
-        sdo = open_channel(DEVICE, link, options.node, "strip.eds", check)
-        watch = NodeWatch(DEVICE, link, options.node, in_pdo=cia.SENSOR_ERRORS)
-        inbox = Inbox(DEVICE, link, (self._pdo,), SYNCS)
+        sdo = open_channel(link, options.node, "strip.eds", check)
+        watch = NodeWatch(link, options.node, in_pdo=cia.SENSOR_ERRORS)
+        inbox = Inbox(link, (self._pdo,), SYNCS)
         expected = Expected(
             "strip",
             options.node,

@@ -17,6 +17,7 @@ from hilcell.ports import Clock, DeviceError
 
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
+LIFE_S = 1.5  # of a program without a sign of life: the PC reports first that it is late
 ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
 

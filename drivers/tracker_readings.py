@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from msgspec import Meta
 
 from drivers.wires.tcp import Alarms
 from hilcell.ports import Array, DeviceError, DeviceRefused, NoReading
 
 DEVICE = "Tracker"
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
+BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
+Positive = Annotated[float, Meta(gt=0)]
 
 
 def no_reading(

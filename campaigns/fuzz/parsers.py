@@ -160,7 +160,7 @@ def sdo_replies(data: bytes) -> None:
     sdo.POLL_S = 0.0
     node = canopen.RemoteNode(DRIVE, _objects())
     link = cast("CanLink", SimpleNamespace(time=_Time(), check=lambda: None))
-    channel = SdoChannel("Rail", DRIVE, node, link, lambda: None)
+    channel = SdoChannel(DRIVE, node, link, lambda: None)
     network = _Replies(data)
     network.client = channel._client
     channel._client.network = cast("canopen.Network", network)
@@ -189,7 +189,7 @@ def can_frames(data: bytes) -> None:
     link.network, link._malformed = cast("Any", canopen.Network()), 0
     link.time = cast("Any", _Time())
     link._beat_s, link._pause_s, link._paused_s = None, 0.0, 0.0
-    watch = NodeWatch("Rail", link, DRIVE)
+    watch = NodeWatch(link, DRIVE)
     watch.state = NodeState.OPERATIONAL
     watch.arm()
     bus._bytes = data

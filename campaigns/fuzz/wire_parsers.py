@@ -64,11 +64,7 @@ def documents(data: bytes) -> None:
     """States of EthernetKRL: command -7 is answered, then the next one by what is left."""
     channel = object.__new__(EkiChannel)
     channel.attend = lambda: None
-    channel._device, channel._root, channel._link = (
-        "Robot",
-        eki.STATE,
-        cast("Any", Wire(data)),
-    )
+    channel._root, channel._link = eki.STATE, cast("Any", Wire(data))
     channel._lock, channel._received, channel._dead = threading.Lock(), b"", ""
     for number in (ASKED, ASKED - 1):
         state = channel.ask(number, eki.command(number, eki.Kind.ASK))

@@ -18,6 +18,7 @@ import canopen
 
 from drivers.canopen.cia import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
+from drivers.standstill import DEVICE
 from drivers.wires.link import system_words
 from hilcell.ports import Clock, DeviceError, LinkStatistics
 
@@ -65,7 +66,7 @@ def heartbeat_period_s(bitrate: int) -> float:
     return max(HEARTBEAT_PERIOD_S, 2500 / bitrate)  # on a slow bus, 65 of so many bits
 
 
-def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
+def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     """Open the bus; raises `DeviceError`."""
     try:
         if interface == "slcan":
@@ -74,7 +75,7 @@ def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.Bus
     except (can.CanError, OSError, ValueError) as error:
         raise DeviceError(
             "HC-R04",
-            device,
+            DEVICE,
             "connect",
             f"{interface} {channel}: {system_words(error)}",
             act="check the CAN gateway, its cable and rail.options",
@@ -107,8 +108,8 @@ class _Network(canopen.Network):
 class CanLink:
     """A bus with its canopen network, receiving in a thread of its own."""
 
-    def __init__(self, device: str, bus: can.BusABC, clock: Clock) -> None:
-        self.device, self.clock = device, clock
+    def __init__(self, bus: can.BusABC, clock: Clock) -> None:
+        self.clock = clock
         self.network = _Network(bus, self.check, self._fail)
         self.time = LinkTime(clock)
         self._frames = self._malformed = 0
@@ -133,7 +134,7 @@ class CanLink:
         if self._failure:
             raise LinkLost(
                 "HC-R01",
-                self.device,
+                DEVICE,
                 "CAN",
                 f"link lost: {self._failure}",
                 act="check the gateway, the cable and the terminators, then resume",

@@ -11,17 +11,13 @@ import struct
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import NodeState, state_text
+from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
 PC_HEARTBEAT_LIMIT_MS = 1000
 HEARTBEAT_AGE_S = 1.0  # of link time
 GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 _ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"
-_PC_ADVICE = (
-    "give the engine a PC of its own, or end what keeps this one busy; resume; "
-    "home the rail after a reset of its drive"
-)
-_EMCY = struct.Struct("<HB5s")
 
 
 def doubts_sensor(register: int) -> bool:
@@ -39,12 +35,12 @@ class NodeWatch:
     `sensor_fails` says where no PDO has it: neither is a failure here.
     """
 
-    def __init__(self, device: str, link: CanLink, node: int, in_pdo: int | None = None) -> None:
+    def __init__(self, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
         self.sensor_fails = False  # from an emergency of that family on, until it is gone
         self.speaks_for_sensor = False  # which has no alarms of its own
         self.node, self._in_pdo = node, in_pdo
-        self._device, self._link = device, link
+        self._link = link
         self._heard_s = 0.0
         self._set_up = self._armed = False
         self._code = self._failure = self._act = ""
@@ -70,7 +66,7 @@ class NodeWatch:
         if self._failure:
             raise DeviceError(
                 self._code,
-                self._device,
+                DEVICE,
                 operation,
                 self._failure,
                 act=self._act,
@@ -92,7 +88,7 @@ class NodeWatch:
             self._fail("HC-R03", f"node {self.node}: unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
-        code, register, _vendor = _EMCY.unpack(data)
+        code, register, _vendor = struct.unpack("<HB5s", data)
         if code >> 8 == self._in_pdo:
             self.sensor_fails = True
         elif not cia.is_error(code):  # one is gone; the register has those that are left
@@ -108,7 +104,11 @@ class NodeWatch:
             else:
                 late = f"PC late: its heartbeat paused for {pause_s:.1f} s"
                 reports = f"so node {self.node} reports {cia.error_text(code)}"
-                self._fail("HC-R44", f"{late}, {reports}", _PC_ADVICE)
+                act = (
+                    "give the engine a PC of its own, or end what keeps this one busy; resume; "
+                    "home the rail after a reset of its drive"
+                )
+                self._fail("HC-R44", f"{late}, {reports}", act)
 
     def _fail(self, code: str, found: str, act: str = _ADVICE) -> None:
         if not self._failure:

@@ -123,10 +123,8 @@ class Mapping:
 class Inbox:
     """The last values of some TPDOs, and how often and when each came."""
 
-    def __init__(
-        self, device: str, link: CanLink, pdos: tuple[Mapping, ...], syncs: int = SYNCS
-    ) -> None:
-        self._device, self._link, self._syncs = device, link, syncs
+    def __init__(self, link: CanLink, pdos: tuple[Mapping, ...], syncs: int = SYNCS) -> None:
+        self._link, self._syncs = link, syncs
         self._changed = threading.Condition()
         self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
         self._values: dict[int, tuple[int, ...]] = {}
@@ -164,7 +162,7 @@ class Inbox:
         if not missing:
             raise DeviceError(
                 "HC-R39",
-                self._device,
+                DEVICE,
                 "read",
                 f"PC late: {self._syncs} readings in a row waited here for over {STALE_S:.1f} s",
                 act="give the engine a PC of its own, or end other programs on it; then resume",
@@ -172,7 +170,7 @@ class Inbox:
             )
         raise DeviceError(
             "HC-R07",
-            self._device,
+            DEVICE,
             "read",
             f"no fresh TPDO {', '.join(missing)} within {self._syncs} SYNCs",
             act="check the nodes' power and the bus load, then resume",
@@ -291,7 +289,7 @@ class ProcessImage:
         self.strip = strip_mapping(strip_node)
         self._other_strip, self._strip_watch = other_strip, strip_watch
         pdos = (self.status, self.motion)
-        self._inbox = Inbox(DEVICE, link, pdos if other_strip else (*pdos, self.strip))
+        self._inbox = Inbox(link, pdos if other_strip else (*pdos, self.strip))
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:
         """Return the values of drive and strip at a SYNC sent now."""

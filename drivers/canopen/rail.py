@@ -25,15 +25,31 @@ from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standstill import DEVICE, READINGS, Rest, Standstill, Windows, check_travel
-from drivers.strips import CountsPerMm, StripFeed, StripOptions, strip_of, summed
+from drivers.standstill import (
+    DEVICE,
+    READINGS,
+    Rest,
+    Standstill,
+    Windows,
+    check_travel,
+    strip_spread,
+)
+from drivers.strips import (
+    U32,
+    CountsPerMm,
+    Node,
+    Positive,
+    StripFeed,
+    StripOptions,
+    strip_of,
+    summed,
+)
 from drivers.supervision import Patience, Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
 WINDOW_MM = 0.05
-STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 LARGEST_COUNT = 2**31 - 1
 RELEASE_S = 5.0  # wire deadline, beside two dwells
@@ -41,10 +57,6 @@ SILENT_S = 1.0  # more than a poll takes that nothing answers
 POLL_S = 0.02
 HEARD = 5  # looks within which a drive shows that it obeys
 NO_STRIP = -1  # alarms: SDO asks the drive alone
-
-Positive = Annotated[float, Meta(gt=0)]
-Node = Annotated[int, Meta(ge=1, le=127)]
-U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
 class CanopenRail:
@@ -110,8 +122,8 @@ class CanopenRail:
         """Open the bus, verify both nodes, configure PDOs and the self-stop; nothing moves."""
         self._close_link()
         options = self._options
-        bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
-        self._link = CanLink(DEVICE, bus, self._clock)
+        bus = open_bus(options.interface, options.channel, options.bitrate)
+        self._link = CanLink(bus, self._clock)
         with on_failure(self._close_link):
             return self._set_up(self._link)
 
@@ -168,12 +180,12 @@ class CanopenRail:
     def _set_up(self, link: CanLink) -> list[Identity]:
         options = self._options
         check = self._clock.check
-        drive_sdo = open_channel(DEVICE, link, options.drive_node, "drive.eds", check)
+        drive_sdo = open_channel(link, options.drive_node, "drive.eds", check)
         strip_sdo, of_strip, feed = None, None, self._feed
-        self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
+        self._watches = (NodeWatch(link, options.drive_node),)
         if feed is None:
-            strip_sdo = open_channel(DEVICE, link, options.strip_node, "strip.eds", check)
-            of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia.SENSOR_ERRORS)
+            strip_sdo = open_channel(link, options.strip_node, "strip.eds", check)
+            of_strip = NodeWatch(link, options.strip_node, in_pdo=cia.SENSOR_ERRORS)
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
         image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
@@ -279,7 +291,7 @@ class CanopenRail:
             windows=Windows(
                 speed=max(1.0, options.standstill_speed_mm_s * scale),
                 spread=max(2, round(options.standstill_window_mm * scale)),
-                strip_spread=max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * of_strip)),
+                strip_spread=strip_spread(of_strip),
                 dwell_s=options.standstill_dwell_s,
             ),
         )
@@ -315,7 +327,7 @@ class CanopenRail:
             return  # the first failure, which is being raised, is the one to report
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
-        sdo = open_channel(DEVICE, link, self._options.drive_node, "drive.eds", go_on)
+        sdo = open_channel(link, self._options.drive_node, "drive.eds", go_on)
         watch, rest = self._watches[0], self._used().standing.rest
         release = Release(link, image, sdo, self._limits().windows, watch=watch, rest=rest)
         release.leave_held()

@@ -25,6 +25,7 @@ from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_
 from drivers.canopen.process_image import Mapping as Pdo
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
 from drivers.canopen.slcan_bus import has_long_stamp
+from drivers.standstill import DEVICE
 from hilcell.clean import clean
 from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
 
@@ -108,7 +109,7 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
                     act = "switch the gateway's time stamps off: it sends them with 32 bits"
                 raise DeviceError(
                     "HC-R05",
-                    "Rail",
+                    DEVICE,
                     "connect",
                     f"node {expected.node} ({expected.name}) does not answer{losses}",
                     wanted=f"an answer within {FIND_S:.0f} s",
@@ -134,7 +135,7 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
         if wanted and found != wanted:
             raise DeviceRefused(
                 "HC-R08",
-                "Rail",
+                DEVICE,
                 "connect",
                 f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
                 wanted=f"0x{wanted:X}",
@@ -157,7 +158,7 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     revision = sdo.read_if_present(NodeObject.IDENTITY, 3)  # major above, minor below (7.5.2.19)
     firmware = "" if revision is None else f"revision {revision >> 16}.{revision & 0xFFFF}"
     return Identity(
-        "Rail",
+        DEVICE,
         model,
         str(serial),
         where,
@@ -178,7 +179,7 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
                 "HC-S07",
-                "Rail",
+                DEVICE,
                 "connect",
                 f"strip step ({where}) is {found_nm} nm",
                 wanted=f"{wanted_nm} nm",
@@ -319,7 +320,7 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], check: Callable[[],
             states = ", ".join(f"node {w.node} is {state_text(w.state)}" for w in waiting)
             raise DeviceError(
                 "HC-R10",
-                "Rail",
+                DEVICE,
                 "connect",
                 f"nodes do not start: {states}",
                 wanted=f"{state_text(NodeState.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",

@@ -22,6 +22,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.can_link import CanLink
+from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
@@ -37,11 +38,11 @@ ABSENT = frozenset({0x06020000, 0x06090011, 0x08000024})
 class Aborted(DeviceError):
     """The node refused; ``abort_code`` is that of CiA 301, table 22."""
 
-    def __init__(self, device: str, operation: str, error: SdoAbortedError) -> None:
+    def __init__(self, operation: str, error: SdoAbortedError) -> None:
         self.abort_code = error.code
         super().__init__(
             "HC-R09",
-            device,
+            DEVICE,
             operation,
             f"SDO abort {str(error).removeprefix('Code ')}",
             act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
@@ -56,7 +57,7 @@ class Unsupported(DeviceError):
         """``what`` is the object, with its value and what it is for."""
         super().__init__(
             "HC-R09",
-            refusal.device,
+            DEVICE,
             refusal.operation,
             f"not supported: {what}; {refusal.found}",
             wanted="what docs/hardware.md says that a device must have",
@@ -107,13 +108,12 @@ class SdoChannel:
 
     def __init__(
         self,
-        device: str,
         number: int,
         node: RemoteNode,
         link: CanLink,
         check: Callable[[], None],
     ) -> None:
-        self._device, self._number = device, number
+        self._number = number
         self._link, self._check = link, check
         self._objects = node.object_dictionary
         self._lock = threading.Lock()
@@ -159,7 +159,7 @@ class SdoChannel:
         if found != value:
             raise DeviceError(
                 "HC-R09",
-                self._device,
+                DEVICE,
                 operation,
                 f"reads back as {found}",
                 wanted=str(value),
@@ -219,12 +219,12 @@ class SdoChannel:
                     return self._once(transfer)
                 except SdoAbortedError as error:
                     self._tainted = False  # a refusal is an answer
-                    raise Aborted(self._device, operation, error) from error
+                    raise Aborted(operation, error) from error
                 except SdoCommunicationError as error:
                     reason = str(error)
         raise DeviceError(
             "HC-R06",
-            self._device,
+            DEVICE,
             operation,
             f"node {self._number}: {reason}, {tries} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
@@ -250,7 +250,7 @@ class SdoChannel:
         if self._doubles >= DOUBLES:
             raise DeviceError(
                 "HC-R45",
-                self._device,
+                DEVICE,
                 "ask",
                 f"node {self._number} has answered {self._doubles} questions in a row twice",
                 wanted="one answer",
@@ -302,12 +302,10 @@ def _name(index: int, sub: int) -> str:
     return f"{index:04X}h:{sub:02X}"
 
 
-def open_channel(
-    device: str, link: CanLink, node: int, eds: str, check: Callable[[], None]
-) -> SdoChannel:
+def open_channel(link: CanLink, node: int, eds: str, check: Callable[[], None]) -> SdoChannel:
     """Return the channel to a node of a link, typed by one of the EDS files beside the drivers."""
     remote = RemoteNode(node, _objects(eds, node))
-    channel = SdoChannel(device, node, remote, link, check)
+    channel = SdoChannel(node, remote, link, check)
     link.network.add_node(remote)
     return channel
 

@@ -19,6 +19,7 @@ from typing import Generic, Protocol, TypeVar
 
 from drivers.kuka import krl
 from drivers.robot_errors import DEVICE
+from drivers.supervision import LIFE_S
 from hilcell.clean import clean
 from hilcell.ports import Array, DeviceError, DeviceRefused, HilcellError, Stopped
 
@@ -169,7 +170,6 @@ ERRORS = {
     LOST: ("the PC's life sign was late, and the robot has braked by itself", "HC-B43"),
     STOPPED: ("stopped by HC_STOP", "HC-B21"),
 }
-LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
 EVERY_S = 0.2
 TIMER = "$TIMER[10]"
 

@@ -14,8 +14,15 @@ import msgspec
 from msgspec import Meta
 
 from drivers.scale_guard import ScaleGuard
-from drivers.standstill import DEVICE, Standing, Windows, check_travel
-from drivers.strips import StripFeed, StripOptions, strip_of
+from drivers.standstill import (
+    DEVICE,
+    STRIP_SPREAD_MM,
+    Standing,
+    Windows,
+    check_travel,
+    strip_spread,
+)
+from drivers.strips import Positive, StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import (
     Clock,
@@ -27,9 +34,6 @@ from hilcell.ports import (
 )
 
 CYCLE_S = 0.012  # of the controller: within one the place does not change
-STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
-
-Positive = Annotated[float, Meta(gt=0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +75,10 @@ class KukaE1Rail:
         self._robot: ExternalAxis | None = None
         self._strip = StripFeed(strip_of(options.strip, clock))
         per_mm = options.strip.counts_per_mm
-        spread = max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * per_mm))
         windows = Windows(
             speed=options.standstill_speed_mm_s,
             spread=options.standstill_window_mm,
-            strip_spread=spread,
+            strip_spread=strip_spread(per_mm),
             dwell_s=options.standstill_dwell_s,
         )
         self._standing = Standing(

@@ -64,16 +64,15 @@ REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
 DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
 AXIS_TOLERANCE_DEG = 0.005
-STILL = np.array([0.0005] * 6 + [0.01])  # deg, and mm of a slide
-STILL_MM = 0.01
+STILL_DEG, STILL_MM = 0.0005, 0.01
+STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
 ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
 PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
-OVERRIDE, PERCENT = "$OV_PRO", 100
+PERCENT = 100
 SWEEP_PROGRESS_DEG = 0.002
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
 BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
-STILL_DEG = 0.0005
 SWEEP_POLL_S = 0.05  # while the end is waited for
 
 
@@ -475,9 +474,9 @@ class KukaSweep:
         """Set the speed; nothing moves."""
         robot, controller = self._robot, self._robot.wire()
         controller.look()
-        robot.check(*HEALTH, OVERRIDE)
+        robot.check(*HEALTH, "$OV_PRO")
         self._variable, self._round = controller.measured, cycle(controller.rounds)
-        found = integer(controller, OVERRIDE)
+        found = integer(controller, "$OV_PRO")
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = split_speed(share, found)
         self.speed_rad_s = float(
@@ -532,9 +531,9 @@ class KukaSweep:
             return
         names = next(self._round)
         self._robot.check_round(names, self._limits, self._number)
-        if OVERRIDE not in names:
+        if "$OV_PRO" not in names:
             return
-        if (found := integer(self._robot.wire(), OVERRIDE)) != self._override:
+        if (found := integer(self._robot.wire(), "$OV_PRO")) != self._override:
             raise DeviceError(
                 "HC-B40",
                 DEVICE,

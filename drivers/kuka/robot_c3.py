@@ -101,9 +101,8 @@ def decode_body(tag: int, body: bytes) -> Reply:
 class C3Connection:
     """One connection, one request in flight; a lock lets a keep-alive share it."""
 
-    def __init__(self, device: str, host: str, port: int, check: Callable[[], None]) -> None:
-        self._link = TcpLink(device, host, port, check, ALARMS)
-        self._device = device
+    def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
+        self._link = TcpLink(DEVICE, host, port, check, ALARMS)
         self._lock = threading.Lock()
         self._tag = 0
         self._received = b""
@@ -150,7 +149,7 @@ class C3Connection:
         if not reply.ok:
             raise DeviceError(
                 "HC-B03",
-                self._device,
+                DEVICE,
                 operation,
                 f"refused with error {reply.error}",
                 act="is the variable declared, and the controller up? see docs/hardware.md",
@@ -269,7 +268,7 @@ class C3Controller(C3Access):
     ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
 
     def __init__(self, options: KukaC3Robot.Options, robot: SlidingKukaRobot) -> None:
-        self._open = partial(C3Connection, DEVICE, options.host, options.port)
+        self._open = partial(C3Connection, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION}
         super().__init__(self._open(robot.attend))

@@ -35,7 +35,6 @@ from drivers.kuka import krl
 from drivers.kuka.controller import (
     AXES,
     HEALTH,
-    LIFE_S,
     PROGRAM_VERSION,
     PROGRESS,
     SLIDE,
@@ -47,7 +46,7 @@ from drivers.kuka.controller import (
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.robot import KukaOptions
 from drivers.robot_errors import ALARMS, DEVICE
-from drivers.supervision import Patience, go_on, on_failure
+from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from drivers.wires.tcp import POLL_S, TcpLink
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError
@@ -217,13 +216,11 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
 class EkiChannel:
     """One connection, one command in flight; a lock lets a keep-alive share it."""
 
-    def __init__(
-        self, device: str, host: str, port: int, root: str, attend: Callable[[], None]
-    ) -> None:
+    def __init__(self, host: str, port: int, root: str, attend: Callable[[], None]) -> None:
         """``root`` is that of the answers; ``attend`` runs in every wait."""
         self.attend = attend
-        self._device, self._root = device, root
-        self._link = TcpLink(device, host, port, self._attend, ALARMS)
+        self._root = root
+        self._link = TcpLink(DEVICE, host, port, self._attend, ALARMS)
         self._lock = threading.Lock()
         self._received = b""
         self._dead = ""
@@ -282,7 +279,7 @@ class EkiChannel:
             self._dead = str(error)
             raise DeviceError(
                 "HC-B49",
-                self._device,
+                DEVICE,
                 operation,
                 f"{self._link.address}: {error}",
                 wanted=f"a document <{self._root}>",
@@ -292,14 +289,14 @@ class EkiChannel:
 
 
 def open_channel(
-    device: str, host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
+    host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
 ) -> EkiChannel:
     """Return a channel that has answered ``probe``, of Id 0; raises `DeviceError`."""
     patience, over = Patience(OPEN_S, OPEN_S), False
     while True:
         channel = None
         try:
-            channel = EkiChannel(device, host, port, root, attend)
+            channel = EkiChannel(host, port, root, attend)
             channel.ask(0, probe)
         except BaseException as error:
             if channel is not None:
@@ -324,7 +321,7 @@ class EkiController:
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": DOCUMENTS_VERSION}
-        opened = partial(open_channel, DEVICE, options.host)
+        opened = partial(open_channel, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(LARGEST_ID)
         self._state: State | None = None

@@ -387,7 +387,6 @@ def _text(field: bytes) -> str:
 
 SHARE = 1e-6
 SCALE_SHARE = 1e-9
-CLOSE = "another program holds the tracker? close it, then resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -493,7 +492,7 @@ class EmsconSettings:
                 f"set {setting.name}",
                 f"reads back as {found}",
                 wanted=f"{values}",
-                act=CLOSE,
+                act="another program holds the tracker? close it, then resume",
                 setting=setting.name,
                 read=found,
                 written=values,

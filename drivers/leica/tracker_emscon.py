@@ -36,7 +36,9 @@ from drivers.leica.emscon import (
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
+    BUSY_PAUSE_S,
     DEVICE,
+    Positive,
     another_tracker,
     checked_order,
     misplaced,
@@ -62,11 +64,9 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
-BUSY_PAUSE_S = 0.1
 SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 
 T = TypeVar("T")
-Positive = Annotated[float, Meta(gt=0)]
 
 
 class LeicaEmsconTracker:

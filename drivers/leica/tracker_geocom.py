@@ -27,7 +27,9 @@ from msgspec import Meta
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
+    BUSY_PAUSE_S,
     DEVICE,
+    Positive,
     another_tracker,
     check_reflector,
     checked_order,
@@ -303,14 +305,11 @@ def class_std_mm(xyz_mm: Array, along_mm: float, across_rad: float) -> Array:
     return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
 
 
-BUSY_PAUSE_S = 0.1
 DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
 SETTING_SHARE = 1e-6
 NOWHERE_MM = np.full(3, np.nan)
 TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
 CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
-
-Positive = Annotated[float, Meta(gt=0)]
 
 
 class LeicaGeocomTracker:

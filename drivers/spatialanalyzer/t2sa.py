@@ -172,7 +172,10 @@ class T2saBridge:
                 break
             self._clock.wait(BUSY_PAUSE_S)
         if not reply.accepted:
-            raise _failed(command, reply)
+            alarm, _ = CODES.get(reply.code, UNKNOWN)
+            kind = NoReading if command.startswith(MEASURE) and alarm in AGAIN else DeviceError
+            act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
+            raise kind(alarm, DEVICE, _spoken(command), reply.found, act=act, fields=fields)
         return reply
 
     def position(self, command: str, path: str) -> Array:
@@ -245,14 +248,6 @@ class T2saBridge:
 
 def _limit_s(command: str) -> float:
     return MEASURE_S if command.startswith(MEASURE) else REPLY_S
-
-
-def _failed(command: str, reply: Reply) -> DeviceError:
-    """Return the error of a refused request."""
-    alarm, _ = CODES.get(reply.code, UNKNOWN)
-    kind = NoReading if command.startswith(MEASURE) and alarm in AGAIN else DeviceError
-    act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
-    return kind(alarm, DEVICE, _spoken(command), reply.found, act=act, fields=fields)
 
 
 def _spoken(command: str) -> str:

@@ -30,6 +30,7 @@ from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
     DEVICE,
+    Positive,
     check_reflector,
     checked_order,
     misplaced,
@@ -59,7 +60,6 @@ MAKE_LIST = "write a list by python -m drivers.spatialanalyzer.t2sa_points, impo
 REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
 
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
-Positive = Annotated[float, Meta(gt=0)]
 
 
 class T2saTracker:
@@ -224,10 +224,11 @@ class T2saTracker:
             found_mm = bridge.position(POSITION, self._path(name))
             if not float(np.linalg.norm(found_mm - listed_mm)) <= SAME_MM:
                 form = t2sa.other_form(found_mm, np.full(3, np.nan), listed_mm, SAME_MM)
+                form = form and f" {form}"
                 raise refused(
                     "HC-T73",
                     "compare points",
-                    f"point {name} is at {_shown(found_mm)} in SpatialAnalyzer{_in(form)}",
+                    f"point {name} is at {_shown(found_mm)} in SpatialAnalyzer{form}",
                     wanted=f"{_shown(listed_mm)} mm as in {clean(self._options.points)}",
                     act="set mm and the tracker's frame as working frame, or import the list again",
                     point=name,
@@ -254,7 +255,7 @@ class T2saTracker:
                     "HC-T77",
                     DEVICE,
                     "measure",
-                    f"the result {_shown(xyz_mm)} is{_in(form)}",
+                    f"the result {_shown(xyz_mm)} is {form}",
                     wanted="a position in mm",
                     act="set mm in SpatialAnalyzer, then resume",
                     fields={"xyz": xyz_mm.tolist(), "form": form},
@@ -327,7 +328,3 @@ def _read(points: str) -> NamedPoints:
 
 def _shown(xyz_mm: Array) -> str:
     return "(" + ", ".join(f"{each:.3f}" for each in xyz_mm) + ")"
-
-
-def _in(form: str) -> str:
-    return f" {form}" if form else ""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from drivers.robot_errors import ALARMS, DEVICE
 from drivers.supervision import Patience, on_failure
-from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
 from hilcell.clean import clean
 from hilcell.ports import DeviceError
@@ -21,11 +22,9 @@ GREETING = "Connected: Universal Robots Dashboard Server"
 class Dashboard:
     """One connection; ``ask`` from one thread, ``send`` from any."""
 
-    def __init__(
-        self, device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
-    ) -> None:
+    def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
         try:
-            self._link = TcpLink(device, host, port, check, alarms)
+            self._link = TcpLink(DEVICE, host, port, check, ALARMS)
         except DeviceError as error:
             if isinstance(error.__cause__, ConnectionRefusedError):  # the controller itself answers
                 error.act = (

@@ -339,7 +339,7 @@ IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
 KEPT = 4096  # packages
 SIZE = 65536
 JOIN_S = 2.0
-MAX_LIFE = MAX_QUESTION = 1_000_000_000
+MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
 
 
 class UrLink:
@@ -360,7 +360,7 @@ class UrLink:
         self._writing, self._life = threading.Lock(), 0
         self._order, self._ending = Order(0, np.zeros(6), 0.0, command=NOTHING), 0
         # The register keeps the last number of the connection before.
-        self._question = secrets.randbelow(MAX_QUESTION) + 1
+        self._question = secrets.randbelow(MAX_NUMBER) + 1
         with on_failure(self._link.close):
             self.version = self._set_up()
         self._thread.start()
@@ -370,7 +370,7 @@ class UrLink:
 
         ``patiently`` waits on when a stop was asked for. Raises `DeviceError`.
         """
-        self._question = self._question % MAX_QUESTION + 1
+        self._question = self._question % MAX_NUMBER + 1
         seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
@@ -415,7 +415,7 @@ class UrLink:
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
         with self._writing:
-            self._life = self._life % MAX_LIFE + 1
+            self._life = self._life % MAX_NUMBER + 1
             self._order = order
             self._write()
 

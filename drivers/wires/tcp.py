@@ -67,7 +67,13 @@ class TcpLink:
                 act="check that the device is on, its cable and its address",
                 fields={"address": self.address},
             ) from error
-        _watch(self._socket)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        probes = {"TCP_KEEPIDLE": KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+        # Not every system names all of these; the deadlines of the reads hold without them.
+        for name, value in (probes | {"TCP_USER_TIMEOUT": UNSENT_MS}).items():
+            if hasattr(socket, name):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket.setblocking(False)  # a wait is a call of its own, and most bytes need none
 
     def send(self, data: bytes, operation: str) -> None:
@@ -135,13 +141,3 @@ def _words(error: OSError | ValueError) -> str:
     """Return the system's words; a socket that this program has closed has no number any more."""
     closed = isinstance(error, ValueError) or error.errno == errno.EBADF
     return "this program has closed the connection" if closed else str(error)
-
-
-def _watch(link: socket.socket) -> None:
-    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    probes = {"TCP_KEEPIDLE": KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
-    # Not every system names all of these; the deadlines of the reads hold without them.
-    for name, value in (probes | {"TCP_USER_TIMEOUT": UNSENT_MS}).items():
-        if hasattr(socket, name):
-            link.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

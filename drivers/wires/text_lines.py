@@ -12,9 +12,6 @@ from drivers.supervision import Patience
 from drivers.wires.link import Link
 
 LONGEST = 4096
-_TEXT = re.compile(rb"[\t\x20-\x7e]*")
-_LETTERS = re.compile(rb"[\t\x20-\x7e\x80-\xff]*")
-_OTHERS = re.compile(rb"[\x80-\xff]")
 
 
 class TextLines:
@@ -33,7 +30,7 @@ class TextLines:
         ``letters``: letters of an unknown encoding may occur; each byte of them becomes a "?".
         """
         self.link = link
-        self._text = _LETTERS if letters else _TEXT
+        self._text = re.compile(rb"[\t\x20-\x7e\x80-\xff]*" if letters else rb"[\t\x20-\x7e]*")
         self._end, self._split = end, re.compile(split)
         self._bytes = b""
 
@@ -54,7 +51,7 @@ class TextLines:
                         "receive", f"no text: {line[:40]!r}; is the baud rate right?"
                     )
                 if line.strip():
-                    return _OTHERS.sub(b"?", line).decode("ascii").strip()
+                    return re.sub(rb"[\x80-\xff]", b"?", line).decode("ascii").strip()
             if len(self._bytes) > LONGEST:
                 start = self._bytes[:40]
                 raise self.link.broken("receive", f"a line without an end: {start!r} ..")

@@ -60,7 +60,7 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
         (sdo, "LATE_S", 0.15),
         (can_link, "PAUSE_S", 0.0),
         (supervision, "time", time),
-        (rail, "time", time),
+        (canopen_rail, "time", time),
         (slcan_bus, "select", time),
     ):
         monkeypatch.setattr(module, name, value)

@@ -78,7 +78,7 @@ def asked(*pieces: bytes, check: Callable[[], None] = lambda: None) -> Iterator[
     surprises: list[bytes] = []
     script = [(c3.encode_read(1, "$MODE_OP"), list(pieces))]
     with Server(scripted(script, surprises)) as server:
-        connection = C3Connection("Robot", "127.0.0.1", server.port, check)
+        connection = C3Connection("127.0.0.1", server.port, check)
         with contextlib.closing(connection):
             yield connection
     assert surprises == []
@@ -140,7 +140,7 @@ def test_a_stop_ends_the_wait_for_a_reply_and_the_connection_is_not_used_again(
 
 def test_a_closed_server_is_an_error(time: WireTime) -> None:
     with Server(lambda connection: connection.close()) as server:
-        connection = C3Connection("Robot", "127.0.0.1", server.port, time.check)
+        connection = C3Connection("127.0.0.1", server.port, time.check)
         assert code_of(lambda: connection.read("$MODE_OP")) == "HC-B02"
         connection.close()
-    assert code_of(lambda: C3Connection("Robot", "127.0.0.1", server.port, time.check)) == "HC-B01"
+    assert code_of(lambda: C3Connection("127.0.0.1", server.port, time.check)) == "HC-B01"

@@ -115,7 +115,7 @@ def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) ->
         next(asked)
         return attended.is_set()
 
-    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), DrivenClock())
+    link = CanLink(open_bus("slcan", peer.channel, 500_000), DrivenClock())
     link.start_heartbeat(127, attends, can_link.HEARTBEAT_PERIOD_S)
     soon(lambda: next(asked) > 10)  # its own looks count, too
     assert len(peer.frames(BEAT)) <= 1
@@ -162,7 +162,7 @@ def test_a_pause_is_remembered_for_a_while_only(
 ) -> None:
     now = DrivenClock()
     monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
-    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), now)
+    link = CanLink(open_bus("slcan", peer.channel, 500_000), now)
     for pause_s in (0.05, 2.0, 0.05):
         now.at_s += pause_s
         link._send_beat(BEAT)

@@ -25,7 +25,7 @@ class Node:
     def read(self, index: int, sub: int) -> int:
         if (index, sub) == (0x1018, 3):
             if self.revision is None:
-                raise Aborted("Rail", "read 1018h:03", SdoAbortedError(0x06090011))
+                raise Aborted("read 1018h:03", SdoAbortedError(0x06090011))
             return self.revision
         return {1: 0x484, 2: 0x402, 4: 4711}[sub] if index == 0x1018 else 0
 
@@ -37,7 +37,7 @@ class Node:
 
     def read_bytes(self, index: int) -> bytes:
         if index != 0x1008 or self.name is None:
-            raise Aborted("Rail", "read 1008h:00", SdoAbortedError(0x06020000))
+            raise Aborted("read 1008h:00", SdoAbortedError(0x06020000))
         return self.name
 
 

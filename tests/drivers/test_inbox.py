@@ -52,7 +52,7 @@ def link() -> SlowLink:
 @pytest.fixture
 def inbox(link: SlowLink, monkeypatch: pytest.MonkeyPatch) -> Inbox:
     monkeypatch.setattr(process_image, "POLL_S", 0.0)  # time passes by the link's looks alone
-    return Inbox("Rail", cast("CanLink", link), (PDO,))
+    return Inbox(cast("CanLink", link), (PDO,))
 
 
 def asked(link: SlowLink, inbox: Inbox) -> tuple[float, float, float]:

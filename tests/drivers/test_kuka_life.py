@@ -9,7 +9,7 @@ import pytest
 from drivers.kuka import controller
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.robot_c3 import KukaC3Robot
-from drivers.supervision import LATE_S
+from drivers.supervision import LATE_S, LIFE_S
 from tests.drivers.kuka_bed import TARGET_RAD, peer, robot, robot_for, time
 from tests.drivers.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime
@@ -41,7 +41,7 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 def test_signs_cost_five_exchanges_a_second() -> None:
     """A PC that is late reports that itself before the robot brakes."""
     assert controller.EVERY_S == 0.2
-    assert controller.LIFE_S > LATE_S + controller.EVERY_S
+    assert LIFE_S > LATE_S + controller.EVERY_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

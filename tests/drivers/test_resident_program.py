@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import pytest
 
 from drivers.kuka import robot_eki as eki
-from drivers.kuka.controller import AXES, FRAME, LIFE_S, PROGRAM_VERSION, SLIDE, TIMER
+from drivers.kuka.controller import AXES, FRAME, PROGRAM_VERSION, SLIDE, TIMER
+from drivers.supervision import LIFE_S
 from tests.drivers.kuka_peer import VARIABLES
 
 

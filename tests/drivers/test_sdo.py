@@ -35,9 +35,9 @@ def _short_limits(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> None:
 @contextlib.contextmanager
 def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Iterator[SdoChannel]:
     peer.objects[DRIVE].setdefault(PROFILE_VELOCITY, u32(0))
-    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), DrivenClock())
+    link = CanLink(open_bus("slcan", peer.channel, 500_000), DrivenClock())
     try:
-        yield open_channel("Rail", link, DRIVE, "drive.eds", check)
+        yield open_channel(link, DRIVE, "drive.eds", check)
     finally:
         link.close()
 
@@ -50,7 +50,7 @@ def channel(peer: CanPeer) -> Iterator[SdoChannel]:
 
 
 def test_a_gateway_that_is_not_there_is_named_once() -> None:
-    found = refusal(lambda: open_bus("Rail", "slcan", "/dev/no-gateway@115200", 500_000))
+    found = refusal(lambda: open_bus("slcan", "/dev/no-gateway@115200", 500_000))
     assert found.code == "HC-R04"
     assert str(found).count("/dev/no-gateway") == 1
 

@@ -145,7 +145,7 @@ def test_a_gateway_that_refuses_to_open_is_named_whatever_else_it_answers(
         if not opened:
             with pytest.raises(can.CanInitializationError):
                 SlcanBus(channel, 500_000)
-            found = refusal(lambda: open_bus("Rail", "slcan", channel, 500_000))
+            found = refusal(lambda: open_bus("slcan", channel, 500_000))
             assert (found.code, found.fields["bitrate"]) == ("HC-R04", 500_000)
             return
         bus = SlcanBus(channel, 500_000)

@@ -94,19 +94,19 @@ def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatc
 
 
 def stop_by_c3(port: int) -> C3Connection:
-    line = C3Connection("Robot", "127.0.0.1", port, go_on)
+    line = C3Connection("127.0.0.1", port, go_on)
     line.write_unheard("HC_STOP", "TRUE")
     return line
 
 
 def stop_by_eki(port: int) -> EkiChannel:
-    line = EkiChannel("Robot", "127.0.0.1", port, "Robot", go_on)
+    line = EkiChannel("127.0.0.1", port, "Robot", go_on)
     line.send_unheard(b"<Stop/>")
     return line
 
 
 def stop_by_dashboard(port: int) -> Dashboard:
-    line = Dashboard("Robot", "127.0.0.1", port, go_on, ALARMS)
+    line = Dashboard("127.0.0.1", port, go_on)
     line.send("stop")
     return line
 

@@ -52,7 +52,7 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         engine = Engine("run", "rail-survey", "--runs", tmp_path, "--unattended", *words)
         engine.until(lambda event: event.get("action") == "rail.move")
         port = int(cell.addresses["robot"]["port"])
-        line = C3Connection("Robot", "127.0.0.1", port, lambda: None)
+        line = C3Connection("127.0.0.1", port, lambda: None)
         before_mm = float(line.read("$AXIS_ACT.E1"))
         while abs(float(line.read("$AXIS_ACT.E1")) - before_mm) < 1.0:
             pass  # the test's time limit bounds the wait

@@ -67,13 +67,6 @@ MOVES_NOTHING = (
 
 def load_program(path: Path) -> Program:
     """Read a program with the data list beside it; raises `SettingsError`."""
-    data = _data_beside(path)
-    return read_program(
-        path.name, source_text(path, "KRL"), (data.name, source_text(data, "KRL")) if data else None
-    )
-
-
-def _data_beside(path: Path) -> Path | None:
     try:
         found = [
             each
@@ -87,7 +80,10 @@ def _data_beside(path: Path) -> Path | None:
     if len(found) > 1:
         names = ", ".join(sorted(each.name for each in found))
         raise SettingsError(str(path), [f"several data lists beside it: {names}; leave one"])
-    return found[0] if found else None
+    data = found[0] if found else None
+    return read_program(
+        path.name, source_text(path, "KRL"), (data.name, source_text(data, "KRL")) if data else None
+    )
 
 
 def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:

@@ -205,7 +205,10 @@ class Program:
         """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6), in {B}, and a
         remark below its first statement; nothing else differs.
         """
-        edits = [_remark(self.text, remark)] if remark else []
+        edits = list[Edit]()
+        if remark:
+            first = next(statements(self.text))
+            edits.append(line_below(self.text, first.start, f"  # {plain(remark, ASCII)}"))
         for target, position in zip(self.targets, positions, strict=True):
             numbers = list(position[:3] / MM)
             if len(position) > 3:
@@ -231,12 +234,6 @@ def _nearest(position: Array, before_rad: Array) -> list[float]:
     nearer = min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad)))
     found: list[float] = nearer.tolist()
     return found
-
-
-def _remark(text: str, remark: str) -> Edit:
-    line = f"# {plain(remark, ASCII)}"
-    first = next(statements(text))
-    return line_below(text, first.start, f"  {line}")
 
 
 MOTIONS = ("movej", "movel")

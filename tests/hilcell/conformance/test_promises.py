@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka import controller
+from drivers.supervision import LIFE_S
 from hilcell.cell.file import load_cell
 from hilcell.conformance import trial, wire_faults
 from hilcell.conformance.acts import PORTS, Port
@@ -109,7 +109,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
     monkeypatch.setattr(trial, "PACE", 1.5 * trial.PACE)
-    monkeypatch.setattr(wire_faults, "GONE_S", controller.LIFE_S + 0.5)
+    monkeypatch.setattr(wire_faults, "GONE_S", LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 
