@@ -62,14 +62,6 @@ COUNT_S = 1.0  # the script's counter stands no longer
 AXIS_TOLERANCE_RAD = 2e-4
 PROGRESS_DEG = 0.01
 TOOL_MM, TOOL_RAD = 1e-3, 1e-5
-SLOWEST_RAD_S = 1e-4
-SWEEP_PROGRESS_DEG = 0.002
-STILL_RAD_S = 2e-3
-SWEEP_POLL_S = 0.05  # while the end is waited for
-SAME_SPEED = 1e-3
-RELEASE_S = 5.0  # wire deadline: a brake from full speed (stopj, 2 rad/s2), then 3 s to standstill
-AGAIN_S = 0.5  # between two stops
-ANSWER_S = 0.5  # for the dashboard's answer, where the packages prove nothing
 DWELL_S = 0.05  # of the packages that tell standstill
 
 
@@ -503,6 +495,12 @@ class UrSweep:
     is moved meanwhile ends the sweep.
     """
 
+    SLOWEST_RAD_S = 1e-4
+    SWEEP_PROGRESS_DEG = 0.002
+    STILL_RAD_S = 2e-3
+    SWEEP_POLL_S = 0.05  # while the end is waited for
+    SAME_SPEED = 1e-3
+
     def __init__(
         self,
         robot: UrRtdeRobot,
@@ -513,13 +511,13 @@ class UrSweep:
         full_rad_s: float,
     ) -> None:
         """``full_rad_s`` is the axis's speed at 100 %; NaN for an axis that there is not."""
-        if not (np.isfinite(end_rad) and SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
+        if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
             raise DeviceError(
                 "HC-B28",
                 DEVICE,
                 "sweep",
                 f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s",
-                wanted=f"{SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s",
+                wanted=f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s",
             )
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
@@ -527,7 +525,7 @@ class UrSweep:
         self._target_rad = np.zeros(6)
         self._fraction = 1.0
         self._number, self._under_way = 0, False
-        self._limits = MotionLimits(0.0, STALL_S, SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(0.0, STALL_S, self.SWEEP_PROGRESS_DEG)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
@@ -539,7 +537,7 @@ class UrSweep:
         self._target_rad = robot.stands_at().copy()
         planned_s = abs(self._end_rad - self._target_rad[self._axis]) / self._wanted_rad_s
         self._target_rad[self._axis] = self._end_rad
-        self._limits = MotionLimits(float(planned_s), STALL_S, SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(float(planned_s), STALL_S, self.SWEEP_PROGRESS_DEG)
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -573,7 +571,7 @@ class UrSweep:
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""
         while not self.ended:
-            self._clock.wait(SWEEP_POLL_S)
+            self._clock.wait(self.SWEEP_POLL_S)
             self._robot.live()
             self._look(self._robot.link().fresh())
         reading = self._robot.rest(self._target_rad)
@@ -587,7 +585,7 @@ class UrSweep:
             self.ended = True
             return
         self._robot.check_progress(self._limits, self._number, state)
-        if not abs(state.speed_fraction - self._fraction) <= SAME_SPEED:
+        if not abs(state.speed_fraction - self._fraction) <= self.SAME_SPEED:
             raise DeviceError(
                 "HC-B70",
                 DEVICE,
@@ -607,7 +605,7 @@ class UrSweep:
             state = link.fresh(patiently=True)
             done = state.acknowledged == self._number and state.error in (STOPPED, LOST)
             ended = state.runtime_state != Runtime.PLAYING or done
-            if ended and bool(np.all(np.abs(state.speeds_rad_s) <= STILL_RAD_S)):
+            if ended and bool(np.all(np.abs(state.speeds_rad_s) <= self.STILL_RAD_S)):
                 break
             if over:
                 raise DeviceError(
@@ -653,6 +651,10 @@ class Release:
     stop either still brakes a motion by itself.
     """
 
+    RELEASE_S = 5.0  # wire deadline: a brake (stopj, 2 rad/s2) from full speed, 3 s to standstill
+    AGAIN_S = 0.5  # between two stops
+    ANSWER_S = 0.5  # for the dashboard's answer, where the packages prove nothing
+
     def __init__(self, link: UrLink | None, panel: Dashboard | None, session: int) -> None:
         self._link, self._panel, self._session = link, panel, session
         self._answer = "none"  # of the dashboard to the last stop
@@ -660,7 +662,7 @@ class Release:
 
     def leave_at_rest(self) -> None:
         """Return when no program plays and the joints stand; raises `DeviceError`."""
-        link, patience, over = self._link, Patience(RELEASE_S, LOOK_S), False
+        link, patience, over = self._link, Patience(self.RELEASE_S, LOOK_S), False
         if link is None:
             self._stop()
             raise self._unconfirmed("no connection by RTDE")
@@ -681,7 +683,7 @@ class Release:
         now_s = time.monotonic()
         if now_s < self._again_s:
             return
-        self._again_s = now_s + AGAIN_S
+        self._again_s = now_s + self.AGAIN_S
         try:
             stop_by_all_wires(self._link, self._panel, self._session)
         except DeviceError as error:
@@ -697,14 +699,14 @@ class Release:
             self._answer = error.found
 
     def _unconfirmed(self, found: str) -> DeviceError:
-        self._hear(Patience(ANSWER_S))
+        self._hear(Patience(self.ANSWER_S))
         return DeviceError(
             "HC-B71",
             DEVICE,
             "close",
             f"the arm is not confirmed at rest: {found}; answer of the dashboard to stop: "
             f"{self._answer}",
-            wanted=f"program stopped and joints at rest within {RELEASE_S:g} s",
+            wanted=f"program stopped and joints at rest within {self.RELEASE_S:g} s",
             act="keep away from the arm, it may move: press the E-stop; then see the panel",
             fields={"answer": self._answer},
         )

@@ -332,18 +332,19 @@ def unlike(recipe: Recipe) -> list[str]:
     ]
 
 
-ANSWER_S = 3.0
-SILENT_S = 1.0  # without a package
-LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
-IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
-KEPT = 4096  # packages
-SIZE = 65536
-JOIN_S = 2.0
 MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
 
 
 class UrLink:
     """One connection. Writes and ``end_script`` may come from any thread, all else from one."""
+
+    ANSWER_S = 3.0
+    SILENT_S = 1.0  # without a package
+    LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
+    IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
+    KEPT = 4096  # packages
+    SIZE = 65536
+    JOIN_S = 2.0
 
     def __init__(self, host: str, port: int, rate_hz: float, check: Callable[[], None]) -> None:
         """Set the exchange up and start it; raises `DeviceError`."""
@@ -354,7 +355,7 @@ class UrLink:
         self._link = TcpLink(DEVICE, host, port, go_on, ALARMS)  # it asks for a stop itself
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
         self._fetching = threading.Lock()
-        self._states: deque[UrState] = deque(maxlen=KEPT)
+        self._states: deque[UrState] = deque(maxlen=self.KEPT)
         self._emptied_s = 0.0  # when the buffer was last seen empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
@@ -374,13 +375,13 @@ class UrLink:
         seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
-        patience, over = Patience(ANSWER_S), False
+        patience, over = Patience(self.ANSWER_S), False
         while True:
             newest = self.following(seen_s, patiently=patiently)[-1]
             if newest.echo == self._question:
                 return newest
             if over:
-                found = f"no package after question {self._question} within {ANSWER_S:.0f} s"
+                found = f"no package after question {self._question} within {self.ANSWER_S:.0f} s"
                 raise self._link.broken("receive", f"{found}: {ECHO} is {newest.echo}")
             over, seen_s = patience.over(), newest.by_s
 
@@ -395,7 +396,7 @@ class UrLink:
 
     def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
         """Wait for states fetched after a time (monotonic); return all of these."""
-        patience = Patience(SILENT_S)
+        patience = Patience(self.SILENT_S)
         while True:
             if not patiently:
                 self._check()
@@ -403,14 +404,14 @@ class UrLink:
             with self._fetching:
                 found = self._since(by_s)
                 if not found and self._failure is None:
-                    self._fetch(0.0 if over else LOOK_S)
+                    self._fetch(0.0 if over else self.LOOK_S)
                     found = self._since(by_s)
             if found:
                 return found
             if self._failure is not None:
                 raise self._failure
             if over:
-                raise self._link.broken("receive", f"no package for {SILENT_S:.1f} s")
+                raise self._link.broken("receive", f"no package for {self.SILENT_S:.1f} s")
 
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
@@ -432,7 +433,7 @@ class UrLink:
         """End the thread and the connection."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join(JOIN_S)
+            self._thread.join(self.JOIN_S)
         self._link.close()
 
     def _write(self) -> None:
@@ -472,17 +473,17 @@ class UrLink:
     def _ask(self, kind: Kind, request: bytes) -> bytes:
         """Return the payload of the answer of the same type."""
         self._link.send(request, kind.name.lower())
-        patience, over = Patience(ANSWER_S), False
+        patience, over = Patience(self.ANSWER_S), False
         while True:
             while self._arrived:
                 found, payload = self._arrived.popleft()
                 if found == kind:
                     return payload
             if over:
-                raise self._no_rtde(kind, f"no answer within {ANSWER_S:.0f} s")
+                raise self._no_rtde(kind, f"no answer within {self.ANSWER_S:.0f} s")
             self._check()
             over = patience.over()
-            data = self._link.receive(SIZE, Patience(0.0 if over else LOOK_S))
+            data = self._link.receive(self.SIZE, Patience(0.0 if over else self.LOOK_S))
             try:
                 self._arrived.extend(self._packages.feed(data))
             except RtdeError as error:
@@ -502,7 +503,7 @@ class UrLink:
 
     def _empty(self) -> None:
         """Fetch what nobody wants, until `close`."""
-        while not self._closing.wait(IDLE_S):
+        while not self._closing.wait(self.IDLE_S):
             if self._fetching.acquire(blocking=False):
                 try:
                     self._fetch(0.0)
@@ -515,10 +516,10 @@ class UrLink:
             return
         try:
             looked_s = time.monotonic()
-            data = self._link.receive(SIZE, Patience(0.0))
+            data = self._link.receive(self.SIZE, Patience(0.0))
             if not data:
                 self._emptied_s = looked_s
-                data = self._link.receive(SIZE, Patience(wait_s)) if wait_s else b""
+                data = self._link.receive(self.SIZE, Patience(wait_s)) if wait_s else b""
             self._arrived.extend(self._packages.feed(data))
             by_s = time.monotonic()
             while self._arrived:

@@ -88,7 +88,7 @@ def link_to(controller: Controller, check: Callable[[], None] = lambda: None) ->
 
 def test_a_state_that_was_under_way_is_no_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """States that left before the question came do not have its number, however many they are."""
-    monkeypatch.setattr(ur_link, "IDLE_S", 1e3)
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e3)
     controller, paced = Controller(), threading.Event()
     controller.due = lambda: paced.wait(0.002)
     with link_to(controller) as link:
@@ -142,7 +142,7 @@ def test_the_end_of_the_script_gives_no_sign_of_life() -> None:
 
 
 def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ur_link, "IDLE_S", 1e-4)
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e-4)
     controller = Controller(besides=16 * encode(Kind.TEXT, bytes(4000)))
     with link_to(controller) as link:
         until(lambda: controller.sent > 300)
@@ -150,7 +150,7 @@ def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.Monkey
 
 
 def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ur_link, "IDLE_S", 0.01)
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 0.01)
     controller, paced = Controller(), threading.Event()
     controller.due = lambda: paced.wait(0.002)
     with link_to(controller) as link:

@@ -179,7 +179,7 @@ def test_a_fault_in_a_motion(
     assert found.value.code == code
     assert found.value.act
     if fault in PROVES_NOTHING:
-        monkeypatch.setattr(robot_ur_rtde, "RELEASE_S", 0.2)
+        monkeypatch.setattr(robot_ur_rtde.Release, "RELEASE_S", 0.2)
         with pytest.raises(DeviceError, match="the arm is not confirmed at rest") as left:
             robot.close()
         assert (left.value.code, "press the E-stop" in left.value.act) == ("HC-B71", True)
@@ -367,7 +367,7 @@ def test_close_returns_when_the_arm_stands(
 def test_close_repeats_a_stop_that_was_not_carried_out(
     bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_ur_rtde, "AGAIN_S", 0.0)
+    monkeypatch.setattr(robot_ur_rtde.Release, "AGAIN_S", 0.0)
     lose_the_stop_register(bench, monkeypatch)
     stops = refuse_stops(bench, monkeypatch, but_from=3)
     robot.close()
@@ -378,7 +378,7 @@ def test_close_repeats_a_stop_that_was_not_carried_out(
 def test_close_names_a_script_that_plays_on(
     bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_ur_rtde, "RELEASE_S", 0.2)
+    monkeypatch.setattr(robot_ur_rtde.Release, "RELEASE_S", 0.2)
     lose_the_stop_register(bench, monkeypatch)
     refuse_stops(bench, monkeypatch)
     with pytest.raises(DeviceError) as found:
