@@ -26,12 +26,8 @@ from drivers.supervision import Patience
 from hilcell.ports import Clock, DeviceError, RailReading, StripLost
 
 DEVICE = "Rail"
-POLL_S = 0.02
-SETTLE_S = 10.0  # wire deadline, beside the dwell
-STRIP_TRIES = 3  # dwells
 STRIP_SPREAD_MM = 0.02  # at rest
 READINGS = 5  # at least, of one dwell; the reading is their median
-HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
 LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
 ROUNDING_S = 0.001
 
@@ -108,6 +104,8 @@ class Unrest:
 class Standstill:
     """The polls since the slide last moved, in the cell's time."""
 
+    HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
+
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
         self._polls: deque[tuple[float, Poll]] = deque()
@@ -178,7 +176,7 @@ class Standstill:
 
     def _drop_needless(self, polls: deque[tuple[float, Poll]], now_s: float) -> None:
         """Drop polls that are too old, and those that neither dwell nor medians need."""
-        while not now_s - polls[0][0] <= HISTORY_S:
+        while not now_s - polls[0][0] <= self.HISTORY_S:
             polls.popleft()
         while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:
             polls.popleft()
@@ -189,6 +187,10 @@ P = TypeVar("P", bound=Poll)
 
 class Standing(Generic[P]):
     """The polls of one slide, and what they say of its rest; used by one thread."""
+
+    POLL_S = 0.02
+    SETTLE_S = 10.0  # wire deadline, beside the dwell
+    STRIP_TRIES = 3  # dwells
 
     def __init__(
         self,
@@ -222,7 +224,7 @@ class Standing(Generic[P]):
     def pause(self) -> None:
         """Wait for the next poll; a slide that seems to stand is polled as its dwell needs it."""
         apart_s = self._windows.apart_s if self.standstill.begun else 0.0
-        self._clock.wait(max(POLL_S, apart_s))
+        self._clock.wait(max(self.POLL_S, apart_s))
 
     def confirm(self, operation: str) -> P:
         """Poll once, or for a dwell where older polls do not prove that the slide stands."""
@@ -239,7 +241,7 @@ class Standing(Generic[P]):
 
         Nothing else asks the strip: motions are the drive's, and end by the drive's standstill.
         """
-        for _ in range(STRIP_TRIES * self._windows.polls):
+        for _ in range(self.STRIP_TRIES * self._windows.polls):
             if not self._alarms(now):
                 return now
             self.pause()
@@ -257,7 +259,7 @@ class Standing(Generic[P]):
 
     def settle(self) -> P:
         """Return the newest poll of a slide at rest whose strip reads; raises `DeviceError`."""
-        limit_s = SETTLE_S + self._windows.dwell_s
+        limit_s = self.SETTLE_S + self._windows.dwell_s
         patience = Patience(limit_s)
         while True:
             over = patience.over()
@@ -301,7 +303,7 @@ class Standing(Generic[P]):
             f"{windows.speed / self._units_per_mm:.3f} mm/s, over {windows.dwell_s:.2f} s, "
             f"within {limit_s:.0f} s",
             act="the slide creeps or the strip's head is loose; check, then resume",
-            fields={"strip_mm": strip_mm, "speed_mm_s": speed_mm_s, "waited_s": SETTLE_S},
+            fields={"strip_mm": strip_mm, "speed_mm_s": speed_mm_s, "waited_s": self.SETTLE_S},
         )
 
 

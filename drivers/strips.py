@@ -150,8 +150,6 @@ def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
     return LinkStatistics(*(ours + theirs for ours, theirs in counts))
 
 
-REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
-ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
 _BITS = {
     0: "the head is too far from the strip",
     1: "the absolute value is not plausible",
@@ -173,6 +171,9 @@ class SerialStrip:
     used again.
     """
 
+    REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
+    ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
+
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._check = clock.check  # in each wait of its wire
@@ -183,7 +184,7 @@ class SerialStrip:
         """Open the line and verify who answers."""
         self._answers = self._bad = 0
         self._check = self._clock.check
-        link = open_link(DEVICE, self._options.channel, self._look, ALARMS)
+        link = open_link(DEVICE, self._options.channel, self._look, self.ALARMS)
         self._lines = TextLines(link, end=b"", split=rb"\r")
         with on_failure(self.close):
             self._lines.drop_pending()
@@ -236,9 +237,11 @@ class SerialStrip:
         if (lines := self._lines) is None:
             raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
         lines.send(command, command)
-        answer = lines.receive(Patience(REPLY_S))
+        answer = lines.receive(Patience(self.REPLY_S))
         if answer is None:
-            raise lines.link.broken(command, f"the strip sensor did not answer in {REPLY_S:.1f} s")
+            raise lines.link.broken(
+                command, f"the strip sensor did not answer in {self.REPLY_S:.1f} s"
+            )
         text = answer.removesuffix(">")
         if text == answer or not re.fullmatch(form, text):
             self._bad += 1
@@ -254,15 +257,14 @@ class SerialStrip:
         return clean(text)
 
 
-SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
-
-
 class CanopenStrip:
     """A sensor by CiA 406, on a CAN bus that is not the drive's.
 
     Nothing moves on this bus, so the PC sends no heartbeat there: it asks by SYNC, and a sensor
     that was reset or that falls silent is lost like any other strip.
     """
+
+    SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -315,7 +317,7 @@ class CanopenStrip:
         options, check = self._options, self._clock.check
         sdo = open_channel(link, options.node, "strip.eds", check)
         watch = NodeWatch(link, options.node, in_pdo=cia.SENSOR_ERRORS)
-        inbox = Inbox(link, (self._pdo,), SYNCS)
+        inbox = Inbox(link, (self._pdo,), self.SYNCS)
         expected = Expected(
             "strip",
             options.node,

@@ -33,7 +33,7 @@ QUICK = {
 
 SHORT: tuple[tuple[object, str, float], ...] = (
     (rail_setup, "FIND_S", 0.5),
-    (drive, "STALL_S", 1.0),
+    (drive.Drive, "STALL_S", 1.0),
     (kuka_robot, "STALL_S", 1.0),
     (kuka_robot, "REST_S", 1.0),
     (LeicaEmsconTracker, "RESULT_S", 0.5),

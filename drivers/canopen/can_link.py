@@ -53,10 +53,7 @@ class LinkTime:
         self.counted_s = now_s
 
 
-RECEIVE_S = 0.02
 HEARTBEAT_PERIOD_S = 0.05
-RECENT_S = 5.0  # a pause that ended before does not explain a node's report
-JOIN_S = 1.0
 
 Callback = Callable[[int, bytearray, float], None]
 
@@ -107,6 +104,10 @@ class _Network(canopen.Network):
 
 class CanLink:
     """A bus with its canopen network, receiving in a thread of its own."""
+
+    RECEIVE_S = 0.02
+    RECENT_S = 5.0  # a pause that ended before does not explain a node's report
+    JOIN_S = 1.0
 
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
         self.clock = clock
@@ -173,7 +174,7 @@ class CanLink:
     def pause_s(self) -> float:
         """Return the longest time without a heartbeat of the PC that ended at most 5 s ago."""
         now_s, beat_s = time.monotonic(), self._beat_s
-        recent_s = self._pause_s if now_s - self._paused_s <= RECENT_S else 0.0
+        recent_s = self._pause_s if now_s - self._paused_s <= self.RECENT_S else 0.0
         return max(recent_s, 0.0 if beat_s is None else now_s - beat_s)
 
     def close(self) -> None:
@@ -181,7 +182,7 @@ class CanLink:
         self._end.set()
         self._silent.set()
         for thread in self._threads:
-            thread.join(JOIN_S)
+            thread.join(self.JOIN_S)
         try:
             self._bus.shutdown()
         except (can.CanError, OSError, ValueError) as error:
@@ -202,7 +203,7 @@ class CanLink:
         message = self._bus.recv(0.0)
         if message is None:
             self.time.emptied(now_s, pc_s)
-            message = self._bus.recv(RECEIVE_S)
+            message = self._bus.recv(self.RECEIVE_S)
         else:
             self.time.behind(now_s)
         self._frames += message is not None
@@ -227,7 +228,7 @@ class CanLink:
     def _send_beat(self, cob_id: int) -> None:
         self.send(cob_id, bytes((NodeState.OPERATIONAL,)))
         now_s, longest_s = time.monotonic(), self.pause_s
-        if longest_s > self._pause_s or not now_s - self._paused_s <= RECENT_S:
+        if longest_s > self._pause_s or not now_s - self._paused_s <= self.RECENT_S:
             self._pause_s, self._paused_s = longest_s, now_s
         self._beat_s = now_s
 

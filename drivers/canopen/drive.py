@@ -23,15 +23,15 @@ from drivers.standstill import DEVICE, Standing
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 
-POLL_S = 0.02
-STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
-FULL_SPEED = 100.0  # percent: the drive has no override
-AT_SWITCH_MM = 25.0  # from the end of the travel with its slack: a limit there is that switch
-LEAVE_MM = 20.0  # a switch is left by then
-
 
 class Drive:
     """Drives one axis; used by one thread."""
+
+    POLL_S = 0.02
+    STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
+    FULL_SPEED = 100.0  # percent: the drive has no override
+    AT_SWITCH_MM = 25.0  # from the end of the travel with its slack: a limit there is that switch
+    LEAVE_MM = 20.0  # a switch is left by then
 
     def __init__(
         self,
@@ -115,12 +115,12 @@ class Drive:
             return
         self._image.control(Control.DISABLE_VOLTAGE)
         self._image.control(Control.FAULT_RESET)  # the rising edge resets
-        patience, over = Patience(STALL_S), False
+        patience, over = Patience(self.STALL_S), False
         while self._image.refresh(self._clock.check).state is State.FAULT:
             if over:
                 raise self._fault(operation, "drive stays in fault", State.FAULT)
             over = patience.over()
-            self._clock.wait(POLL_S)
+            self._clock.wait(self.POLL_S)
         self._image.control(Control.DISABLE_VOLTAGE)
 
     def disable(self, operation: str = "hold") -> None:
@@ -253,7 +253,7 @@ class Drive:
 
         Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
         """
-        stall_s = STALL_S + self._limits.windows.dwell_s * at_rest
+        stall_s = self.STALL_S + self._limits.windows.dwell_s * at_rest
         limits = MotionLimits(planned_s, stall_s, self._limits.window)
         while True:
             now = self.standing.poll(operation)
@@ -278,7 +278,7 @@ class Drive:
                     act=act,
                     fields={"waited_s": stall_s, **self._fields(now)},
                 )
-            if limits.overdue(self.standing.now_s, FULL_SPEED):
+            if limits.overdue(self.standing.now_s, self.FULL_SPEED):
                 raise DeviceError(
                     "HC-R28",
                     DEVICE,
@@ -293,7 +293,7 @@ class Drive:
                     },
                 )
             if moving and not done(now):
-                self._clock.wait(POLL_S)  # also at its start, while it seems to stand
+                self._clock.wait(self.POLL_S)  # also at its start, while it seems to stand
             else:
                 self.standing.pause()
 
@@ -374,7 +374,7 @@ class Drive:
         """Return on which limit switch the slide stands: -1, 1, or 0 where nothing says it."""
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS) or 0
         side = {1: -1, 2: 1}.get(inputs & cia.LIMIT_SWITCHES, 0)
-        near, limits = AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
+        near, limits = self.AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
         if now.position <= limits.lowest + near:
             return side or -1
         return side or int(now.position >= limits.highest - near)
@@ -387,7 +387,10 @@ class Drive:
         if not now.has(Bit.INTERNAL_LIMIT):
             return False
         left = self._left_limit
-        if left is not None and abs(now.position - left) <= LEAVE_MM * self._limits.counts_per_mm:
+        if (
+            left is not None
+            and abs(now.position - left) <= self.LEAVE_MM * self._limits.counts_per_mm
+        ):
             return False
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS, tries=1)
         return inputs is None or inputs & cia.LIMIT_SWITCHES != 0

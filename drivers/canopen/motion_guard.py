@@ -56,11 +56,7 @@ class Limits:
         return self.speed / self.acceleration
 
 
-LOOKS = 50  # one second of polls
 OVERSPEED = 1.2
-CONTRADICTION = 1.5  # filters, and speeds that change between two looks
-FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
-FAST_MM, SLOW_MM = 0.5, 2.0  # way from which on a slide counts as faster, or slower, than it says
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +135,14 @@ class Speeds:
 class SpeedGuard:
     """The looks at one motion."""
 
+    LOOKS = 50  # one second of polls
+    CONTRADICTION = 1.5  # filters, and speeds that change between two looks
+    FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
+    FAST_MM, SLOW_MM = (
+        0.5,
+        2.0,
+    )  # way from which on a slide counts as faster, or slower, than it says
+
     def __init__(
         self, now_s: float, speed: float, acceleration: float, units_per_mm: float
     ) -> None:
@@ -146,7 +150,7 @@ class SpeedGuard:
         self._before_s = self._now_s = now_s
         self._speed, self._acceleration = speed, acceleration
         self._units_per_mm = units_per_mm
-        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=LOOKS)
+        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=self.LOOKS)
         self._found: Proofs | None = None
 
     def take(self, position: float, speed: float, now_s: float) -> None:
@@ -162,10 +166,10 @@ class SpeedGuard:
         """Return the speeds of a window in which 606Ch says another one than the positions."""
         if (found := self._found) is None:
             return None
-        most = found.fastest + self._acceleration * (found.between_s / 2 + FASTER_LAG_S)
-        least = np.maximum(0.0, found.slowest - self._acceleration * SLOWER_LAG_S)
-        longest = self._way(FAST_MM, CONTRADICTION * most, found.at_most_s)
-        shortest = self._way(-SLOW_MM, least / CONTRADICTION, found.at_least_s)
+        most = found.fastest + self._acceleration * (found.between_s / 2 + self.FASTER_LAG_S)
+        least = np.maximum(0.0, found.slowest - self._acceleration * self.SLOWER_LAG_S)
+        longest = self._way(self.FAST_MM, self.CONTRADICTION * most, found.at_most_s)
+        shortest = self._way(-self.SLOW_MM, least / self.CONTRADICTION, found.at_least_s)
         agree = (found.gone <= longest) & (found.path >= shortest)
         return self._speeds(found, ~agree)
 
@@ -174,7 +178,7 @@ class SpeedGuard:
         if (found := self._found) is None:
             return None
         allowed = np.full_like(found.gone, OVERSPEED * self._speed)
-        longest = self._way(FAST_MM, allowed, found.at_most_s)
+        longest = self._way(self.FAST_MM, allowed, found.at_most_s)
         return self._speeds(found, ~(found.gone <= longest))
 
     def _way(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
@@ -190,11 +194,10 @@ class SpeedGuard:
         return Speeds(way / seen_s, said / seen_s, way)
 
 
-FROZEN = 0.01  # no unit of speed differs so far from another
-
-
 class MotionGuard:
     """Positions, times and the strip beside the drive's own word."""
+
+    FROZEN = 0.01  # no unit of speed differs so far from another
 
     def __init__(self, limits: Limits, before: Snapshot, now_s: float) -> None:
         """``before`` is a poll before the motion, which has ended at ``now_s`` of the cell."""
@@ -227,7 +230,7 @@ class MotionGuard:
             "set the drive's unit of speed (6081h, 6099h, 606Ch) to counts/s and that of "
             "acceleration to counts/s^2, then resume"
         )
-        if seen.factor < FROZEN:
+        if seen.factor < self.FROZEN:
             act = "the position (6064h) does not follow: check the drive's encoder; then resume"
         raise DeviceError(
             "HC-R46",

@@ -15,7 +15,6 @@ from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
 PC_HEARTBEAT_LIMIT_MS = 1000
-HEARTBEAT_AGE_S = 1.0  # of link time
 GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 _ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"
 
@@ -34,6 +33,8 @@ class NodeWatch:
     Emergencies of the family ``in_pdo`` repeat what a PDO says with each of its values, or what
     `sensor_fails` says where no PDO has it: neither is a failure here.
     """
+
+    HEARTBEAT_AGE_S = 1.0  # of link time
 
     def __init__(self, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
@@ -75,7 +76,7 @@ class NodeWatch:
 
     def _look(self) -> None:
         age_s = self._link.time.listened_s - self._heard_s
-        if not age_s <= HEARTBEAT_AGE_S:
+        if not age_s <= self.HEARTBEAT_AGE_S:
             self._fail("HC-R02", f"node {self.node}: no heartbeat for {age_s:.1f} s")
         elif self.state != NodeState.OPERATIONAL:
             state = state_text(self.state)

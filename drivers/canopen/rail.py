@@ -52,11 +52,6 @@ LATE_S = 0.8  # below the consumer time of the drive (1016h)
 WINDOW_MM = 0.05
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 LARGEST_COUNT = 2**31 - 1
-RELEASE_S = 5.0  # wire deadline, beside two dwells
-SILENT_S = 1.0  # more than a poll takes that nothing answers
-POLL_S = 0.02
-HEARD = 5  # looks within which a drive shows that it obeys
-NO_STRIP = -1  # alarms: SDO asks the drive alone
 
 
 class CanopenRail:
@@ -360,6 +355,12 @@ class Release:
     same control words are written that way.
     """
 
+    RELEASE_S = 5.0  # wire deadline, beside two dwells
+    SILENT_S = 1.0  # more than a poll takes that nothing answers
+    POLL_S = 0.02
+    HEARD = 5  # looks within which a drive shows that it obeys
+    NO_STRIP = -1  # alarms: SDO asks the drive alone
+
     def __init__(
         self,
         link: CanLink,
@@ -380,13 +381,16 @@ class Release:
 
     def leave_held(self) -> None:
         """Return when the drive has no power and the slide stands; raises `DeviceError`."""
-        limit_s = RELEASE_S + 2 * self._windows.dwell_s
-        patience, had_power = Patience(limit_s, SILENT_S), True
+        limit_s = self.RELEASE_S + 2 * self._windows.dwell_s
+        patience, had_power = Patience(limit_s, self.SILENT_S), True
         while True:
             now = self._answer(patience)
             powered = now.powered or now.state is State.UNKNOWN
             if had_power and not powered:
-                patience, had_power = Patience(limit_s, SILENT_S), False  # as long to come to rest
+                patience, had_power = (
+                    Patience(limit_s, self.SILENT_S),
+                    False,
+                )  # as long to come to rest
             if powered:
                 self._take_power(now)
             elif self._standstill.rest is not None or self._stands_as_before(now):
@@ -400,9 +404,9 @@ class Release:
                     f"{found}: {now.state.value}, speed {now.velocity} counts/s",
                     wanted=f"held within {limit_s:.0f} s",
                     act="keep away from the slide; press the E-stop, or switch the drive off",
-                    fields={"state": now.state.value, "waited_s": RELEASE_S},
+                    fields={"state": now.state.value, "waited_s": self.RELEASE_S},
                 )
-            time.sleep(POLL_S)
+            time.sleep(self.POLL_S)
 
     def _stands_as_before(self, now: Snapshot) -> bool:
         """Whether a slide that was known to stand has not moved since."""
@@ -424,9 +428,9 @@ class Release:
             self._unheard = 0
         elif not abs(now.velocity) <= windows.speed or restless:
             self._unheard += 1
-            last = self._unheard > 2 * HEARD
+            last = self._unheard > 2 * self.HEARD
             self._control(Control.DISABLE_VOLTAGE if last else Control.QUICK_STOP)
-            if self._unheard > HEARD:
+            if self._unheard > self.HEARD:
                 self._stop_by_all_ways()
 
     def _control(self, controlword: int) -> None:
@@ -488,4 +492,6 @@ class Release:
             self._sdo.read(index, tries=1)
             for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
         )
-        return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, self._link.clock.pc_s())
+        return Snapshot(
+            statusword, position, velocity, 0, 0, self.NO_STRIP, self._link.clock.pc_s()
+        )

@@ -25,9 +25,6 @@ from hilcell.ports import Array, DeviceError, DeviceRefused, HilcellError, Stopp
 
 PROGRESS = "$AXIS_ACT"
 PROGRAM_VERSION = 4  # of hilcell.src
-IDLE_S = 8.0  # of a connection, which is then asked something
-IDLE_LOOK_S = 1.0
-JOIN_S = 3.0
 
 
 class Access(Protocol):
@@ -170,8 +167,6 @@ ERRORS = {
     LOST: ("the PC's life sign was late, and the robot has braked by itself", "HC-B43"),
     STOPPED: ("stopped by HC_STOP", "HC-B21"),
 }
-EVERY_S = 0.2
-TIMER = "$TIMER[10]"
 
 # Variable, the values with which work may go on, the alarm otherwise, the next act; causes first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
@@ -236,6 +231,9 @@ def frame_text(values: tuple[float, ...] | list[float]) -> str:
 class LifeSign:
     """Signs of life to one controller's program, from its first motion on."""
 
+    EVERY_S = 0.2
+    TIMER = "$TIMER[10]"
+
     def __init__(self, write: Callable[[str, str], None]) -> None:
         """``write`` sets a variable of the controller."""
         self._write, self._due_s = write, math.inf
@@ -244,13 +242,13 @@ class LifeSign:
         """A motion is about to begin: tell the program how long the PC may keep silent."""
         if self._due_s == math.inf:
             self._write("HC_LIFE", str(round(LIFE_S * 1000)))
-        self._due_s = time.monotonic() + EVERY_S
+        self._due_s = time.monotonic() + self.EVERY_S
 
     def give(self) -> None:
         """Give a sign, if one is due."""
         if time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + EVERY_S
-            self._write(TIMER, str(round(-LIFE_S * 1000)))
+            self._due_s = time.monotonic() + self.EVERY_S
+            self._write(self.TIMER, str(round(-LIFE_S * 1000)))
 
 
 class Connection(Protocol):
@@ -268,6 +266,10 @@ class KeepAlive(Generic[Kept]):
     The thread keeps a failure that it finds; the device's next use raises it.
     """
 
+    IDLE_S = 8.0  # of a connection, which is then asked something
+    LOOK_S = 1.0
+    JOIN_S = 3.0
+
     def __init__(self, connections: Sequence[Kept], ask: Callable[[Kept], object]) -> None:
         self._connections, self._ask = connections, ask
         self._failure: HilcellError | None = None
@@ -283,13 +285,13 @@ class KeepAlive(Generic[Kept]):
     def close(self) -> None:
         """End the thread."""
         self._end.set()
-        self._thread.join(JOIN_S)
+        self._thread.join(self.JOIN_S)
 
     def _run(self) -> None:
         try:
-            while not self._end.wait(IDLE_LOOK_S):
+            while not self._end.wait(self.LOOK_S):
                 for connection in self._connections:
-                    if time.monotonic() - connection.used_s > IDLE_S:
+                    if time.monotonic() - connection.used_s > self.IDLE_S:
                         self._ask(connection)
         except Stopped:
             return  # the run ends; nothing needs these connections any longer

@@ -16,13 +16,14 @@ from drivers.motion_limits import MotionLimits
 from hilcell.ports import AxisReading, Clock, DeviceError, DeviceRefused, Identity
 
 SLIDE_DEVICE = "Rail"
-PROGRESS_MM = 0.01
-OVERSPEED = 1.2
-SPEED_OVER_S = 0.3  # many cycles of the controller
 
 
 class SlidingKukaRobot(KukaRobot):
     """Satisfies `hilcell.ports.ExternalAxis` where its controller has an axis E1."""
+
+    PROGRESS_MM = 0.01
+    OVERSPEED = 1.2
+    SPEED_OVER_S = 0.3  # many cycles of the controller
 
     def __init__(
         self,
@@ -86,7 +87,7 @@ class SlidingKukaRobot(KukaRobot):
         percent = max(1, min(100, int(100.0 * speed_mm_s / full_mm_s)))
         controller.check()
         way_mm = abs(position_mm - self.read_axis().position_mm)
-        limits = MotionLimits(100.0 * way_mm / (percent * full_mm_s), STALL_S, PROGRESS_MM)
+        limits = MotionLimits(100.0 * way_mm / (percent * full_mm_s), STALL_S, self.PROGRESS_MM)
         self._free, self._seen = True, None
         try:
             controller.hold_slide(held=False)
@@ -94,7 +95,7 @@ class SlidingKukaRobot(KukaRobot):
             self.slide_mm = position_mm
             while not self.acknowledged(number):
                 self.check_round(next(self._round), limits, number)
-                attend(self._judged_speed(OVERSPEED * speed_mm_s))
+                attend(self._judged_speed(self.OVERSPEED * speed_mm_s))
                 self._clock.wait(POLL_S)
             self.rest(self.stands_at())
         finally:
@@ -114,7 +115,7 @@ class SlidingKukaRobot(KukaRobot):
         """
         before_s, (place_mm, _) = self._clock.now_s(), self.slides().slide()
         seen, after_s = self._seen, self._clock.now_s()
-        if seen is not None and after_s - seen[1] < SPEED_OVER_S:
+        if seen is not None and after_s - seen[1] < self.SPEED_OVER_S:
             return place_mm
         self._seen = (place_mm, before_s)
         if seen is None:

@@ -70,10 +70,8 @@ ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
 PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
 PERCENT = 100
-SWEEP_PROGRESS_DEG = 0.002
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
 BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
-SWEEP_POLL_S = 0.05  # while the end is waited for
 
 
 class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -432,6 +430,9 @@ class KukaSweep:
     connect give it back, at rest only, and only where nobody has changed it meanwhile.
     """
 
+    PROGRESS_DEG = 0.002
+    POLL_S = 0.05  # while the end is waited for
+
     def __init__(
         self,
         robot: KukaRobot,
@@ -468,7 +469,7 @@ class KukaSweep:
         self._velocity = self._override = PERCENT
         self._variable, self._number, self._under_way = PROGRESS, 0, False
         self._round: Iterator[tuple[str, ...]] = iter(())
-        self._limits = MotionLimits(0.0, STALL_S, SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(0.0, STALL_S, self.PROGRESS_DEG)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
@@ -487,7 +488,7 @@ class KukaSweep:
         distance_deg[self._axis] = self._end_deg - self._target_deg[self._axis]
         self._target_deg[self._axis] = self._end_deg
         planned = planned_s(distance_deg, np.full(6, self._full_deg_s), self._velocity)
-        self._limits = MotionLimits(planned, STALL_S, SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
         if self._override != found:
             try:
                 controller.lower_override(found, self._override)
@@ -517,7 +518,7 @@ class KukaSweep:
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""
         while not self.ended:
-            self._clock.wait(SWEEP_POLL_S)
+            self._clock.wait(self.POLL_S)
             self._look()
         reading = self._robot.rest(self._target_deg)
         self._under_way = False

@@ -478,13 +478,6 @@ class LeicaEmsconTracker:
         return self._link
 
 
-SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0
-SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
-END_S = 5.0  # wire deadline: from the stop to its reply
-SEPARATION_SHARE = 0.5  # by which the samples' times may miss the separation that was set
-ENOUGH = 3  # steps that say how the tracker counts; fewer may be a gap
-
-
 class EmsconStream:
     """Satisfies `hilcell.ports.Stream`: continuous time mode, samples by the tracker's own clock.
 
@@ -492,6 +485,12 @@ class EmsconStream:
     belongs to the tracker, not to the connection: it is put back to stationary on every way out,
     and by the next connect after a kill.
     """
+
+    SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0
+    SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
+    END_S = 5.0  # wire deadline: from the stop to its reply
+    SEPARATION_SHARE = 0.5  # by which the samples' times may miss the separation that was set
+    ENOUGH = 3  # steps that say how the tracker counts; fewer may be a gap
 
     def __init__(
         self,
@@ -511,20 +510,20 @@ class EmsconStream:
                 f"a reflector at {near_mm} mm",
                 wanted="three finite coordinates",
             )
-        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
             raise DeviceError(
                 "HC-T35",
                 DEVICE,
                 "stream",
                 f"{rate_hz} samples/s",
-                wanted=f"{SLOWEST_HZ} to {FASTEST_HZ:g}",
+                wanted=f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}",
                 fields={"rate_hz": rate_hz},
             )
         self._separation_ms = round(1000.0 / rate_hz)
         self.rate_hz = 1000.0 / self._separation_ms
         self._tracker, self._clock = tracker, clock
         self._near_mm, self._reflector, self._radius_mm = near_mm, reflector, find_radius_mm
-        self._silence = Patience(SILENT_S)
+        self._silence = Patience(self.SILENT_S)
         self._emptied_s = 0.0
         self._last_s: float | None = None
         self._running = False
@@ -551,7 +550,7 @@ class EmsconStream:
         self._emptied_s = self._clock.now_s()
         self._tracker.start(self._near_mm)
         self._running = True
-        self._silence = Patience(SILENT_S + self._separation_ms / 1000.0)
+        self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
 
     def collect(self) -> list[StreamBlock]:
         """Return arrived blocks, without waiting; raises `NoReading` when the beam broke."""
@@ -561,13 +560,13 @@ class EmsconStream:
         while (packet := self._tracker.next_packet(Patience(0.0))) is not None:
             samples += self._samples(packet)
         if samples:
-            self._silence = Patience(SILENT_S + self._separation_ms / 1000.0)
+            self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
         elif over:
             raise NoReading(
                 "HC-T40",
                 DEVICE,
                 "stream",
-                f"no samples for {SILENT_S + self._separation_ms / 1000.0:.1f} s",
+                f"no samples for {self.SILENT_S + self._separation_ms / 1000.0:.1f} s",
                 act="look at the tracker's state",
             )
         return self._blocks(samples, looked_s)
@@ -587,7 +586,7 @@ class EmsconStream:
         """Stop measuring; return the blocks that came before the tracker's answer."""
         packets: list[Packet] = []
         self._tracker.stop()
-        patience = Patience(END_S)
+        patience = Patience(self.END_S)
         while (packet := self._tracker.next_packet(patience)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == Command.STOP_MEASUREMENT:
                 self._running = False
@@ -599,9 +598,9 @@ class EmsconStream:
             "HC-T42",
             DEVICE,
             "stream",
-            f"not stopped within {END_S:.0f} s",
+            f"not stopped within {self.END_S:.0f} s",
             act="look at the tracker, resume",
-            fields={"waited_s": END_S},
+            fields={"waited_s": self.END_S},
         )
 
     def _samples(self, packet: Packet) -> list[Multi]:
@@ -652,8 +651,10 @@ class EmsconStream:
                 wanted="later than the sample before",
                 act="the tracker's clock was set; stream again",
             )
-        typical_ms = float(np.median(steps_ms)) if len(steps_ms) >= ENOUGH else self._separation_ms
-        if not abs(typical_ms / self._separation_ms - 1.0) <= SEPARATION_SHARE:
+        typical_ms = (
+            float(np.median(steps_ms)) if len(steps_ms) >= self.ENOUGH else self._separation_ms
+        )
+        if not abs(typical_ms / self._separation_ms - 1.0) <= self.SEPARATION_SHARE:
             raise DeviceError(
                 "HC-T41",
                 DEVICE,

@@ -305,15 +305,16 @@ def class_std_mm(xyz_mm: Array, along_mm: float, across_rad: float) -> Array:
     return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
 
 
-DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
 SETTING_SHARE = 1e-6
 NOWHERE_MM = np.full(3, np.nan)
-TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
-CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
 
 
 class LeicaGeocomTracker:
     """Satisfies `hilcell.ports.Tracker`."""
+
+    DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
+    TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
+    CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -455,7 +456,7 @@ class LeicaGeocomTracker:
         set_to("distance mode", Rpc.SET_EDM_MODE, Rpc.GET_EDM_MODE, options.edm_mode)
         read = Rpc.GET_ANGLE_CORRECTIONS
         if self._exchange(read, (), self.REPLY_S).code != Code.NOT_IMPLEMENTED:
-            set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *CORRECTED)
+            set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *self.CORRECTED)
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
         self._ask(Rpc.DO_MEASURE, Program.CLEAR, AUTOMATIC_TILT)
@@ -514,7 +515,7 @@ class LeicaGeocomTracker:
         window_rad = 2.0 * options.find_radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
         self._ask(Rpc.FINE_ADJUST, window_rad, window_rad, 0, limit_s=self.MOVE_S)
         before_mm = NOWHERE_MM
-        for _ in range(TRIES):
+        for _ in range(self.TRIES):
             reply = self._measured()
             values = self._decoded(reply, 3)
             if reply.is_whole:
@@ -540,7 +541,7 @@ class LeicaGeocomTracker:
         options = self._options
         for program in (Program.CLEAR, Program.DISTANCE):
             self._ask(Rpc.DO_MEASURE, program, AUTOMATIC_TILT)
-        wait_ms = DISTANCE_MS + round(1000 * options.reading_s)
+        wait_ms = self.DISTANCE_MS + round(1000 * options.reading_s)
         reply = self._ask(
             Rpc.GET_MEASUREMENT,
             wait_ms,

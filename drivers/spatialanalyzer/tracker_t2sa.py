@@ -51,11 +51,6 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
-WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
-COMPARED = 5  # points of the list, from the first to the last
-SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
-NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
-TRIES = 3  # named points, where one leads to another reflector
 MAKE_LIST = "write a list by python -m drivers.spatialanalyzer.t2sa_points, import it"
 REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
 
@@ -64,6 +59,12 @@ Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
 class T2saTracker:
     """Satisfies `hilcell.ports.Tracker`."""
+
+    WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
+    COMPARED = 5  # points of the list, from the first to the last
+    SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
+    NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
+    TRIES = 3  # named points, where one leads to another reflector
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Where the bridge is, its list of points, and how it is set.
@@ -202,9 +203,9 @@ class T2saTracker:
         if "LOFF" in state:
             bridge.ask(t2sa.LASER_ON)
             state = bridge.ask(t2sa.LASER).text
-        ends_s = self._clock.now_s() + WARM_S
+        ends_s = self._clock.now_s() + self.WARM_S
         while "WARM" in state and self._clock.now_s() < ends_s:
-            self._clock.wait(WARM_LOOK_S)
+            self._clock.wait(self.WARM_LOOK_S)
             state = bridge.ask(t2sa.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
@@ -220,10 +221,10 @@ class T2saTracker:
 
     def _compare(self, bridge: T2saBridge, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
-        for name, listed_mm in points.spread(COMPARED):
+        for name, listed_mm in points.spread(self.COMPARED):
             found_mm = bridge.position(POSITION, self._path(name))
-            if not float(np.linalg.norm(found_mm - listed_mm)) <= SAME_MM:
-                form = t2sa.other_form(found_mm, np.full(3, np.nan), listed_mm, SAME_MM)
+            if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
+                form = t2sa.other_form(found_mm, np.full(3, np.nan), listed_mm, self.SAME_MM)
                 form = form and f" {form}"
                 raise refused(
                     "HC-T73",
@@ -242,7 +243,7 @@ class T2saTracker:
         """Return one position (3,); where another reflector is found, aim on its far side."""
         limit_mm = self._options.find_radius_mm
         off_mm = np.inf
-        for _ in range(TRIES):
+        for _ in range(self.TRIES):
             name, named_mm = aim.point()
             if name in aim.others_mm:
                 break
@@ -276,7 +277,7 @@ class T2saTracker:
                 xyz_mm=xyz_mm.tolist(),
             )
         self._last_mm = xyz_mm
-        if not float(np.linalg.norm(xyz_mm - named_mm)) > NOMINAL_MM:
+        if not float(np.linalg.norm(xyz_mm - named_mm)) > self.NOMINAL_MM:
             raise refused(
                 "HC-T71",
                 "measure",

@@ -496,9 +496,9 @@ class UrSweep:
     """
 
     SLOWEST_RAD_S = 1e-4
-    SWEEP_PROGRESS_DEG = 0.002
+    PROGRESS_DEG = 0.002
     STILL_RAD_S = 2e-3
-    SWEEP_POLL_S = 0.05  # while the end is waited for
+    POLL_S = 0.05  # while the end is waited for
     SAME_SPEED = 1e-3
 
     def __init__(
@@ -525,7 +525,7 @@ class UrSweep:
         self._target_rad = np.zeros(6)
         self._fraction = 1.0
         self._number, self._under_way = 0, False
-        self._limits = MotionLimits(0.0, STALL_S, self.SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(0.0, STALL_S, self.PROGRESS_DEG)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
@@ -537,7 +537,7 @@ class UrSweep:
         self._target_rad = robot.stands_at().copy()
         planned_s = abs(self._end_rad - self._target_rad[self._axis]) / self._wanted_rad_s
         self._target_rad[self._axis] = self._end_rad
-        self._limits = MotionLimits(float(planned_s), STALL_S, self.SWEEP_PROGRESS_DEG)
+        self._limits = MotionLimits(float(planned_s), STALL_S, self.PROGRESS_DEG)
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -571,7 +571,7 @@ class UrSweep:
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""
         while not self.ended:
-            self._clock.wait(self.SWEEP_POLL_S)
+            self._clock.wait(self.POLL_S)
             self._robot.live()
             self._look(self._robot.link().fresh())
         reading = self._robot.rest(self._target_rad)

@@ -39,10 +39,11 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
         (kuka_robot, "REST_S", 0.1),
         (kuka_robot, "CATCH_UP_S", 0.2),
         (kuka_external, "STALL_S", 0.3),
-        (kuka_external, "SPEED_OVER_S", 10.0),  # the peer's slide is there within three looks
+        # The peer's slide is there within three looks.
+        (kuka_external.SlidingKukaRobot, "SPEED_OVER_S", 10.0),
         (kuka_robot, "BRAKED_DWELL_S", 0.002),  # in real time: the PC's own clock is stopped
         (kuka_robot, "BRAKED_S", 0.3),
-        (standstill, "SETTLE_S", 0.3),
+        (standstill.Standing, "SETTLE_S", 0.3),
         (supervision, "time", time),
         (robot_eki, "time", time),
     ):

@@ -50,12 +50,12 @@ class RailTime(WireTime):
 def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
     time = RailTime(peer)
     for module, name, value in (
-        (drive, "STALL_S", 0.3),
-        (standstill, "SETTLE_S", 0.3),
+        (drive.Drive, "STALL_S", 0.3),
+        (standstill.Standing, "SETTLE_S", 0.3),
         (rail_setup, "FIND_S", 0.5),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),
-        (canopen_rail, "RELEASE_S", 0.5),
+        (canopen_rail.Release, "RELEASE_S", 0.5),
         (sdo, "REPLY_S", 0.1),
         (sdo, "LATE_S", 0.15),
         (can_link, "PAUSE_S", 0.0),

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.canopen import can_link
-from drivers.canopen.can_link import RECENT_S, CanLink, heartbeat_period_s, open_bus
+from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS
 from hilcell.run.engine import SWITCH_S
 from tests.clocks import DrivenClock
@@ -167,8 +167,8 @@ def test_a_pause_is_remembered_for_a_while_only(
         now.at_s += pause_s
         link._send_beat(BEAT)
     assert link.pause_s == pytest.approx(2.0)
-    now.at_s += RECENT_S
+    now.at_s += CanLink.RECENT_S
     link._send_beat(BEAT)
     now.at_s += 0.1
-    assert link.pause_s == pytest.approx(RECENT_S)
+    assert link.pause_s == pytest.approx(CanLink.RECENT_S)
     link.close()

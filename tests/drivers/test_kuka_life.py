@@ -23,7 +23,7 @@ SIGN = "write $TIMER[10]"
 def test_each_motion_gets_signs_and_a_standing_robot_none(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller, "EVERY_S", 0.0)
+    monkeypatch.setattr(controller.LifeSign, "EVERY_S", 0.0)
     robot.move_to(TARGET_RAD, 30.0)
     assert peer.requests.count(SIGN) == 3  # one a look
     assert peer.variables["$TIMER[10]"] == "-1500"
@@ -40,8 +40,8 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 
 def test_signs_cost_five_exchanges_a_second() -> None:
     """A PC that is late reports that itself before the robot brakes."""
-    assert controller.EVERY_S == 0.2
-    assert LIFE_S > LATE_S + controller.EVERY_S
+    assert controller.LifeSign.EVERY_S == 0.2
+    assert LIFE_S > LATE_S + controller.LifeSign.EVERY_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

@@ -138,8 +138,8 @@ def test_a_fault_in_motion_stops_and_is_named(
 ) -> None:
     cause, code = MOTION_FAULTS[name]
     if name in ("heartbeat", "nmt stop"):
-        monkeypatch.setattr(drive, "STALL_S", 1e6)
-        monkeypatch.setattr(node_watch, "HEARTBEAT_AGE_S", 0.2)
+        monkeypatch.setattr(drive.Drive, "STALL_S", 1e6)
+        monkeypatch.setattr(node_watch.NodeWatch, "HEARTBEAT_AGE_S", 0.2)
         peer.axis.frozen = True
 
     def strike() -> None:
@@ -353,7 +353,7 @@ def test_close_says_when_the_power_stays(peer: CanPeer, time: RailTime) -> None:
 def test_close_waits_for_a_drive_that_is_silent_for_a_while(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(canopen_rail, "RELEASE_S", 60.0)
+    monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 60.0)
     rail = holding(peer, time)
     peer.ignore.add((0x6041, 0))
     silent = iter(range(2 * SYNCS))  # two polls without an answer, by SDO neither

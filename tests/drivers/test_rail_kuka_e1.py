@@ -187,7 +187,7 @@ def test_an_axis_that_was_mastered_elsewhere_is_refused(bench: Bench) -> None:
 def test_an_axis_that_runs_faster_than_it_should_is_stopped(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kuka_external, "SPEED_OVER_S", 0.001)
+    monkeypatch.setattr(kuka_external.SlidingKukaRobot, "SPEED_OVER_S", 0.001)
     bench.connect()
     bench.kuka.frozen = True  # it runs by itself, without an end
     place = iter(range(100_000))

@@ -85,7 +85,7 @@ def test_close_raises_the_alarm_where_sdo_confirms_nothing(
 def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, pause_s: float
 ) -> None:
-    monkeypatch.setattr(canopen_rail, "RELEASE_S", 60.0)
+    monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 60.0)
     rail = holding(peer, time, standstill_dwell_s=0.2)
     peer.axis.hunts = True
     sleep = time.sleep
@@ -99,7 +99,7 @@ def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
 def test_close_brakes_a_slide_that_creeps_also_where_the_pc_looks_seldom(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(canopen_rail, "RELEASE_S", 5.0)  # the product's own
+    monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 5.0)  # the product's own
     rail = holding(peer, time, standstill_dwell_s=0.2)
     axis = peer.axis
     peer.on_sync = lambda: setattr(axis, "position", axis.position + 1000 * (axis.state == ENABLED))

@@ -413,8 +413,8 @@ def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, time: Wire
 def test_idle_connections_are_kept_and_a_loss_is_reported(
     peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller, "IDLE_S", 0.02)
-    monkeypatch.setattr(controller, "IDLE_LOOK_S", 0.01)
+    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
     robot = robot_for(peer, time)
     robot.connect()
     soon(lambda: peer.requests.count("read $MODE_OP") >= 5)

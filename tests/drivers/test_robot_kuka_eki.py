@@ -176,8 +176,8 @@ def test_a_stop_gets_through_while_a_call_hangs(
 def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
     peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller, "IDLE_S", 0.02)
-    monkeypatch.setattr(controller, "IDLE_LOOK_S", 0.01)
+    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
     monkeypatch.setattr(controller, "time", time)
     robot = robot_for(peer, time)
     robot.connect()

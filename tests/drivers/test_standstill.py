@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.canopen.process_image import Snapshot
-from drivers.standstill import HISTORY_S, Rest, Standstill, Unrest, Windows
+from drivers.standstill import Rest, Standstill, Unrest, Windows
 from drivers.supervision import ATTENDED_S
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
@@ -77,7 +77,7 @@ def test_one_poll_shows_that_the_slide_has_moved(moved: Snapshot) -> None:
 
 def test_an_old_history_counts_for_nothing() -> None:
     standstill = after(*DITHER)
-    standstill.take(poll(), 0.6 + HISTORY_S)
+    standstill.take(poll(), 0.6 + Standstill.HISTORY_S)
     assert standstill.rest is None
 
 

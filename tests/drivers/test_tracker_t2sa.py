@@ -137,7 +137,7 @@ def test_a_cold_laser_is_switched_on_and_awaited(peer: T2saPeer, make: Make) -> 
 def test_a_laser_that_does_not_come_is_named(
     peer: T2saPeer, make: Make, monkeypatch: pytest.MonkeyPatch, state: str, code: str
 ) -> None:
-    monkeypatch.setattr(tracker_t2sa, "WARM_S", 0.05)
+    monkeypatch.setattr(tracker_t2sa.T2saTracker, "WARM_S", 0.05)
     peer.laser = state
     found = refusal(make().connect)
     assert (type(found), found.code) == (DeviceError, code)

@@ -164,7 +164,7 @@ WAITS_S: Mapping[str, tuple[object, str, float]] = {
     "rail.bus_off": (rail_setup, "FIND_S", 0.5),
     "rail.heartbeat_loss": (rail_setup, "OPERATIONAL_S", 1.0),
     "rail.late_reply": (rail_setup, "FIND_S", 0.5),
-    "rail.no_acknowledge": (drive, "STALL_S", 1.0),
+    "rail.no_acknowledge": (drive.Drive, "STALL_S", 1.0),
     "robot.frozen": (kuka_robot, "STALL_S", 1.0),
     "robot.stops_short": (kuka_robot, "REST_S", 1.0),
     "robot.vanish": (robot_eki, "OPEN_S", 0.5),

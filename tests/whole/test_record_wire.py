@@ -69,7 +69,7 @@ def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Never ask a drive or a strip twice because a busy PC was late: it shows another place."""
-    for module in (process_image, sdo, strips):
+    for module in (process_image, sdo, strips.SerialStrip):
         monkeypatch.setattr(module, "REPLY_S", 30.0)
 
 
