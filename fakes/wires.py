@@ -19,7 +19,7 @@ import tty
 from collections.abc import Callable
 from typing import Protocol
 
-from fakes.faults import Faults
+from fakes.faults import Faults, Vanished
 from hilcell.ports import HilcellError
 
 HOST = "127.0.0.1"
@@ -45,7 +45,8 @@ def listen(port: int) -> socket.socket:
 class Listener:
     """Accepts clients on ``port``, 0 for one that the system chooses; hands each to ``serve``.
 
-    ``serve`` returns when the client is done; OSError from a broken connection ends it too.
+    ``serve`` returns when the client is done; OSError from a broken connection ends it too. Where
+    it raises `Vanished`, the device is gone: ``vanish`` closes every socket, by default this one's.
     """
 
     def __init__(
@@ -56,10 +57,11 @@ class Listener:
         limit: int = 10,
         port: int = 0,
         accepted: Callable[[socket.socket], None] | None = None,
+        vanish: Callable[[], None] | None = None,
     ) -> None:
         """``accepted`` takes note of each client, in the order in which they come."""
         self._name, self._serve, self._limit = name, serve, limit
-        self._accepted = accepted
+        self._accepted, self._vanish = accepted, vanish or self.hang_up
         self._socket = listen(port)
         self.port: int = self._socket.getsockname()[1]
         self._lock = threading.Lock()
@@ -112,7 +114,10 @@ class Listener:
 
     def _run(self, client: socket.socket) -> None:
         with client, contextlib.suppress(OSError):
-            self._serve(client)
+            try:
+                self._serve(client)
+            except Vanished:
+                self._vanish()
         with self._lock:
             del self._clients[client]
 

@@ -13,7 +13,7 @@ import struct
 import threading
 from collections.abc import Callable
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Faults
 from fakes.kuka.controller import KrlController, KrlError, controller_of
 from fakes.site import Site
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments
@@ -74,12 +74,8 @@ class C3Server:
                 if len(pending) < end:
                     break
                 request, pending = pending[self.HEAD.size : end], pending[end:]
-                try:
-                    reply = self.answer(tag, request)
-                    self._catch_up()
-                except Vanished:
-                    self._listener.hang_up()
-                    return
+                reply = self.answer(tag, request)
+                self._catch_up()
                 if reply is not None and not self._answers.send(client, segments, reply):
                     return
 

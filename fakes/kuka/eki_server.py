@@ -18,9 +18,10 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from xml.parsers import expat
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Faults
 from fakes.kuka.controller import (
     AXES,
     FRAME,
@@ -229,8 +230,9 @@ class EkiServer:
         self._answers = Answers(faults, self._closing)
         self._lock = threading.Lock()  # of the submit interpreter, which is one
         stop_port = port + 1 if port else 0
-        self._commands = Listener("eki", self._serve_commands, limit=1, port=port)
-        self._stops = Listener("eki stop", self._serve_stops, limit=1, port=stop_port)
+        listener = partial(Listener, limit=1, vanish=self._hang_up)
+        self._commands = listener("eki", self._serve_commands, port=port)
+        self._stops = listener("eki stop", self._serve_stops, port=stop_port)
         self.port, self.stop_port = self._commands.port, self._stops.port
 
     @property
@@ -254,14 +256,11 @@ class EkiServer:
         self._stops.close()
 
     def _serve_commands(self, client: socket.socket) -> None:
-        try:
+        with suppress(OSError, Overflow, KrlError, ValueError):  # the interface hangs up, too
             self._hear_commands(client)
-        except Vanished:
-            self._hang_up()
-            return
-        except (OSError, Overflow, KrlError, ValueError):
-            pass  # the client has gone, or the interface closes the connection
-        self._lose()
+        with self._lock:
+            if not self._closing.is_set():
+                self._program.lose()
 
     def _hear_commands(self, client: socket.socket) -> None:
         segments, former = Segments(client), b""
@@ -276,27 +275,15 @@ class EkiServer:
                     if not self._answers.send(client, segments, sent):
                         return
 
-    def _lose(self) -> None:
-        try:
-            with self._lock:
-                if not self._closing.is_set():
-                    self._program.lose()
-        except Vanished:
-            self._hang_up()
-
     def _serve_stops(self, client: socket.socket) -> None:
         queues, pending, there = Queues(STOP_RECEIVED), b"", True
         cycle_s = 0.06  # of the submit interpreter, with a state in it
-        try:
+        with suppress(KrlError, ValueError):
             while there:
                 select.select([client], [], [])
                 self._closing.wait(cycle_s)
                 pending, there = _look(client, queues, pending, b"</RobotStop>")
                 self._hear_stops(client, queues, there)
-        except Vanished:
-            self._hang_up()
-        except (KrlError, ValueError):
-            return
 
     def _hear_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
         while queues.waiting():

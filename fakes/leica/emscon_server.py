@@ -12,7 +12,7 @@ import struct
 import threading
 import time as real_time
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Faults
 from fakes.leica.emscon_device import EmsconDevice, SampleStream
 from fakes.leica.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
 from fakes.site import Site
@@ -50,13 +50,10 @@ class EmsconServer:
 
     def _serve(self, client: socket.socket) -> None:
         session = _Session(client)
-        try:
-            while True:
-                packet = session.receive(None)
-                if packet is not None:
-                    self._obey(session, packet)
-        except Vanished:
-            self._listener.hang_up()
+        while True:
+            packet = session.receive(None)
+            if packet is not None:
+                self._obey(session, packet)
 
     def _obey(self, session: _Session, packet: bytes) -> None:
         answer = self._device.handle(packet)

@@ -383,11 +383,7 @@ class GeocomServer:
             self._line.close()
 
     def _serve_client(self, client: socket.socket) -> None:
-        try:
-            self._serve(Connection(client))
-        except Vanished:
-            if self._listener is not None:
-                self._listener.hang_up()
+        self._serve(Connection(client))
 
     def _serve_line(self) -> None:
         if self._line is not None:

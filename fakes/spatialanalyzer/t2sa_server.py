@@ -345,13 +345,10 @@ class T2saServer:
 
     def _serve_client(self, client: socket.socket) -> None:
         session = LineSession(Connection(client))
-        try:
-            while True:
-                line = session.line(None)
-                if line is not None:
-                    self._obey(session, line)
-        except Vanished:
-            self._listener.hang_up()
+        while True:
+            line = session.line(None)
+            if line is not None:
+                self._obey(session, line)
 
     def _obey(self, session: LineSession, line: bytes) -> None:
         if line == HALT:

@@ -18,10 +18,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from fakes.faults import Faults, Vanished
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.universal_robots.controller import UrController, Values
+from fakes.universal_robots.controller import UrController
 from fakes.wires import HOST, RECEIVE, Listener, Segments
 
 
@@ -42,75 +40,6 @@ SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
 WHOLE = {"robot_mode", "safety_status", "safety_mode"}
 
 
-class UrRtdeServer:
-    """Serves one controller on a port, 0 for one that the system chooses."""
-
-    def __init__(
-        self, controller: UrController, faults: Faults, time_: PlantTime, *, port: int = 0
-    ) -> None:
-        self._controller, self._faults, self._time = controller, faults, time_
-        self._lock, self._writer = threading.Lock(), object()
-        self._nobody = self._writer
-        self._listener = Listener("rtde", self._serve, port=port)
-        self.port = self._listener.port
-        self.hang_up = self._listener.hang_up
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._listener.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._listener.close()
-
-    def _serve(self, client: socket.socket) -> None:
-        session = _Session(client, self)
-        try:
-            while session.turn():
-                pass
-        except Vanished:
-            self._listener.hang_up()
-        finally:
-            self.release(session)
-
-    def outputs(self) -> Values:
-        """Return one cycle's states; raises `Vanished`."""
-        return self._controller.state()
-
-    def inputs(self) -> set[str]:
-        """Return the registers that there are."""
-        return self._controller.inputs
-
-    def write(self, values: dict[str, float]) -> None:
-        """Take registers, and let others do work that became due."""
-        self._controller.write(values)
-        self._time.catch_up()
-
-    def claim(self, session: _Session) -> bool:
-        """Return whether this client may write: no other one does."""
-        with self._lock:
-            if self._writer is not self._nobody and self._writer is not session:
-                return False
-            self._writer = session
-            return True
-
-    def release(self, session: _Session) -> None:
-        """A client has gone."""
-        with self._lock:
-            if self._writer is session:
-                self._writer = self._nobody
-
-    def period_s(self, rate_hz: float) -> float:
-        """Return the real time between two states."""
-        stepped_s = 0.002  # between two states, in stepped time
-        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
-
-    @property
-    def faults(self) -> Faults:
-        """Return the armed faults."""
-        return self._faults
-
-
 LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
 
 
@@ -119,7 +48,7 @@ class _Session:
 
     HEAD = struct.Struct("!HB")
 
-    def __init__(self, client: socket.socket, server: UrRtdeServer) -> None:
+    def __init__(self, client: socket.socket, server: UrServer) -> None:
         self._client, self._server = client, server
         self._segments = Segments(client)
         self._pending, self._glued, self._sent = b"", b"", 0
@@ -162,7 +91,7 @@ class _Session:
             answer = struct.pack("!4I", *software)
         elif kind == Package.OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
-            known = self._server.inputs()
+            known = self._server.controller.inputs
             self._outputs = [(name, _kind(name, known)) for name in _names(payload[8:])]
             layout = "".join(LAYOUTS.get(kind, "") for _, kind in self._outputs)
             self._layout = struct.Struct(f"!B{layout}")
@@ -179,7 +108,7 @@ class _Session:
 
     def _claimed(self, names: list[str]) -> tuple[int, list[str]]:
         """Return the number of a new recipe, 0 where there is none, and its types."""
-        free, known = self._server.claim(self), self._server.inputs()
+        free, known = self._server.claim(self), self._server.controller.inputs
         types = [
             "NOT_FOUND" if name not in known else _register(name) if free else "IN_USE"
             for name in names
@@ -205,7 +134,7 @@ class _Session:
         return True
 
     def _send_state(self) -> None:
-        values = self._server.outputs()
+        values = self._server.controller.state()
         if self._silent:
             return
         faults = self._server.faults
@@ -265,8 +194,10 @@ class UrServer:
     STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
     def __init__(self, controller: UrController, site: Site, port: int) -> None:
-        self._controller = controller
-        self._rtde = UrRtdeServer(controller, site.faults, site.time, port=port)
+        self.controller, self.faults, self._time = controller, site.faults, site.time
+        self._lock, self._writer = threading.Lock(), object()
+        self._nobody = self._writer
+        self._rtde = Listener("rtde", self._serve_states, port=port)
         self._scripts = Listener("scripts", self._serve_scripts)
         self._dashboard = Listener("dashboard", self._serve_dashboard)
 
@@ -287,12 +218,48 @@ class UrServer:
 
     def restore(self) -> None:
         """Put the controller right, as an operator does."""
-        self._controller.restore()
+        self.controller.restore()
 
     def close(self) -> None:
         """Stop serving."""
         for each in (self._rtde, self._scripts, self._dashboard):
             each.close()
+
+    # -- RTDE ---------------------------------------------------------------------------------
+
+    def write(self, values: dict[str, float]) -> None:
+        """Take registers, and let others do work that became due."""
+        self.controller.write(values)
+        self._time.catch_up()
+
+    def claim(self, session: _Session) -> bool:
+        """Return whether this client may write: no other one does."""
+        with self._lock:
+            if self._writer is not self._nobody and self._writer is not session:
+                return False
+            self._writer = session
+            return True
+
+    def release(self, session: _Session) -> None:
+        """A client has gone."""
+        with self._lock:
+            if self._writer is session:
+                self._writer = self._nobody
+
+    def period_s(self, rate_hz: float) -> float:
+        """Return the real time between two states."""
+        stepped_s = 0.002  # between two states, in stepped time
+        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
+
+    def _serve_states(self, client: socket.socket) -> None:
+        session = _Session(client, self)
+        try:
+            while session.turn():
+                pass
+        finally:
+            self.release(session)
+
+    # -- scripts and dashboard ------------------------------------------------------------------
 
     def _serve_scripts(self, client: socket.socket) -> None:
         """Play what a client sends, when its ``def`` has reached its ``end``."""
@@ -310,7 +277,7 @@ class UrServer:
             if not data or len(text) > longest:
                 return
             if text.endswith("\nend\n"):
-                self._controller.play(text)
+                self.controller.play(text)
                 text = ""
 
     def _serve_dashboard(self, client: socket.socket) -> None:
@@ -322,7 +289,7 @@ class UrServer:
                 if command == "quit":
                     client.sendall(b"Disconnected\n")
                     return
-                client.sendall(self._controller.ask(command).encode() + b"\n")
+                client.sendall(self.controller.ask(command).encode() + b"\n")
 
 
 def serve(site: Site, port: int) -> UrServer:

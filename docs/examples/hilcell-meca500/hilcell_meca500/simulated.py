@@ -262,8 +262,6 @@ class MecaServer:
             return
         try:
             self._talk(client, Segments(client).send)
-        except Vanished:
-            self._listener.hang_up()
         finally:
             self.controller.disconnected()
             self._free.release()
