@@ -39,3 +39,8 @@ def harmless_lines(text: str) -> str:
 def encodable(text: str) -> str:
     """Return ``text`` with bytes of a file's name that are no text replaced: no JSON holds them."""
     return text.encode(errors="replace").decode()
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun: ``1 pose``, ``3 poses``."""
+    return f"{count} {noun}{'s' * (count != 1)}"

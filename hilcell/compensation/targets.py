@@ -61,14 +61,7 @@ def read_named_rows(
     """
     text = read_csv(path, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
-    columns = [column for each in headers for column in each]
-    header = [column_of(cell, columns) for cell in text.header]
-    if header not in headers:
-        wanted = " or ".join(",".join(each) for each in headers)
-        found = _header_shown(text) if text.rows else "an empty file"
-        raise SettingsError(
-            str(path), [f"header must be {wanted}, found {found}{_differs(header, headers)}"]
-        )
+    header = header_of(path, text, headers)
     rows, known, problems = NamedRows(header), set[str](), list[str]()
     for line, cells in text.rows[1:]:
         if cells:
@@ -79,6 +72,20 @@ def read_named_rows(
     if problems:
         raise SettingsError(str(path), problems)
     return rows
+
+
+def header_of(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[str]:
+    """Return which of ``headers`` a file has; raises `SettingsError` naming other columns."""
+    columns = [column for each in headers for column in each]
+    header = [column_of(cell, columns) for cell in text.header]
+    if header not in headers:
+        expected = " or ".join(",".join(each) for each in headers)
+        found = _header_shown(text) if text.rows else "an empty file"
+        raise SettingsError(
+            str(path),
+            [f"line 1: expected header {expected}, got {found}{_differs(header, headers)}"],
+        )
+    return header
 
 
 def column_of(cell: str, columns: Iterable[str]) -> str:

@@ -8,7 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from hilcell.fit.placement import FitError, Placement
+from hilcell.clean import counted
+from hilcell.fit.placement import Placement, refuse_unknown_targets
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.estimate import (
@@ -39,9 +40,7 @@ class Poses:
     @classmethod
     def of(cls, rows: Measurements, targets: list[str]) -> Self:
         """Return the rows of one pose together; a target that is measured again is a pose more."""
-        unknown = sorted(set(rows.target) - set(targets))
-        if unknown:
-            raise FitError(f"no training row measures target {', '.join(unknown)}")
+        refuse_unknown_targets(rows, targets)
         seen: dict[tuple[str, bytes, str], int] = {}
         numbers: dict[tuple[str, bytes, int], int] = {}
         at = np.empty((len(rows), 2), dtype=np.int_)
@@ -145,8 +144,8 @@ def _prepared(
     different = count_poses(rows.joints_rad)
     if different < LEAST_POSES:
         raise IdentificationError(
-            f"kinematics: {different} poses, wanted at least {LEAST_POSES} of different joints; "
-            "measure more"
+            f"kinematics: {counted(different, 'pose')} of different joints, expected at least "
+            f"{LEAST_POSES}; measure more"
         )
     targets = sorted(placement.smr_mm)
     elastic, tool = TERMS[method]

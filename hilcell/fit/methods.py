@@ -18,6 +18,7 @@ from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
+from hilcell.clean import counted
 from hilcell.compensation.choice import MODELS, NOMINAL, choose, listed
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
@@ -39,9 +40,9 @@ from hilcell.identification.readings import (
     FOLDS,
     IdentificationError,
     ManyContradict,
-    count_poses,
     folds_of,
     places_of,
+    poses_of,
 )
 from hilcell.present.table import Column, Table
 
@@ -49,6 +50,7 @@ UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not 
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
+LEAST_POSES = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of a target, a fifth of which is left out
 
 
 class Outlier(TypedDict):
@@ -138,20 +140,13 @@ class AtPoints:
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, model: type[LearntModel]) -> Self:
-        """Raises `FitError` where a reflector has too few poses to interpolate from."""
+        """Return the models of each reflector's errors at the training rows."""
         error_mm, of_row = rows.xyz_mm - placement.predicted_mm(rows), np.array(rows.target)
         unknown_mm2 = np.full((len(rows), 3, 3), np.nan)
         poses = StaticPoses.of(rows.joints_rad, placement.nominal(rows), error_mm, unknown_mm2)
         models = {}
         for target in placement.smr_mm:
-            own = poses.at(of_row == target)
-            count = count_poses(own.joints_rad)
-            if count < NEIGHBOURS:
-                raise FitError(
-                    f"target {target}: {count} training poses of different joints, "
-                    f"wanted at least {NEIGHBOURS} to interpolate from; measure more"
-                )
-            models[target] = model.learn(Measured(own))
+            models[target] = model.learn(Measured(poses.at(of_row == target)))
         return cls(placement, models, 3.0 * len(rows))
 
     @property
@@ -199,11 +194,13 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     """
     start_s = time.perf_counter()
     arm = robot.arm()
+    _refuse_few_poses(train)
     placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
     order = _order(train)
     rows = train.at(order)
     bad, refused = _contradicting(placement, rows)
     kept = rows.at(np.flatnonzero(~bad))
+    _refuse_few_poses(kept, int(bad.sum()))
     placement = place(arm, kept)
     arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
     left_out = cross_validate(arm, kept) | left_out
@@ -216,7 +213,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name].mean, default=None)
     if test is not None:
-        refuse_another_robot(placement, test, "the test set")
+        refuse_another_robot(placement, test)
         judged, coverage = _judged(methods, test, best)
         _refuse_contradicting(test, chosen, coverage[chosen], judged[chosen])
         if reason := worse_than_nominal(chosen, judged):
@@ -250,7 +247,7 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
 
     A fifth of the poses is left out together.
     """
-    fold = _folds(rows)
+    fold = folds_of(rows.joints_rad)
     miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
@@ -268,7 +265,7 @@ def _arms(
     """Return the identified robots by method, and measured minus predicted (N, 3) of the same
     folds; those that are not found go to ``refused``.
     """
-    fold, arms = _folds(rows), {}
+    fold, arms = folds_of(rows.joints_rad), {}
     for name in TERMS:
         try:
             arms[name] = FittedArm.learn(placement, rows, name)
@@ -337,8 +334,8 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
         if not found:
             act = "mend or remove them"
         raise FitError(
-            f"{len(bad)} of {len(rows)} training rows miss grossly, expected <= {ABSURD_MM:g} mm: "
-            f"{_named(rows, bad, miss_mm)}; {act}"
+            f"{rows.source}: {len(bad)} of {len(rows)} training rows miss grossly, expected "
+            f"<= {ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
         )
 
 
@@ -353,8 +350,9 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
     if len(set(rows.target)) > 1 and 2 * own > len(struck):
         look = f"reflector {target}, {own} of them: it may have moved on the flange"
     raise FitError(
-        f"{len(struck)} of {len(rows)} training rows contradict the others, expected at most "
-        f"{most_struck:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and measure again"
+        f"{rows.source}: {len(struck)} of {len(rows)} training rows contradict the others, "
+        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and "
+        "measure again"
     )
 
 
@@ -447,14 +445,27 @@ def _model(name: str, arm: FittedArm) -> ModelFound:
     )
 
 
-def _folds(rows: Measurements) -> Ints:
-    poses = count_poses(rows.joints_rad)
-    if poses < FOLDS:
-        raise FitError(
-            f"{poses} poses, wanted at least {FOLDS} of different joints to cross-validate; "
-            "measure more"
-        )
-    return folds_of(rows.joints_rad)
+def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
+    """Refuse targets of too few poses to learn from while a fifth of the poses is left out.
+
+    ``left_out`` is the count of rows that contradict the others.
+    """
+    pose, fold = poses_of(rows.joints_rad), folds_of(rows.joints_rad)
+    for target, _ in reversed(Counter(rows.target).most_common()):
+        own = rows.of(target)
+        count = len(np.unique(pose[own]))
+        others = min(len(np.unique(pose[own][fold[own] != each])) for each in range(FOLDS))
+        if others < NEIGHBOURS:
+            expected = max(LEAST_POSES, count + NEIGHBOURS - others)
+            poses = counted(count, "pose")
+            struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
+            name = "correct its name, or " if len(set(rows.target)) > 1 else ""
+            raise FitError(
+                f"{rows.where(own)}: target {target} is measured in {poses}{struck}, "
+                f"expected at least {expected} of different joints: cross-validation leaves out "
+                f"a fifth of them, and {NEIGHBOURS} others are interpolated; {name}measure it in "
+                "more poses"
+            )
 
 
 def _order(rows: Measurements) -> Ints:

@@ -6,16 +6,18 @@ that would make them fit are tried, and the one that does is named.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, permutations
 
 import numpy as np
 
+from hilcell.clean import counted
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import (
+    ONE_PLACE_MM,
     FrameError,
     apply,
     apply_each,
@@ -65,9 +67,7 @@ class Placement:
         return statistics.lengths_mm(rows.xyz_mm - self.predicted_mm(rows))
 
     def _offsets(self, rows: Measurements) -> Array:
-        unknown = sorted(set(rows.target) - set(self.smr_mm))
-        if unknown:
-            raise FitError(f"no training row measures target {', '.join(unknown)}")
+        refuse_unknown_targets(rows, self.smr_mm)
         return np.array([self.smr_mm[target] for target in rows.target])
 
     def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
@@ -96,24 +96,33 @@ def place(arm: Arm, rows: Measurements) -> Placement:
         fitting = next(_supposed(arm, rows, ABSURD_MM / EXPLAINED), None)
         act = CHECK_ROBOT if fitting is None else f"they fit if {fitting}"
         raise FitError(f"{error}; {act}") from error
-    refuse_another_robot(placement, rows, "the training set")
+    refuse_another_robot(placement, rows)
     if not step <= CONVERGED:
         raise FitError(
-            f"base and reflectors do not settle: the last of {ITERATIONS} steps is {step:.3g}, "
-            f"wanted <= {CONVERGED}: measure more poses with other orientations"
+            f"{rows.source}: base and reflectors do not settle: the last of {ITERATIONS} steps is "
+            f"{step:.3g}, expected <= {CONVERGED}: measure more poses with other orientations"
         )
     return placement
 
 
-def refuse_another_robot(placement: Placement, rows: Measurements, which: str) -> None:
+def refuse_unknown_targets(rows: Measurements, known: Collection[str]) -> None:
+    """Refuse rows of targets that no training row measures."""
+    for target in sorted(set(rows.target).difference(known)):
+        raise FitError(
+            f"{rows.where(rows.of(target))}: no training row measures target {target}; correct its "
+            f"name, or measure it in training rows; known: {', '.join(sorted(known))}"
+        )
+
+
+def refuse_another_robot(placement: Placement, rows: Measurements) -> None:
     """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
     half_mm = float(np.median(placement.miss_mm(rows)))
     if not half_mm <= ABSURD_MM:
         found = [*placement.relabelled(rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
         fitting = f"they fit if {found[0]}; " if found else ""
         raise FitError(
-            f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
-            f"or more, expected <= {ABSURD_MM:g} mm: {fitting}{CHECK_ROBOT}"
+            f"{rows.source}: nominal kinematics miss half of the measured targets by {half_mm:.4g} "
+            f"mm or more, expected <= {ABSURD_MM:g} mm: {fitting}{CHECK_ROBOT}"
         )
 
 
@@ -169,11 +178,15 @@ def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
 def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
     """Return base and reflectors, and the size of the last step."""
     targets = sorted(set(rows.target))
-    if not 3 * len(rows) > 6 + 3 * len(targets):
-        raise FitError(f"{len(rows)} rows do not place a base and {len(targets)} reflectors")
+    least = 3 + len(targets)
+    if not len(rows) >= least:
+        raise FitError(
+            f"{rows.source}: {counted(len(rows), 'row')}, expected at least {least} to place the "
+            f"robot's base and {counted(len(targets), 'reflector')}; measure more poses"
+        )
     which = np.array([targets.index(target) for target in rows.target])
     flange = forward(arm, rows.joints_rad)
-    T, smr = _first(flange[:, :3, 3], rows.xyz_mm), np.zeros((len(targets), 3))
+    T, smr = _first(flange[:, :3, 3], rows), np.zeros((len(targets), 3))
     step = np.inf
     for _ in range(ITERATIONS):
         T, smr, step = _improved(T, smr, flange, which, rows.xyz_mm)
@@ -182,17 +195,19 @@ def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
     return Placement(arm, T, dict(zip(targets, smr, strict=True))), step
 
 
-def _first(flange_mm: Array, xyz_mm: Array) -> Array:
+def _first(flange_mm: Array, rows: Measurements) -> Array:
     """Return a base (4, 4) to begin with; on one line its turn about the line is arbitrary."""
+    xyz_mm = rows.xyz_mm
+    names = f"{rows.source}: nominal positions", f"{rows.source}: measured positions"
     try:
-        return rigid_fit(flange_mm, xyz_mm).T
+        return rigid_fit(flange_mm, xyz_mm, names=names).T
     except FrameError:
         a, b = (points - points.mean(axis=0) for points in (flange_mm, xyz_mm))
         if not np.isfinite(b).all():
             raise
         sizes = np.linalg.svd(b, compute_uv=False)
         one_line = 0.02  # across over along: below, positions lie on one line
-        if not (sizes[0] > 0.0 and sizes[1] <= one_line * sizes[0]):
+        if not (sizes[0] > ONE_PLACE_MM and sizes[1] <= one_line * sizes[0]):
             raise
     along_b = np.linalg.svd(b)[2][0]
     along_a = a.T @ (b @ along_b)

@@ -8,7 +8,7 @@ read back while the robot moves spoil a fit; give the commanded ones.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
@@ -20,7 +20,7 @@ from msgspec import Meta
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
 from hilcell.compensation.csv_text import CsvText, read_csv
-from hilcell.compensation.targets import MOST, MOST_DEG, column_of, numbers
+from hilcell.compensation.targets import MOST, MOST_DEG, header_of, numbers
 from hilcell.geometry.kinematics import Arm, Array
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
@@ -114,7 +114,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Measurements:
     """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame.
 
-    ``source`` names them in messages: a file.
+    ``source`` names them in messages: a file, and ``lines`` (N) are the rows' in it.
     """
 
     pose: list[str]
@@ -122,9 +122,23 @@ class Measurements:
     joints_rad: Array
     xyz_mm: Array
     source: str = "the measurements"
+    lines: Sequence[int] = ()
 
     def __len__(self) -> int:
         return len(self.pose)
+
+    def where(self, rows: Iterable[int]) -> str:
+        """Return where these rows are, for messages: the source, with their lines if known."""
+        lines = sorted(self.lines[n] for n in rows) if self.lines else []
+        if not lines:
+            return self.source
+        named = 5
+        listed = ", ".join(map(str, lines[:named])) + ", .." * (len(lines) > named)
+        return f"{self.source} line{'s' * (len(lines) > 1)} {listed}"
+
+    def of(self, target: str) -> list[int]:
+        """Return the numbers of the rows that measure a target."""
+        return [n for n, each in enumerate(self.target) if each == target]
 
     def once(self) -> Measurements:
         """Return the rows without copies: no reading repeats joints and position exactly."""
@@ -143,6 +157,7 @@ class Measurements:
             self.joints_rad[chosen],
             self.xyz_mm[chosen],
             self.source,
+            [self.lines[n] for n in chosen] if self.lines else (),
         )
 
 
@@ -158,17 +173,16 @@ def read_robot(path: Path) -> RobotModel:
 def read_measurements(path: Path) -> Measurements:
     """Read measured targets; raises `SettingsError` naming the lines that are not good."""
     text = read_csv(path, LABELS)
-    if [column_of(cell, HEADER) for cell in text.header] != HEADER:
-        found = text.separator.join(text.header)
-        raise SettingsError(str(path), [f"line 1: header {found!r}, expected {','.join(HEADER)!r}"])
+    header_of(path, text, [HEADER])
     problems: list[str] = []
-    labels, rows = [], []
+    labels, rows, lines = [], [], []
     for line, cells in text.rows[1:]:
         if not cells:
             continue
         try:
             rows.append(_numbers(cells, text))
             labels.append([cell.strip() for cell in cells[:LABELS]])
+            lines.append(line)
         except ValueError as error:
             problems.append(f"line {line}: {error}")
     if not (labels or problems):
@@ -182,6 +196,7 @@ def read_measurements(path: Path) -> Measurements:
         np.radians(values[:, :6]),
         values[:, 6:],
         str(path),
+        lines,
     )
 
 

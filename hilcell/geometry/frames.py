@@ -18,6 +18,8 @@ from hilcell.errors import HilcellError
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import lengths_mm, rms
 
+ONE_PLACE_MM = 0.1  # of points that spread by no more, all are at one place
+
 
 class FrameError(HilcellError):
     """Points that define no frame, or not the frame that they should."""
@@ -70,19 +72,24 @@ def matrix(R: Array, t: Array) -> Array:
     return T
 
 
-def rigid_fit(a_mm: ArrayLike, b_mm: ArrayLike, weights: ArrayLike | None = None) -> RigidFit:
+def rigid_fit(
+    a_mm: ArrayLike,
+    b_mm: ArrayLike,
+    weights: ArrayLike | None = None,
+    names: tuple[str, str] = ("rigid fit: points to move", "rigid fit: points to meet"),
+) -> RigidFit:
     """Fit ``b = T a`` to N >= 3 pairs of points (N, 3) by least squares.
 
     ``weights`` (N,) are relative: the covariance is scaled by the residuals. Covariances
     (N, 3, 3) of each pair's difference, mm^2 with axes of b, are believed, but the result's is
-    widened where the residuals exceed them. Raises `FrameError` on too few, non-finite,
-    collinear or mirrored points.
+    widened where the residuals exceed them. ``names`` are those of a and b in messages. Raises
+    `FrameError` on too few, non-finite, collinear or mirrored points.
     """
     a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
     if a.shape != b.shape:
         raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
-    checked_points(a, "the fit's first set")
-    checked_points(b, "the fit's second set")
+    for points, name in zip((a, b), names, strict=True):
+        checked_points(points, name)
     W, believed = _information(weights, len(a))
     T = _procrustes(a, b, np.trace(W, axis1=1, axis2=2))
     if believed:
@@ -206,9 +213,10 @@ def checked_points(points: Array, what: str) -> Array:
     along, across, _ = _spread(points)
     least_spread = 0.02  # across over along: below this the points count as one line
     if not across > least_spread * along:
+        where = "on one line" if along > ONE_PLACE_MM else "at one place"
         raise FrameError(
-            f"{what}: the points lie on one line (spread {along:.3f} mm along it, {across:.3f} mm "
-            f"across, wanted over {least_spread:.0%}); move one of them aside"
+            f"{what}: {len(points)} points {where} (spread {along:.3f} mm along, {across:.3f} mm "
+            f"across, expected over {least_spread:.0%} of it); take points that span a plane"
         )
     return points
 

@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hilcell.clean import counted
 from hilcell.geometry.frames import turn_levers
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.kinematics import Kinematics, Linearised, State
@@ -217,7 +218,7 @@ def _refuse_too_few(readings: Readings) -> None:
     poses = int(np.count_nonzero(readings.known.any(axis=1)))
     if poses < LEAST_POSES:
         raise IdentificationError(
-            f"kinematics: {poses} poses, wanted at least {LEAST_POSES}; measure more"
+            f"kinematics: {counted(poses, 'pose')}, expected at least {LEAST_POSES}; measure more"
         )
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
 from hilcell.cell.settings import SettingsError
+from hilcell.clean import counted
 from hilcell.compensation.choice import NOMINAL
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.programs import Program, load_program, statuses_of
@@ -185,8 +186,8 @@ def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
     count = int(np.count_nonzero(beyond.any(axis=1)))
     first = names[int(np.flatnonzero(beyond.any(axis=1))[0])]
     return (
-        f"{count} targets, {first} the first, are beyond the joints that were measured ({axes}); "
-        "errors there are extrapolated"
+        f"{counted(count, 'target')} beyond the joints that were measured ({axes}), {first} the "
+        "first; errors there are extrapolated: measure poses there, or move the targets"
     )
 
 

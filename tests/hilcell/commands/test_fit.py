@@ -111,3 +111,53 @@ def test_rows_that_are_left_out_are_named(folder: Path) -> None:
     assert done.returncode == 0
     assert "pose 1003 target SMR1" in done.stderr
     assert "25 rows of" in done.stderr, "the test rows were learnt from"
+
+
+def refused(folder: Path, lines: list[str]) -> str:
+    """Return why these training lines are refused."""
+    (folder / "train.csv").write_text("\n".join(lines) + "\n")
+    done = fit(folder, "robot.toml")
+    assert done.returncode == 2
+    return done.stderr
+
+
+def test_a_mistyped_reflector_is_named_with_its_line(folder: Path) -> None:
+    lines = (folder / "train.csv").read_text().splitlines()
+    lines[4] = lines[4].replace("SMR1", "SMR2")
+    said = refused(folder, lines)
+    assert "train.csv line 5: target SMR2 is measured in 1 pose" in said
+    for n in (9, 13):
+        lines[n] = lines[n].replace("SMR1", "SMR2")
+    assert "train.csv lines 5, 10, 14: target SMR2 is measured in 3 poses" in refused(folder, lines)
+
+
+def test_rows_at_one_place_are_refused_with_their_file(folder: Path) -> None:
+    header, *rows = (folder / "train.csv").read_text().splitlines()
+    at = rows[0].split(",")[8:]
+    said = refused(folder, [header, *(",".join([*row.split(",")[:8], *at]) for row in rows)])
+    assert "train.csv: measured positions: " in said
+    assert "one place" in said
+
+
+def test_too_few_rows_are_refused_with_their_file_and_the_count_expected(folder: Path) -> None:
+    lines = (folder / "train.csv").read_text().splitlines()
+    said = refused(folder, lines[:4])
+    assert (
+        "train.csv lines 2, 3, 4: target SMR1 is measured in 3 poses, expected at least 10" in said
+    )
+    assert "measured in 1 pose, " in refused(folder, lines[:2])
+
+
+def test_a_wrong_header_names_its_columns(folder: Path) -> None:
+    header, *rows = (folder / "train.csv").read_text().splitlines()
+    said = refused(folder, [header.replace("j2_deg", "j2_rad"), *rows])
+    assert "(missing: j2_deg; unknown: 'j2_rad')" in said
+
+
+def test_a_test_row_of_an_unknown_reflector_is_named_with_its_line(folder: Path) -> None:
+    lines = (folder / "train.csv").read_text().splitlines()
+    lines[2] = lines[2].replace("SMR1", "SMR9")
+    (folder / "test.csv").write_text("\n".join(lines))
+    done = fit(folder, "robot.toml", "--test", folder / "test.csv")
+    assert done.returncode == 2
+    assert "test.csv line 3: no training row measures target SMR9" in done.stderr

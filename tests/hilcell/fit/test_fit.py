@@ -232,9 +232,9 @@ def test_too_few_rows_to_place_the_robot_are_refused() -> None:
         place(IRB120.arm(), measured(1, 2, ["SMR1"]))
 
 
-@pytest.mark.parametrize(("poses", "least"), [(4, "5"), (8, "8")])
-def test_too_few_poses_are_refused(poses: int, least: str) -> None:
-    with pytest.raises(FitError, match=least):
+@pytest.mark.parametrize("poses", [1, 4, 9])
+def test_too_few_poses_are_refused(poses: int) -> None:
+    with pytest.raises(FitError, match="expected at least 10"):
         fit(IRB120, measured(1, poses, ["SMR1"]))
 
 
@@ -262,7 +262,7 @@ def test_units_signs_and_hands_are_named(
 def test_a_test_set_of_another_robot_is_refused() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     other = replace(test, joints_rad=test.joints_rad[::-1])
-    with pytest.raises(FitError, match=r"the test set: .*20 mm"):
+    with pytest.raises(FitError, match=r"the measurements: .*20 mm"):
         fit(IRB120, rows, other)
 
 
@@ -409,7 +409,7 @@ def test_positions_on_one_line_are_predicted_along_it_and_refused_elsewhere() ->
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
     assert result["chosen"] == "nominal"  # idw was chosen, and is worse on these test rows
     test = replace(measured(2, 20, ["SMR1"]), source="test.csv")
-    with pytest.raises(FitError, match=r"test\.csv: |the test set: "):
+    with pytest.raises(FitError, match=r"test\.csv: "):
         fit(IRB120, on_a_line(1), test)
 
 
