@@ -30,8 +30,7 @@ from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.folder_order import in_order
-from hilcell.journal.index import RunRow, find_run, read_index, row_of
+from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings

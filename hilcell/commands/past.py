@@ -27,8 +27,7 @@ from hilcell.commands.output import (
 )
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.invariants.judging import INVARIANTS, Break, Proof, judge
-from hilcell.journal.folder_order import clock_notes
-from hilcell.journal.index import UNREADABLE, RunRow, find_run, read_index, row_of
+from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, live_engine, read_log, read_records

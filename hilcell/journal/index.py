@@ -1,21 +1,25 @@
-"""An index over all runs, derived from their journals: a history shows it, runs are found by it.
+"""An index over all runs, derived from their journals, and the order in which they ran.
 
-It is one file in the folder of runs that may be deleted at any time. A journal is always right
-against it: a row counts only while the journal is the very file that it was read from; a run
-without an end, or with a live engine, is read again each time. Rows are sealed, as they decide
-which calibration is current: an index with a row that does not match its seal is made again.
+A history shows it, and runs are found by it. It is one file in the folder of runs that may be
+deleted at any time. A journal is always right against it: a row counts only while the journal is
+the very file that it was read from; a run without an end, or with a live engine, is read again each
+time. Rows are sealed, as they decide which calibration is current: an index with a row that does
+not match its seal is made again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import heapq
 import os
+import secrets
 import sqlite3
 import stat
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
@@ -24,7 +28,6 @@ import msgspec
 
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
-from hilcell.journal.folder_order import SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import (
     FETCH,
@@ -36,7 +39,7 @@ from hilcell.journal.runs import (
     unusable,
 )
 from hilcell.journal.states import OVER, RunState
-from hilcell.model.events import Connected
+from hilcell.model.events import Connected, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.records import Ended, StateChanged
 from hilcell.model.results import Place
@@ -46,25 +49,14 @@ NAME = "index.sqlite"
 SCHEMA = 11  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
-_SCHEMA = str(SCHEMA).encode()
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 LARGEST_ROW = 2**20  # bytes
-_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
-_DEFINITION = "SELECT sql FROM sqlite_master WHERE name = 'run'"
 # As bytes: damage is noticed by the seal.
 _STORED = """
 SELECT CAST(name AS BLOB), CAST(stamp AS BLOB), CAST(row AS BLOB), CAST(seal AS BLOB) FROM run
 """
-_PASSING = (
-    sqlite3.SQLITE_BUSY,
-    sqlite3.SQLITE_LOCKED,
-    sqlite3.SQLITE_READONLY,
-    sqlite3.SQLITE_CANTOPEN,
-    sqlite3.SQLITE_FULL,
-    sqlite3.SQLITE_IOERR,
-    sqlite3.SQLITE_PERM,
-)
+_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
 
 
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -251,6 +243,73 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 }
 
 
+# -- the order of runs ----------------------------------------------------------------------------
+
+# No clock decides it. A run that begins, or goes on, journals the run before it and takes the next
+# number of the folder. Runs of one cell exclude one another, so their numbers say which one ended
+# later, also where the clock of the PC was wrong meanwhile. Runs of another folder are merged with
+# them by the clock.
+
+CLOCK_STEP = timedelta(minutes=1)  # that a clock is set back by the network says nothing
+
+
+def in_order(rows: Iterable[RunRow]) -> list[RunRow]:
+    """Return runs in the order in which their last sessions began."""
+    folders: defaultdict[str, list[RunRow]] = defaultdict(list)
+    for row in rows:
+        folders[row.order.folder].append(row)
+    for of_folder in folders.values():
+        of_folder.sort(key=lambda row: (row.order.number, _by_clock(row)))
+    return list(heapq.merge(*folders.values(), key=_by_clock))
+
+
+def next_order(rows: Iterable[RunRow]) -> FolderOrder:
+    """Return the order of a session that begins now; an unreadable run may have a number."""
+    rows = list(rows)
+    numbered = [row for row in in_order(rows) if row.order.folder]
+    if not numbered:
+        return FolderOrder(secrets.token_hex(8), 1)
+    last = numbered[-1]
+    highest = max(row.order.number for row in numbered if row.order.folder == last.order.folder)
+    unread = sum(not row.readable for row in rows)
+    return FolderOrder(last.order.folder, highest + unread + 1, last.name)
+
+
+def clock_notes(rows: Iterable[RunRow], now: datetime | None = None) -> Iterator[str]:
+    """Yield where the PC's clock ran back between two runs of a folder, and before ``now``."""
+    latest: dict[str, RunRow] = {}
+    for row in in_order(row for row in rows if row.order.folder):
+        before = latest.setdefault(row.order.folder, row)
+        began, earlier = _began(row), _began(before)
+        if earlier - began > CLOCK_STEP:
+            yield _ran_back(before, earlier, f"run {row.name} began after it, at", began)
+        elif began > earlier:
+            latest[row.order.folder] = row
+    for row in latest.values():
+        if now is not None and _began(row) - now > CLOCK_STEP:
+            yield _ran_back(row, _began(row), "now it is", now)
+
+
+def _ran_back(before: RunRow, earlier: datetime, then: str, later: datetime) -> str:
+    hours = (earlier - later) / timedelta(hours=1)
+    return (
+        f"the clock ran back by {hours:.2f} h: run {before.name} began {_utc(earlier)}, {then} "
+        f"{_utc(later)}; the order of the runs holds, their times do not: check the PC's clock"
+    )
+
+
+def _utc(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _by_clock(row: RunRow) -> tuple[str, str]:
+    return row.session or row.begun, row.name
+
+
+def _began(row: RunRow) -> datetime:
+    return datetime.fromisoformat(row.session or row.begun).astimezone(UTC)
+
+
 # -- a row from a journal --------------------------------------------------------------------------
 
 
@@ -267,6 +326,27 @@ class _Fit(msgspec.Struct):
 class _Result(msgspec.Struct):
     validation: dict[str, Place] = {}
     campaign: _Fit = msgspec.field(default_factory=_Fit)
+
+
+class SessionReader:
+    """Gathers from a journal's records which session the last one is, and when it began (UTC, ms).
+
+    A session takes its number before it begins: one that is refused has none.
+    """
+
+    def __init__(self) -> None:
+        self.order, self.began = FolderOrder(), ""
+        self._taken = self.order
+
+    def take(self, record: Record) -> None:
+        """Add one record; raises `msgspec.ValidationError`."""
+        match record.fact if record.kind in ("plan", "event", "state") else None:
+            case PlanRecord(order=order):
+                self.order = self._taken = order
+            case SessionOrdered(folder=folder, number=number, after=after):
+                self._taken = FolderOrder(folder, number, after)
+            case StateChanged(to="checking"):
+                self.order, self.began = self._taken, f"{record.t[:23]}Z"
 
 
 def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
@@ -409,7 +489,7 @@ def _written(folder: Path) -> str:
         written_s = (folder / JOURNAL).stat().st_mtime
     except OSError:
         return ""
-    return f"{datetime.fromtimestamp(written_s, UTC):%Y-%m-%dT%H:%M:%SZ}"
+    return _utc(datetime.fromtimestamp(written_s, UTC))
 
 
 def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
@@ -447,7 +527,9 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
 
 def _seal(*parts: bytes | None) -> bytes:
     """Return the digest that a row is stored with; a damaged page may hold None."""
-    return hashlib.sha256(b"\0".join([_SCHEMA, *(part or b"" for part in parts)])).digest()
+    return hashlib.sha256(
+        b"\0".join([str(SCHEMA).encode(), *(part or b"" for part in parts)])
+    ).digest()
 
 
 def own_file(file: Path) -> Path:
@@ -463,6 +545,7 @@ def own_file(file: Path) -> Path:
 
 
 def _opened(index: Path) -> sqlite3.Connection:
+    definition = "SELECT sql FROM sqlite_master WHERE name = 'run'"
     base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
         base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
@@ -473,7 +556,7 @@ def _opened(index: Path) -> sqlite3.Connection:
             base.execute(_TABLE)
             base.execute(f"PRAGMA user_version={SCHEMA}")
             base.execute("COMMIT")
-        elif base.execute(_DEFINITION).fetchone() != (_TABLE,):
+        elif base.execute(definition).fetchone() != (_TABLE,):
             raise sqlite3.DatabaseError(f"{index} is no index: a view may have no end")
     except sqlite3.Error:
         base.close()
@@ -484,11 +567,15 @@ def _opened(index: Path) -> sqlite3.Connection:
 @contextmanager
 def _spared(index: Path) -> Iterator[None]:
     """Do without an index that is locked or cannot be written; throw away a damaged one."""
+    passing = (
+        sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_PERM,
+    )  # fmt: skip
     try:
         yield
     except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
-        if code & 0xFF not in _PASSING:
+        if code & 0xFF not in passing:
             for file in (index, index.with_name(f"{NAME}-journal")):
                 with suppress(OSError):
                     file.unlink()

@@ -28,8 +28,7 @@ from typing import Literal
 from msgspec.structs import replace as replace_struct
 
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.folder_order import in_order
-from hilcell.journal.index import UNREADABLE, RunRow
+from hilcell.journal.index import UNREADABLE, RunRow, in_order
 from hilcell.model.outcome import Outcome
 
 State = Literal[

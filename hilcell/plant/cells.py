@@ -16,8 +16,7 @@ from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, o
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.clean import clean
-from hilcell.journal.folder_order import in_order
-from hilcell.journal.index import RunRow
+from hilcell.journal.index import RunRow, in_order
 from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN
 from hilcell.typed import decoded, typed

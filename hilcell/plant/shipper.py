@@ -25,8 +25,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from hilcell.calibration.file import seal_problems
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.journal.folder_order import in_order
-from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
+from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_index
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.journal.states import OVER

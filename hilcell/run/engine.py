@@ -27,8 +27,7 @@ from hilcell.clean import encodable
 from hilcell.clock import WallClock
 from hilcell.errors import EXIT_STORAGE, exit_code
 from hilcell.journal.floor_before import floor_before
-from hilcell.journal.folder_order import clock_notes, next_order
-from hilcell.journal.index import read_index, row_of
+from hilcell.journal.index import clock_notes, next_order, read_index, row_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder

@@ -7,8 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.journal.folder_order import clock_notes, in_order, next_order
-from hilcell.journal.index import UNREADABLE, RunRow, row_of
+from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, in_order, next_order, row_of
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.standing import standings
