@@ -179,7 +179,7 @@ def show(args: Show) -> int:
     """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
     if args.check:
-        return check(folder, as_json=args.json)
+        return _check(folder, as_json=args.json)
     log = read_log(folder)
     inputs = log.inputs
     procedure: Procedure = load_entry("procedures", inputs.procedure)
@@ -225,7 +225,7 @@ def show(args: Show) -> int:
 FIRST = 3  # violations of one invariant that are printed
 
 
-def check(folder: Path, *, as_json: bool) -> int:
+def _check(folder: Path, *, as_json: bool) -> int:
     """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
     verdicts = judge(read_records(folder))
     if as_json:

@@ -19,7 +19,6 @@ from hilcell.ports import (
     Array,
     DeviceError,
     NoReading,
-    RailReading,
     RobotReading,
     TrackerReading,
 )
@@ -117,6 +116,7 @@ class Meter:
         rail = self._run.devices.rail.read()
         if self._mover.held is not None:
             check_strip(self._run.cell, rail, self._mover.held, f"after measuring {id.key}")
+        now_s = self._run.clock.pc_s()
         body: dict[str, object] = {
             "station": station,
             "frame": "tracker",
@@ -129,7 +129,12 @@ class Meter:
             "humidity_percent": reading.air and reading.air.humidity_percent,
             "rail_mm": rail.position_mm,
             "strip_mm": rail.strip_mm,
-            "readings": _times(reading, rail, robot, self._mover.began, self._run.clock.pc_s()),
+            "readings": Readings(
+                ReadingTime(reading.taken_s, now_s - reading.taken_s),
+                time_of(rail, now_s),
+                None if robot is None else time_of(robot, now_s),
+                None if robot is None else self._mover.began,
+            ),
         }
         if robot is not None:
             check_pose(self._run.cell.robot, robot, f"measure {id.key}")
@@ -219,19 +224,6 @@ class Meter:
         near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
         prompt = borrow_prompt(self._run.cell, place, nest.name, near_mm)
         self._run.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)
-
-
-def _times(
-    tracker: TrackerReading,
-    rail: RailReading,
-    robot: RobotReading | None,
-    began: ReadingTime | None,
-    now_s: float,
-) -> Readings:
-    measured = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
-    if robot is None:
-        return Readings(measured, time_of(rail, now_s))
-    return Readings(measured, time_of(rail, now_s), time_of(robot, now_s), began)
 
 
 def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:

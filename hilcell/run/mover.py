@@ -44,7 +44,6 @@ from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,
     check_strip,
-    fresh,
     rail_may_move,
     robot_may_move,
     seen,
@@ -193,9 +192,7 @@ class RobotMotion:
     def slide(self) -> tuple[RailReading, float]:
         """Return the slide's reading and when it was judged; raises `Blocked`."""
         run = self._run
-        self._rail = rail = fresh(
-            run.devices.rail.read, run.clock, run.cell.settle.reading_age_s, self._rail
-        )
+        self._rail = rail = run.fresh(run.devices.rail.read, self._rail)
         judged_s = run.clock.pc_s()
         robot_may_move(run.cell, rail, self._station, judged_s)
         return rail, judged_s
@@ -203,9 +200,7 @@ class RobotMotion:
     def resting_rad(self) -> Array:
         """Return the joints (6,) where the robot rests; raises `Blocked`."""
         run = self._run
-        self.robot = robot = fresh(
-            run.devices.robot.read, run.clock, run.cell.settle.reading_age_s, self.robot
-        )
+        self.robot = robot = run.fresh(run.devices.robot.read, self.robot)
         check_rests(run.cell, robot, run.clock.pc_s())
         return robot.joints_rad
 
@@ -357,12 +352,7 @@ class Mover:
 
     def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
         """Return a young reading of a robot that lets the slide move, and when it was judged."""
-        robot = fresh(
-            self._run.devices.robot.read,
-            self._run.clock,
-            self._run.cell.settle.reading_age_s,
-            taken,
-        )
+        robot = self._run.fresh(self._run.devices.robot.read, taken)
         now_s = self._run.clock.pc_s()
         rail_may_move(self._run.cell, robot, now_s)
         return robot, now_s

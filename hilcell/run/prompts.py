@@ -191,7 +191,6 @@ def where(cell: Cell, place: str) -> str:
 
 def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float) -> Prompt:
     """Return what is asked before ``place`` is measured while the reflector is ``at`` another."""
-    x, y, z = (round(float(value), 3) for value in expected_mm)
     take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
     on = "on the flange" if place == FLANGE else f"in {place}"
     return Prompt(
@@ -199,7 +198,7 @@ def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: f
         text=f"{take} seat it in {where(cell, place)}. The robot rests at its safe pose, the "
         "slide is held.",
         place=place,
-        expected_mm=(x, y, z),
+        expected_mm=_rounded(expected_mm),
         limit_mm=limit_mm,
         reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
     )
@@ -209,7 +208,6 @@ def borrow_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prom
     """Return what is asked before the reflector of ``place`` is measured in a floor nest; of the
     nest's own ``place``, before it is measured there again.
     """
-    x, y, z = (round(float(value), 3) for value in expected_mm)
     into = where(cell, nest)
     text = f"Take out the reflector of {into}, and seat in it that of {where(cell, place)}."
     if place == nest:
@@ -218,7 +216,7 @@ def borrow_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prom
         title=f"Seat the reflector of {place} in {nest}",
         text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
         place=nest,
-        expected_mm=(x, y, z),
+        expected_mm=_rounded(expected_mm),
         limit_mm=OTHER_BALL_MM,
         reason=f"the reflector of {place} is to be measured in {nest}",
     )
@@ -232,7 +230,6 @@ def beam_prompt(
     The error's own advice stands alone: a driver knows best, and not every cause is in the beam.
     The driver's own words, with the status codes of its device, are in the alarm and the journal.
     """
-    x, y, z = (round(float(value), 3) for value in near_mm)
     entry = entry_of(error.code, error.device)
     found = entry.title if entry.specific else error.found
     advice = error.act or SEE
@@ -240,7 +237,12 @@ def beam_prompt(
         title=f"No good reading of {place}",
         text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",
         place=place,
-        expected_mm=(x, y, z),
+        expected_mm=_rounded(near_mm),
         limit_mm=limit_mm,
         reason=f"{key}: {error.summary}",
     )
+
+
+def _rounded(at_mm: Array) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 3) for value in at_mm)
+    return x, y, z

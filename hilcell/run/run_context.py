@@ -15,6 +15,7 @@ from hilcell.model.point import Point, PointId
 from hilcell.model.records import EVENTS
 from hilcell.model.verdicts import Verdict, verdict_type
 from hilcell.ports import Clock, NoReading
+from hilcell.run.interlocks import R, fresh
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine
 
@@ -54,6 +55,10 @@ class RunContext:
         target = next(row[2] for row in CALIBRATION.rows if row[0] == trigger)
         if not self.reached(target):
             self._calibration.fire(trigger)
+
+    def fresh(self, read: Callable[[], R], taken: R | None) -> R:
+        """Return ``taken``, or another reading where that is too old for a motion."""
+        return fresh(read, self.clock, self.cell.settle.reading_age_s, taken)
 
     def add(self, event: Event) -> None:
         """Journal something worth knowing."""
