@@ -69,7 +69,8 @@ def uncertainty_of(log: Log) -> Uncertainty:
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
     stated = log.cell.uncertainty
-    lines = _Lines(log)
+    lines, centring_mm = _Lines(log), stated.smr_centring_limit_mm
+    centring = f"limit ±{centring_mm:g} mm of the optics against the sphere, on the flange"
     return Uncertainty(
         [
             lines.repeatability(),
@@ -77,7 +78,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
             lines.drift(),
             lines.world(),
             lines.tracker(),
-            _centring(stated.smr_centring_limit_mm, stated.smr_source or ASSUMED),
+            _limit("SMR centring", centring, centring_mm, stated.smr_source or ASSUMED),
             lines.drill(),
         ],
         {station.name: lines.placed(station) for station in log.cell.station},
@@ -115,10 +116,11 @@ class _Lines:
         robot_mm2 = no_less_than_nought(
             scatter_mm2 - _mean_reading_mm2(self.log.select("repeatability"), R)
         )
+        freedom = trace_freedom(scatter_mm2, visits - places)
         return Influence(
             "Robot repeatability", MEASURED,
             f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
-            motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, visits - places)),
+            motion(robot_mm2), freedom=freedom if math.isfinite(freedom) else None,
             within_model=True, alone=True,
         )  # fmt: skip
 
@@ -229,11 +231,6 @@ def _approach(limit_mm: float, found: Reversal | None) -> Influence:
         how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"
         limit_mm = max(limit_mm, seen_mm)
     return _limit("Approach direction", how, limit_mm)
-
-
-def _centring(limit_mm: float, source: str) -> Influence:
-    how = f"limit ±{limit_mm:g} mm of the optics against the sphere, on the flange"
-    return _limit("SMR centring", how, limit_mm, source)
 
 
 def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influence:
@@ -361,10 +358,6 @@ def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
     """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
     mean_mm2: Array = covariances_mm2(points, R).mean(axis=0)
     return mean_mm2
-
-
-def _finite(freedom: float) -> float | None:
-    return freedom if math.isfinite(freedom) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,11 +75,6 @@ def _zero(J: Array, axis: int) -> Pattern:
     return Pattern(Cause.ZERO_LOST, columns, float(np.degrees(1.0)), f"deg of axis {axis + 1}")
 
 
-def strip_pattern(rail: Sequence[float] | Array, count: int) -> Pattern:
-    """Return the pattern of a slide that stands elsewhere along ``rail`` (3,) in {B}."""
-    return Pattern(Cause.STRIP, np.tile(np.asarray(rail), count)[:, None], 1.0, "mm")
-
-
 def weights_of(covariance_mm2: Array) -> Array:
     """Return the weights (3N, 3N) of errors with a covariance: its inverse."""
     return np.array(np.linalg.inv(covariance_mm2), dtype=float)
@@ -191,8 +186,11 @@ class _Explained(NamedTuple):
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
     """Return every cause at every moment at which it may have come."""
-    strip = [strip_pattern(found.rail, len(found.joints_rad))] if found.rail.any() else []
-    return _by_patterns(found, [*patterns(arm, found.joints_rad), *strip], noticed_by)
+    causes = patterns(arm, found.joints_rad)
+    if found.rail.any():  # a slide that stands elsewhere along it
+        column = np.tile(found.rail, len(found.joints_rad))[:, None]
+        causes = [*causes, Pattern(Cause.STRIP, column, 1.0, "mm")]
+    return _by_patterns(found, causes, noticed_by)
 
 
 def _by_patterns(

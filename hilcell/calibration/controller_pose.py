@@ -23,9 +23,6 @@ from hilcell.geometry.jacobian import KINDS, PARAMETERS, moved, parameter_jacobi
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
-ROUNDING_MM, ROUNDING_RAD = 0.005, np.radians(0.001)  # of the numbers that a controller states
-FACTORY_MM, FACTORY_RAD = 15.0, np.radians(1.0)  # what links measured in a factory may explain
-
 
 class Deviation(NamedTuple):
     """How far a stated pose is from the cell file's, in {B}: shift (3,) and turn (3,), and how far
@@ -54,6 +51,7 @@ class Deviation(NamedTuple):
 
 def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
     """Return how far a pose (4, 4) is from that of joints (6,) by the cell file's arm."""
+    rounding_mm, rounding_rad = 0.005, np.radians(0.001)  # of the numbers that a controller states
     nominal = forward(arm, joints_rad)
     zeros = slice(18, 24)
     J = np.abs(np.linalg.norm(parameter_jacobian(arm, joints_rad)[:3, zeros], axis=0))
@@ -62,8 +60,8 @@ def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
     return Deviation(
         pose[:3, 3] - nominal[:3, 3],
         turn,
-        ROUNDING_MM + axis_rad * float(J.sum()),
-        float(ROUNDING_RAD + 6.0 * axis_rad),
+        rounding_mm + axis_rad * float(J.sum()),
+        float(rounding_rad + 6.0 * axis_rad),
     )
 
 
@@ -72,11 +70,12 @@ def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Devi
 
     Raises `DeviceError` where neither rounding nor links measured in a factory explain it.
     """
+    factory_mm, factory_rad = 15.0, np.radians(1.0)  # what links measured in a factory may explain
     arm = robot.arm()
     found = deviation(arm, reading.joints_rad, reading.pose)
     limit_mm, limit_rad = found.limit_mm, found.limit_rad
     if reading.by_factory_links:
-        limit_mm, limit_rad = FACTORY_MM, FACTORY_RAD
+        limit_mm, limit_rad = factory_mm, factory_rad
     if found.within(limit_mm, limit_rad):
         return found
     off_deg, off_mm = float(np.degrees(np.linalg.norm(found.turn_rad))), found.off_mm

@@ -35,13 +35,12 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
 from hilcell.journal.log import Log, commanded_rad, noise_at, positions_mm, run_noise
 from hilcell.journal.set_ups import PROOFS
+from hilcell.model.events import URAD
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, HilcellError
 
 # -- the tracker -----------------------------------------------------------------------------------
-
-URAD = 1e6
 
 
 def tracker_drift(log: Log) -> Suspicion | None:

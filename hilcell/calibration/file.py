@@ -30,7 +30,14 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
-from hilcell.geometry.frames import apply, from_zyx, inverse, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.frames import (
+    apply,
+    from_zyx,
+    inverse,
+    is_rotation,
+    poses_from_zyx,
+    zyx_from_pose,
+)
 from hilcell.journal.log import Log
 from hilcell.model.calibration import Device, Provenance, StationEntry
 from hilcell.model.frame import MeasuredStation
@@ -269,7 +276,6 @@ MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
 MOST_C = 100.0
-RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
 
 
 def problems_of(calibration: Calibration) -> list[str]:
@@ -316,7 +322,8 @@ class _Checks:
         pitch_mm = self.calibration.pitch_mm
         size_mm = np.subtract(self.calibration.validity.high_mm, self.calibration.validity.low_mm)
         wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
-        if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= RIGID * pitch_mm):
+        whole = 1e-6  # of a pitch: its numbers are rounded
+        if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= whole * pitch_mm):
             counts = " x ".join(map(str, errors.shape[:3]))
             sides = " x ".join(f"{side:g}" for side in size_mm)
             yield (
@@ -471,11 +478,7 @@ def _frame(name: str, frame: Array) -> Iterator[str]:
 def _rotation(name: str, R: Array) -> Iterator[str]:
     if R.shape != (3, 3):
         yield f"{name}: wanted 3 x 3 numbers"
-    elif not (
-        np.abs(R).max() <= 1 + RIGID
-        and np.abs(R @ R.T - np.eye(3)).max() <= RIGID
-        and np.linalg.det(R) > 0
-    ):
+    elif not is_rotation(R):
         yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
 
 

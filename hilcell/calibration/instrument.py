@@ -29,6 +29,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor, rectangular_variance
 from hilcell.journal.log import Log, covariances_mm2, noise_at, positions_mm, run_noise
 from hilcell.journal.set_ups import PROOFS, world_key
+from hilcell.model.events import URAD
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import (
@@ -50,15 +51,13 @@ def known_lengths(cell: Cell, log: Log) -> list[LengthFound]:
     return [_found(cell, log, each) for each in cell.layout.length]
 
 
-def _end(cell: Cell, log: Log, nest: str) -> Point:
-    """Return the point of a nest, on the floor or on a bar, of the first framing of {W}."""
-    of_floor = {each.name for each in cell.layout.floor}
-    return log.point(PointId("world" if nest in of_floor else LENGTH, nest=nest))
-
-
 def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
     """Return a length with the uncertainty that certificate, tracker and centring leave."""
-    ends = [_end(cell, log, nest) for nest in known.nests]
+    of_floor = {each.name for each in cell.layout.floor}
+    ends = [  # on the floor or on a bar, of the first framing of {W}
+        log.point(PointId("world" if nest in of_floor else LENGTH, nest=nest))
+        for nest in known.nests
+    ]
     at_mm = positions_mm(ends)
     way_mm = at_mm[1] - at_mm[0]
     found_mm = float(np.linalg.norm(way_mm))
@@ -90,7 +89,6 @@ def scale(log: Log) -> Suspicion | None:
 # -- axes: nests seen in both faces ----------------------------------------------------------------
 
 TWO_FACES = FacesCompared.keys  # at the start, and at the end
-URAD = 1e6
 AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the vertical index")
 
 

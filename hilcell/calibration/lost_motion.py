@@ -26,6 +26,7 @@ from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, positions_mm
+from hilcell.model.events import URAD
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import LostMotionJudged
@@ -35,7 +36,6 @@ REVERSAL = "reversal"  # kind of the points that were approached from above
 LARGE, AXES = 3, 6  # the first ones, and all
 WRIST_RAD = 1e-4  # 1 sigma of what axes 4 to 6 may lose
 COVERAGE = 2.0  # k
-URAD = 1e6
 
 
 class Reversal(msgspec.Struct, frozen=True):

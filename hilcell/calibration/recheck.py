@@ -36,7 +36,6 @@ from hilcell.ports import Array, HilcellError
 KIND = "recheck"  # of the points, key of result and verdict
 RISK = 0.01  # that a calibration which holds is not found to
 MOTION, SLIP = 6, 3  # degrees of freedom
-BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
 Verdict = Literal["valid", "update", "redo"]
@@ -170,6 +169,7 @@ class Judgement:
 
 def judged(found: Rechecked) -> Judgement:
     """Judge the errors; raises `NotJudged`."""
+    bumped_mm, bumped_rad = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
     found.check()
     count = len(found.errors_mm)
     J = motion_columns(found.targets_mm)
@@ -178,7 +178,7 @@ def judged(found: Rechecked) -> Judgement:
     information, pull = J.T @ weighted[:, :MOTION], J.T @ weighted[:, MOTION]
     explained = float(pull @ np.linalg.solve(information, pull))
     rest = float(e @ weighted[:, MOTION]) - explained
-    prior = np.diag([BUMPED_MM**-2] * 3 + [BUMPED_RAD**-2] * 3)
+    prior = np.diag([bumped_mm**-2] * 3 + [bumped_rad**-2] * 3)
     covariance = np.asarray(np.linalg.inv(information + prior), dtype=float)
     motion = covariance @ pull
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)

@@ -47,9 +47,6 @@ from hilcell.model.suspicion import Suspicion
 # flange in its line of sight, the instrument chooses neither, or the wrong one.
 
 
-SPARE = 4  # places for each touch pose, for those that are passed over
-
-
 def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     """Return which points (N, 3) in nominal {B} the tracker cannot tell from a nest, (N,)."""
     apart_rad = sights_apart_rad(cell)
@@ -76,8 +73,9 @@ def touch_targets_mm(cell: Cell, station: Station) -> Array:
 
     Places that the tracker could take for a nest are passed over as long as there are others.
     """
+    spare = 4  # places for each touch pose, for those that are passed over
     # Four places for each touch pose, for those that are passed over.
-    number = np.arange(SPARE * cell.touch.poses)[:, None]
+    number = np.arange(spare * cell.touch.poses)[:, None]
     # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
     steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
     share = (0.5 + number * steps) % 1.0

@@ -89,9 +89,10 @@ def out_of_tolerance(
         if not each.holds
     ]
     if limits is not None:
+        turn = "" if limits.max_deg is None else f", orientation {limits.max_deg:g} deg"
         reasons += [
             f"validation at {place} had another tolerance than the cell given, which has mean "
-            f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm{_of_orientation(limits)}: "
+            f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm{turn}: "
             f"{each.figure_words}"
             for place, each in calibration.verdicts.items()
             if limits != each.limits
@@ -102,10 +103,6 @@ def out_of_tolerance(
             "it differs from the calibration before it: `hilcell revoke RUN` the wrong one of both"
         )
     return reasons + [f"{key} did not hold: {words}" for key, words in failed.items()]
-
-
-def _of_orientation(limits: Limits) -> str:
-    return "" if limits.max_deg is None else f", orientation {limits.max_deg:g} deg"
 
 
 def _not_current(standing: Standing) -> Iterator[str]:

@@ -22,7 +22,7 @@ from hilcell.compensation.model import (
     Prediction,
     Turn,
 )
-from hilcell.geometry.frames import to_rotvec
+from hilcell.geometry.frames import is_rotation, to_rotvec
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import lengths_mm
@@ -40,7 +40,6 @@ from hilcell.model.verdicts import CurvesUsed
 from hilcell.typed import Json, typed
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
-FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
 # Several: so little is assumed that a turn of all is theirs and not the last link's.
@@ -373,16 +372,16 @@ def _excess(estimate: Estimate) -> float:
 
 def _left_out_mm(estimate: Estimate) -> Array:
     """Return measured less predicted (M, 3) of the poses learnt from."""
-    fold = np.arange(len(estimate.readings)) % FOLDS
-    folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(FOLDS)]
+    count = 5  # each fifth pose is predicted by the others
+    fold = np.arange(len(estimate.readings)) % count
+    folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(count)]
     return estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
 
 
 def _frame(name: str, rows: list[list[float]]) -> Array:
     T = _numbers(name, rows, (4, 4), MOST_MM)
     R = T[:3, :3]
-    rigid = np.abs(R @ R.T - np.eye(3)).max() <= RIGID and np.linalg.det(R) > 0
-    if not (rigid and np.array_equal(T[3], [0, 0, 0, 1])):
+    if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
         raise ModelError(f"{name}: is not rigid")
     return T
 
@@ -395,9 +394,6 @@ def _seats_mm(places: list[list[float]]) -> Array:
     if len(seats_mm) > 1 and not across_mm[1] > least_across_mm:
         raise ModelError("more_reflectors_mm: an orientation needs a triangle of reflectors")
     return seats_mm
-
-
-RIGID = 1e-6  # of a rotation matrix times its transpose
 
 
 def _check_covariance(covariance: Array) -> None:

@@ -24,7 +24,6 @@ from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.kinematics import Array, Ints
 
 NEAR_MM = 20.0  # beyond, nothing is known
-FACTORS = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +127,16 @@ class _Groups(NamedTuple):
     alike: Array
     own_mm2: Array
 
+    @classmethod
+    def of(cls, members: Ints, places: Array, own_mm2: Array) -> _Groups:
+        """Return the groups of targets (G, M) at places (N, 12), of the covariances (N, 3, 3)."""
+        count, size = members.shape
+        alike = np.array([_alike(places[each], places[each]) for each in members])
+        own = np.zeros((count, size, 3, size, 3))
+        for place in range(size):
+            own[:, place, :, place, :] = own_mm2[members[:, place]]
+        return cls(members, alike, own.reshape(count, 3 * size, 3 * size))
+
 
 @dataclass(frozen=True, eq=False)
 class _Known:
@@ -161,7 +170,7 @@ class _Known:
             np.concatenate([each.remainders_mm for each in passes]),
             levers,
             np.array(block_diag(*(each.common for each in passes))),
-            [_grouped(members, places, own_mm2) for members in _members(places)],
+            [_Groups.of(members, places, own_mm2) for members in _members(places)],
         )
 
     def nearest(self, poses: Array) -> tuple[Ints, Ints]:
@@ -210,15 +219,6 @@ class _Known:
         return picked.reshape(len(members), 3 * members.shape[1], -1)
 
 
-def _grouped(members: Ints, places: Array, own_mm2: Array) -> _Groups:
-    count, size = members.shape
-    alike = np.array([_alike(places[each], places[each]) for each in members])
-    own = np.zeros((count, size, 3, size, 3))
-    for place in range(size):
-        own[:, place, :, place, :] = own_mm2[members[:, place]]
-    return _Groups(members, alike, own.reshape(count, 3 * size, 3 * size))
-
-
 def _members(places: Array) -> list[Ints]:
     """Return the groups (G, M) of each size M that hang together by steps of `NEAR_MM`."""
     from scipy.sparse import coo_array
@@ -250,13 +250,14 @@ def _alike(first: Array, second: Array) -> Array:
 
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:
     """Return the variance of greatest marginal likelihood."""
+    factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
     if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
         raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
     enough = 200  # targets from which the variance is found
     step = -(-sum(len(each.poses) for each in passes) // enough)
     known = _Known.of([each.every(step) for each in passes])
-    variances = FACTORS * stated_mm2
+    variances = factors * stated_mm2
     likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
     spread = 1.5  # standard deviation of their logarithm, before any target says so
-    likelihood -= 0.5 * np.square(np.log(FACTORS) / spread)
+    likelihood -= 0.5 * np.square(np.log(factors) / spread)
     return float(variances[int(np.argmax(likelihood))])

@@ -30,9 +30,7 @@ from hilcell.identification.estimate import DETERMINED
 from hilcell.identification.kinematics import LINKS
 from hilcell.writing import write_whole
 
-UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
 DH_HEADER = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
-JSON = ".json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +80,7 @@ class RigidArm:
 
 def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
+    units = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
     rigid = "mdh"  # of the methods
     found = fitted.methods.get(rigid)
     if not isinstance(found, FittedArm):
@@ -89,14 +88,14 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     kinematics, system = found.estimate.kinematics, found.estimate.system
     arm, links = kinematics.arm_of(found.estimate.state), slice(kinematics.placed, None)
     labels = [name.split() for name in kinematics.names[links][:LINKS]]
-    scale = np.array([UNITS[unit][1] for _, unit in labels])
+    scale = np.array([units[unit][1] for _, unit in labels])
     rows = [getattr(each, kind) for each in (nominal, arm) for kind in KINDS]
     before, after = np.array(rows).reshape(2, LINKS) * scale
     covariance = system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
     prior = kinematics.prior()[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
     u, prior_u = (np.sqrt(np.diag(each)) for each in (covariance, prior))
     parameters = [
-        Parameter(name, UNITS[unit][0], *map(float, values))
+        Parameter(name, units[unit][0], *map(float, values))
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
     ]
     figures = fitted.validated[rigid]
@@ -104,11 +103,12 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
 
 
 def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:
-    """Write the DH table as CSV, or as JSON with the parameters' covariance, by the suffix.
+    """Write the DH table as CSV, or as json with the parameters' covariance, by the suffix.
 
     Raises `NotWritten` as `write_whole` does.
     """
-    if path.suffix.lower() != JSON:
+    json = ".json"
+    if path.suffix.lower() != json:
         write_rows(path, DH_HEADER, found.dh_rows(), inputs=inputs)
         return
     convention = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
@@ -147,11 +147,13 @@ def write_urdf(
         label: apply(left @ inverse(robot.tool), point[None])[0]
         for label, point in found.smr_mm.items()
     }
+    root = found.T_L_B @ inverse(robot.base)
+    rpy_rad = np.radians(zyx_from_pose(root)[:2:-1])
+    placed = f"{_numbers(root[:3, 3])}; {_numbers(rpy_rad * 1000.0)}"
     comment = [
         f"Calibrated by hilcell {__version__}: joint origins only. {remarks[0]}",
         *remarks[1:],
-        "Root link in the tracker's frame, xyz in m, rpy in rad: "
-        + _pose(found.T_L_B @ inverse(robot.base)),
+        f"Root link in the tracker's frame, xyz in m, rpy in rad: {placed}",
         *(
             f"Reflector {clean(label)} in the tip link, in m: {_numbers(point)}"
             for label, point in in_tip_mm.items()
@@ -162,10 +164,6 @@ def write_urdf(
     else:
         content = urdf_of(robot.name, chain, comment)
     write_whole(path, content, inputs=inputs)
-
-
-def _pose(T: Array) -> str:
-    return f"{_numbers(T[:3, 3])}; {_numbers(np.radians(zyx_from_pose(T)[:2:-1]) * 1000.0)}"
 
 
 def _numbers(values_mm: Array) -> str:

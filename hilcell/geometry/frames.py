@@ -346,6 +346,14 @@ def to_rotvec(rotations: Array) -> Array:
     return vector
 
 
+def is_rotation(R: Array) -> bool:
+    """Whether a matrix (3, 3) is one, to 1e-6: it neither stretches nor shears nor mirrors."""
+    within = 1e-6
+    if not np.abs(R).max() <= 1.0 + within:  # so that no product is beyond all numbers
+        return False
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= within and np.linalg.det(R) > 0)
+
+
 def turned_deg(orientation: Array, poses: Array) -> Array:
     """Return by how much poses (N, 4, 4) are turned from an orientation (3, 3), deg (N,)."""
     cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], orientation) - 1.0) / 2.0

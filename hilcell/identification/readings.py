@@ -65,8 +65,8 @@ class Readings:
         return replace(self, xyz_mm=np.where(bad[..., None], np.nan, self.xyz_mm))
 
 
-SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same errors
 FOLDS = 5
+SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same errors
 
 
 def poses_of(joints_rad: Array) -> Ints:
@@ -106,13 +106,11 @@ def folds_of(joints_rad: Array) -> Ints:
     return (FOLDS * places_of(joints_rad)).astype(np.int_)
 
 
-TYPICAL_MM, TYPICAL_RAD = 0.02, 30e-6  # where the estimate starts, and what few data lean on
-DOUBT = 4.0  # readings' worth of data that the typical values count for
-
-
 @dataclass(frozen=True, eq=False)
 class Noise:
     """Standard deviations: of a coordinate of a reading, of a pose, and of the joints (6,)."""
+
+    TYPICAL_MM, TYPICAL_RAD = 0.02, 30e-6  # where the estimate starts, and what few data lean on
 
     reading_mm: float
     pose_mm: float
@@ -123,13 +121,14 @@ class Noise:
         """Return noise of readings and joints, with several reflectors of poses too, to be
         estimated.
         """
-        pose_mm = TYPICAL_MM if reflectors > 1 else 0.0
-        return cls(TYPICAL_MM, pose_mm, np.full(6, TYPICAL_RAD))
+        pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
+        return cls(cls.TYPICAL_MM, pose_mm, np.full(6, cls.TYPICAL_RAD))
 
     @classmethod
     def of_poses(cls, reflectors: int) -> Noise:
         """Return noise of readings, and with several reflectors of poses, to be estimated."""
-        return cls(TYPICAL_MM, TYPICAL_MM if reflectors > 1 else 0.0, np.zeros(6))
+        pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
+        return cls(cls.TYPICAL_MM, pose_mm, np.zeros(6))
 
     @classmethod
     def independent(cls, reading_mm: float) -> Noise:
@@ -171,11 +170,11 @@ class Noise:
         rows = np.repeat(known, 3, axis=1)
         found = float(np.sum(np.where(rows, weighted, 0.0) ** 2))
         wanted = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
-        reading = _step(self.reading_mm, found, wanted, TYPICAL_MM)
+        reading = _step(self.reading_mm, found, wanted, self.TYPICAL_MM)
         pose = self.pose_mm
         if pose > 0.0:
             of_pose = _components(_shifts(known), weighted, precision)
-            pose = _step(pose, float(of_pose[0].sum()), float(of_pose[1].sum()), TYPICAL_MM)
+            pose = _step(pose, float(of_pose[0].sum()), float(of_pose[1].sum()), self.TYPICAL_MM)
         joint = self.joint_rad
         if joint.all():
             common = float(np.exp(np.mean(np.log(joint))))
@@ -214,7 +213,8 @@ def _shifts(known: Bools) -> Array:
 
 
 def _step(sigma: float, found: float, wanted: float, typical: float) -> float:
-    """Return sigma after a step, drawn to the typical value by an inverse chi^2 of `DOUBT`."""
-    found += DOUBT * typical**2 / sigma**4
-    wanted += DOUBT / sigma**2
+    """Return sigma after a step, drawn to the typical value by an inverse chi^2."""
+    doubt = 4.0  # readings' worth of data that the typical value counts for
+    found += doubt * typical**2 / sigma**4
+    wanted += doubt / sigma**2
     return float(sigma * (found / wanted) ** 0.25)

@@ -18,7 +18,6 @@ from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import State
 from hilcell.identification.readings import Noise, folds_of
 
-DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found
 
 
@@ -204,6 +203,7 @@ def _kernel(scales: Array) -> tuple[Kernel, float]:
 
 def _scales(estimate: Estimate, rows: Rows) -> Array:
     """Return the logarithms (13,) of the kernel's scales and the noise's, by L-BFGS."""
+    doubt = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
     from scipy.optimize import minimize
 
     system = estimate.system
@@ -224,10 +224,10 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
         lengths = 0.5 * np.einsum("ij,ijd->d", by_pose, squares) / kernel.length_rad**2
         noise = share * float(np.sum(M * rows.noise_mm2))
         gradient = np.concatenate([by_joint * kernel.joint_rad**2, lengths, [noise]])
-        away = (scales - middle) / DOUBT
-        return -solved.evidence + 0.5 * float(away @ away), gradient + away / DOUBT
+        away = (scales - middle) / doubt
+        return -solved.evidence + 0.5 * float(away @ away), gradient + away / doubt
 
-    limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, DOUBT, strict=True)]
+    limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, doubt, strict=True)]
     steps, gain = 40, 1e-5  # of the search; relative, of the cost
     found = minimize(
         cost,

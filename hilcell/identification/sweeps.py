@@ -255,13 +255,14 @@ LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
 CHANCE = 1e-3  # that any line at all is found where there is none
 SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
-FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 
 
 @dataclass(frozen=True)
 class Records:
     """Both directions below one another: joint, error and direction of N samples."""
+
+    FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
 
     joint_rad: Array  # (N,) as read, not yet shifted
     error_rad: Array  # (N,)
@@ -301,7 +302,7 @@ class Records:
     def smooth(self) -> Array:
         """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
         angle = self.angle_rad(0.0)
-        columns = [np.full_like(angle, FREE_RAD), FREE_RAD * angle / self.half_rad]
+        columns = [np.full_like(angle, self.FREE_RAD), self.FREE_RAD * angle / self.half_rad]
         for order, sigma in SMOOTH_RAD.items():
             columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
         both = np.stack(columns, axis=1)

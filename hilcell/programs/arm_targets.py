@@ -47,7 +47,6 @@ from hilcell.programs.target_jobs import POSTURE_BITS, TargetFiles, check_postur
 
 ROOT = "the robot's root frame"  # that poses are in
 JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
-MOST_KNOWN = 500  # measured poses that are searched from
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +75,15 @@ class ArmTargets(TargetFiles):
         ``train`` are the rows that were learnt from; ``say`` takes what could not be checked.
         Raises `HilcellError` where a target must not be corrected.
         """
+        most_known = 500  # measured poses that are searched from
         chosen = fit.result["chosen"]
         if chosen == NOMINAL:
             raise FitError(f"no target is corrected: {fit.result['reason']}")
         method = fit.methods[chosen]
-        controller = controller_of(robot, method, train, tool)
+        controller = Controller.of(robot, method, train, tool)
         arm = with_tool_point(replace(robot.arm(), tool=robot.tool), controller.tool_mm)
         known = np.unique(train.joints_rad, axis=0)
-        known = known[:: len(known) // MOST_KNOWN + 1]
+        known = known[:: len(known) // most_known + 1]
         reach = Reach(arm, robot.base, known, robot.limits_rad)
         program = load_program(source)
         if program is None:
@@ -375,6 +375,17 @@ class Controller:
     target: str
     smr_mm: Array
 
+    @classmethod
+    def of(cls, robot: Robot, method: Method, train: Measurements, target: str) -> Self:
+        """Return the controller that a method's predictions at the training rows fit best."""
+        smr_mm = np.array([method.smr_mm[each] for each in train.target])
+        nominal_mm = apply_each(forward(robot.arm(), train.joints_rad), smr_mm)
+        try:
+            base = rigid_fit(nominal_mm, method.predict(train)[0]).T
+        except FrameError:  # on one line: its turn about the line is the method's
+            base = method.base
+        return cls(robot, base, target, method.smr_mm[target])
+
     @property
     def root(self) -> Array:
         """Return the robot's root frame in the tracker's (4, 4)."""
@@ -396,14 +407,3 @@ class Controller:
         R = inverse(self.root)[:3, :3]
         error_mm = (seen_mm - apply(self.base, nominal_mm)) @ R.T
         return Prediction(error_mm, R @ covariance_mm2 @ R.T)
-
-
-def controller_of(robot: Robot, method: Method, train: Measurements, target: str) -> Controller:
-    """Return the controller that a method's predictions at the training rows fit best."""
-    smr_mm = np.array([method.smr_mm[each] for each in train.target])
-    nominal_mm = apply_each(forward(robot.arm(), train.joints_rad), smr_mm)
-    try:
-        base = rigid_fit(nominal_mm, method.predict(train)[0]).T
-    except FrameError:  # on one line: its turn about the line is the method's
-        base = method.base
-    return Controller(robot, base, target, method.smr_mm[target])

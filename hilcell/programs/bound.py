@@ -36,10 +36,6 @@ from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.ports import HilcellError
 
 CANDIDATES = 10  # near holes whose edges the prices are tuned on
-TUNING_STEPS = 400
-PATIENCE = 15  # steps without a better bound before the step is halved
-INERTIA = 0.3  # share of the step before in the next one
-TREES = 4  # of tuning, each on the edges that the full tree of the last one used as well
 ROUNDING = 1e-9  # share of the bound given away to rounding
 
 
@@ -49,12 +45,13 @@ def lower_bound(distance: Array, order: Ints) -> float:
     ``order`` (N,) is any route: its edges make the tuning's graph connected, its length scales
     the steps. The bound holds however well the prices were tuned.
     """
+    trees = 4  # of tuning, each on the edges that the full tree of the last one used as well
     if len(distance) < 3:
         return float(distance[order[:-1], order[1:]].sum())
     edges = candidates(distance, order)
     target_mm = float(distance[order[:-1], order[1:]].sum())
     price, best = np.zeros(len(distance)), 0.0
-    for _ in range(TREES):
+    for _ in range(trees):
         price = _tuned(distance, edges, price, target_mm)
         bound_mm, tree = _evaluated(distance, price)
         best = max(best, bound_mm)
@@ -79,12 +76,15 @@ def candidates(distance: Array, order: Ints) -> Ints:
 
 def _tuned(distance: Array, edges: Ints, price: Array, target_mm: float) -> Array:
     """Return prices (N,) that raise the bound over ``edges``, by subgradient steps."""
+    tuning_steps = 400
+    patience = 15  # steps without a better bound before the step is halved
+    inertia = 0.3  # share of the step before in the next one
     count, (one, other) = len(price), edges.T
     plain = distance[one, other]
     starts = np.searchsorted(one, np.arange(count + 1))
     best, best_price, direction = -np.inf, price, np.zeros(count)
     scale, idle = 1.0, 0
-    for _ in range(TUNING_STEPS):
+    for _ in range(tuning_steps):
         weight = plain + price[one] + price[other]
         low = weight.min() - 1.0  # csgraph takes a weight of 0 for no edge
         graph = csr_array((weight - low, other, starts), shape=(count, count))
@@ -93,12 +93,12 @@ def _tuned(distance: Array, edges: Ints, price: Array, target_mm: float) -> Arra
         bound_mm = tree.data.sum() + low * (count - 1) + price[hub].sum() - 2 * price.sum()
         if bound_mm > best:
             best, best_price, idle = bound_mm, price, 0
-        elif (idle := idle + 1) >= PATIENCE:
+        elif (idle := idle + 1) >= patience:
             scale, idle = scale / 2, 0
         excess = np.bincount(np.concatenate([tree.row, tree.col, hub]), minlength=count) - 2.0
         if not excess.any():
             break  # the tree is a route: nothing is better
-        direction = excess + INERTIA * direction
+        direction = excess + inertia * direction
         step = scale * max(target_mm - bound_mm, 1e-3 * target_mm) / (excess @ excess)
         price = price + step * direction
     return best_price
@@ -365,18 +365,16 @@ class _Shares:
         return teeth
 
 
-ROUNDS = 25
-PROVEN = 1e-4  # share of the bound that is not worth another edge
-
-
 def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
     """Return a length that no open route through distances (N, N) is below.
 
     ``order`` (N,) is a good route: cuts are sought among its stretches, until the bound is near
     ``enough_mm``.
     """
+    rounds = 25
+    proven = 1e-4  # share of the bound that is not worth another edge
     program, separation = _Program(distance, order), Separation(np.append(order, len(order)))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         if program.solve() >= enough_mm:
             break
         cuts = separation.broken(program.edges, program.share)
@@ -384,11 +382,11 @@ def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
             break
         program.add(cuts)
     best_mm = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         solved_mm = program.solve()
         bound_mm, missing = program.proven()
         best_mm = max(best_mm, bound_mm)
-        if not len(missing) or best_mm >= solved_mm * (1.0 - PROVEN):
+        if not len(missing) or best_mm >= solved_mm * (1.0 - proven):
             break
         program.edges = np.vstack([program.edges, missing])
     return best_mm * (1.0 - ROUNDING)

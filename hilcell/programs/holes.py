@@ -18,10 +18,6 @@ from hilcell.geometry.frames import from_rotvec, from_zyx
 from hilcell.geometry.kinematics import Array
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
-LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded
-TWIN_MM, TWIN_RAD = 0.1, 0.02  # nearer holes are one: less than most bounds, and than any drill
-SAME_MM = 5e-4  # lists are rounded
-ROUNDING = 1e-9  # of a cosine
 TURNS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
 
@@ -70,6 +66,7 @@ class Holes:
         """Return the holes with one more turn each: of free ones the one with {T} nearest to ``R``
         (3, 3).
         """
+        rounding = 1e-9  # of a cosine
         if self.tools.shape[1] == 1:
             return self  # angles, which fix the turn
         R = R @ self.T_D_T[:3, :3].T
@@ -79,7 +76,7 @@ class Holes:
         angle_rad = np.arctan2(sine, z @ R[:, 2])
         vectors = axis * (angle_rad / np.maximum(sine, np.finfo(float).tiny))[:, None]
         nearest = from_rotvec(vectors) @ R  # by the shortest rotation
-        there = np.einsum("ni,ni->n", nearest[:, :, 2], z) > 1.0 - ROUNDING
+        there = np.einsum("ni,ni->n", nearest[:, :, 2], z) > 1.0 - rounding
         nearest[~there] = self.tools[~there, 0]  # of opposite axes none is the shortest
         tools = np.concatenate([self.tools, nearest[:, None]], axis=1)
         return replace(self, tools=tools)
@@ -102,12 +99,13 @@ def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
 
 def twins(holes: Holes) -> list[str]:
     """Return warnings of holes nearer to another, with its normal, than a bound tells apart."""
+    twin_mm, twin_rad = 0.1, 0.02  # nearer holes are one: less than most bounds, and than any drill
     if len(holes.names) < 2:
         return []
-    axes = holes.tools[:, 0, :, 2] * (TWIN_MM / TWIN_RAD)
+    axes = holes.tools[:, 0, :, 2] * (twin_mm / twin_rad)
     places = np.hstack([holes.points_mm, axes])
     none = len(places)  # stands for no neighbour
-    near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=TWIN_MM)[1])
+    near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=twin_mm)[1])
     pairs = {
         (min(n, other), max(n, other))
         for n, (one, two) in enumerate(near.tolist())
@@ -117,9 +115,10 @@ def twins(holes: Holes) -> list[str]:
 
 
 def _twin(holes: Holes, first: int, second: int) -> str:
+    same_mm = 5e-4  # lists are rounded
     off_mm = float(np.linalg.norm(holes.points_mm[second] - holes.points_mm[first]))
     names = f"{holes.names[second]} and {holes.names[first]}"
-    if off_mm < SAME_MM:
+    if off_mm < same_mm:
         return f"warning: {names} are one hole: same place, same normal"
     return f"warning: {names} are {off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
 
@@ -138,6 +137,7 @@ def tools_against(normals: Array) -> Array:
 
 
 def _fault_of(header: list[str], values: list[float]) -> str:
-    if header == NORMALS and not np.linalg.norm(values[3:]) >= LEAST_NORMAL:
+    least_normal = 1e-6  # a shorter one is a zero that was rounded
+    if header == NORMALS and not np.linalg.norm(values[3:]) >= least_normal:
         return f"normal {values[3:]} has no length"
     return ""

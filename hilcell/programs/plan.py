@@ -29,9 +29,6 @@ from hilcell.ports import HilcellError
 from hilcell.programs.holes import Holes
 from hilcell.programs.route import route
 
-SLOW_HOLES = 500  # whose plan takes seconds
-RASTER_MM = 50.0  # of free stations along the rail
-
 
 @dataclass(frozen=True, slots=True)
 class StationPlan:
@@ -80,12 +77,13 @@ def plan(
     corrected. ``say`` is called with each step of a plan that takes long. Raises
     `UnreachableHoles`.
     """
+    slow_holes = 500  # whose plan takes seconds
     candidates = _candidates(cell, free=free)
     if calibrated is not None:
         candidates = [each for each in candidates if each.name in calibrated.stations]
         for station in candidates:
             holes = holes.with_turn_near(calibrated.orientation(station.name))
-    slow = len(holes.names) >= SLOW_HOLES
+    slow = len(holes.names) >= slow_holes
     if slow:
         say(f"planning {len(holes.names)} holes: where they are reached")
     reached = reach(cell, holes, candidates, calibrated)
@@ -113,12 +111,13 @@ def along_rail(rail_mm: dict[int, float]) -> list[int]:
 
 
 def _candidates(cell: Cell, *, free: bool) -> list[Station]:
+    raster_mm = 50.0  # of free stations along the rail
     recorded = list(cell.station)
     if not free:
         return recorded
     low = cell.rail.travel_min_mm + cell.rail.back_off_mm
-    raster = RASTER_MM * np.arange(
-        np.ceil(low / RASTER_MM), np.floor(cell.rail.travel_max_mm / RASTER_MM) + 1
+    raster = raster_mm * np.arange(
+        np.ceil(low / raster_mm), np.floor(cell.rail.travel_max_mm / raster_mm) + 1
     )
     known = {station.rail_mm for station in recorded}
     return recorded + [

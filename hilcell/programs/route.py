@@ -20,12 +20,6 @@ from scipy.spatial.distance import cdist
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.programs.bound import cut_bound, lower_bound
 
-GOOD = 1.02  # a route this near to its bound is not worth more search
-FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
-FIRST_KICKS_PER_HOLE = 2  # before the bound is sharpened
-KICKS_PER_HOLE = 4  # after that
-MOST_CUT = 1000  # holes up to which sharpening is quick
-
 
 @dataclass(frozen=True, slots=True)
 class Route:
@@ -38,17 +32,22 @@ class Route:
 
 def route(points_mm: Array) -> Route:
     """Return a short open route with free ends through points (N, 3), N >= 1."""
+    good = 1.02  # a route this near to its bound is not worth more search
+    far = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
+    first_kicks_per_hole = 2  # before the bound is sharpened
+    kicks_per_hole = 4  # after that
+    most_cut = 1000  # holes up to which sharpening is quick
     distance = cdist(points_mm, points_mm)
     first = _nearest_neighbours(distance)
     bound_mm = lower_bound(distance, first)
     if len(first) < 4:
         return _route(distance, first, bound_mm)
     search = _Search(distance, first)
-    order = search.run(GOOD * bound_mm, FIRST_KICKS_PER_HOLE)
+    order = search.run(good * bound_mm, first_kicks_per_hole)
     found = _route(distance, order, bound_mm)
-    if found.travel_mm > FAR * bound_mm and len(order) <= MOST_CUT:
-        bound_mm = max(bound_mm, cut_bound(distance, order, found.travel_mm / FAR))
-    order = search.run(GOOD * bound_mm, KICKS_PER_HOLE)
+    if found.travel_mm > far * bound_mm and len(order) <= most_cut:
+        bound_mm = max(bound_mm, cut_bound(distance, order, found.travel_mm / far))
+    order = search.run(good * bound_mm, kicks_per_hole)
     return _route(distance, order, bound_mm)
 
 

@@ -48,9 +48,6 @@ from hilcell.programs.corrected import Corrected, Released, drill_mm_of
 from hilcell.run.order import Release
 from hilcell.writing import CSV, NotWritten, check_output, write_whole
 
-STROKE_MISS_MM = 0.05  # that strokes may miss by where nothing else is stated
-LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
-
 
 @dataclass(frozen=True, eq=False)
 class TargetFiles:
@@ -224,13 +221,14 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
 
     A file that is no list may be a program of an unknown format.
     """
+    lists = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
     from hilcell.programs.holes import Holes, twins  # scipy's neighbours, which no program needs
 
     try:
         names, targets = read_targets(source)
     except SettingsError as error:
         suffix = source.suffix.lower()
-        if suffix in LISTS:
+        if suffix in lists:
             raise
         known = ", ".join(suffixes()) or "none"
         hint = f"no format of programs is installed for {suffix} (installed: {known})"
@@ -265,12 +263,13 @@ def _check_program(
     say: Callable[[str], object],
 ) -> None:
     """Refuse a program whose strokes or joints do not agree with its corrected targets."""
+    stroke_miss_mm = 0.05  # that strokes may miss by where nothing else is stated
     station, name = targets.stamp.station, source.name
     if strokes.miss_mm is not None:
         limits = StrokeLimits(strokes.longest_mm, strokes.miss_mm, "--stroke-tolerance")
     elif isinstance(targets.bounds, NoBound):
         why = "as no 95 % bound can be stated"
-        limits = StrokeLimits(strokes.longest_mm, STROKE_MISS_MM, why)
+        limits = StrokeLimits(strokes.longest_mm, stroke_miss_mm, why)
     else:  # within which no difference is sure
         bound_mm = targets.bounds.radii_mm
         limits = StrokeLimits(strokes.longest_mm, bound_mm, "the point's 95 % bound")
@@ -308,20 +307,8 @@ class StrokeError(HilcellError):
     code = "HC-C10"
 
 
-class PostureError(HilcellError):
-    """Targets in another posture of the arm than the calibrated one."""
-
-    code = "HC-C10"
-
-
-class SlideError(HilcellError):
-    """A program that moves the slide elsewhere than to the station it is corrected for."""
-
-    code = "HC-C10"
-
-
-class BaseError(HilcellError):
-    """A program whose base is not the frame of its targets."""
+class ProgramError(HilcellError):
+    """A program whose base, posture or place on the rail is not that of its calibration."""
 
     code = "HC-C10"
 
@@ -341,7 +328,7 @@ def taken_in(T: Array | None, values: Array) -> Array:
 def check_base(
     calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
 ) -> None:
-    """Raise `BaseError` where a program sets a base by numbers that is not {W} at the station.
+    """Raise `ProgramError` where a program sets a base by numbers that is not {W} at the station.
 
     ``stated`` is None where it sets none by numbers. A controller's base is relative to its own
     root, {B}, so {W} is the inverse of the calibrated T_W_B. Judged where ``targets`` (N, 6) would
@@ -359,7 +346,7 @@ def check_base(
         words = ",".join(
             f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
         )
-        raise BaseError(
+        raise ProgramError(
             f"{stated.where}: the base set there is not the world frame {{W}} of the targets at "
             f"{station}: it puts them up to {worst:.3f} mm elsewhere, wanted <= {base_mm:g} mm; "
             f"set {{{words}}}, as calibrated, and take the targets in {{W}}"
@@ -367,13 +354,13 @@ def check_base(
 
 
 def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
-    """Raise `PostureError` naming targets with another posture than the calibrated ``status``.
+    """Raise `ProgramError` naming targets with another posture than the calibrated ``status``.
 
     A robot's errors are those of its joints: in another posture they are others, of millimetres.
     """
     other = [f"{where}: S {s}" for where, s in stated if s & POSTURE_BITS != status & POSTURE_BITS]
     if other:
-        raise PostureError(
+        raise ProgramError(
             f"{len(other)} of {len(stated)} targets are reached in another posture than the "
             f"calibrated one, S {status}: no correction is known there; state them in that posture,"
             f" or measure theirs (robot.status of a cell)\n{indented(other)}"
@@ -381,11 +368,11 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
 
 
 def check_slide(station: Station, stated: tuple[str, float] | None) -> None:
-    """Raise `SlideError` where a program moves the slide elsewhere than to its station."""
+    """Raise `ProgramError` where a program moves the slide elsewhere than to its station."""
     slide_mm = 5.0  # a program's place is the drive's, and the strip's decides: no other station
     if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
         place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
-        raise SlideError(
+        raise ProgramError(
             f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
             f"{station.name}: correct the program for the station that it drives to"
         )
