@@ -28,6 +28,7 @@ from hilcell.conformance.trial import (
     judge,
 )
 from hilcell.journal.log import Log
+from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, PromiseJudged
 from hilcell.model.plan import Step
 from hilcell.model.verdicts import DriverConforms
@@ -181,7 +182,7 @@ def _agreed(session: CellSession, what: str) -> None:
     session.add(Announced(motion=what))
     session.pause(
         f'conformance: {what}; clear the cell, stay at the E-stop, then type "yes" at '
-        f"`hilcell resume {session.folder.name}`, or let it go on at the screen"
+        f"`{command_on(session.folder, 'resume')}`, or let it go on at the screen"
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from shlex import quote
 from typing import TYPE_CHECKING, Literal
 
 from hilcell.alarms.catalogue import By, Entry, Severity, code_of_verdict, entry_of
@@ -172,7 +173,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         steps.insert(0, (finding.advice, "you"))
     then = "" if severity == "notice" else _then(entry, run, go_on, over=over)
     steps.append((then, "you"))
-    of_run = f"`hilcell show {line(run)}`"  # the newest may be another by now
+    of_run = f"`hilcell show {quote(line(run))}`"  # the newest may be another by now
     steps = [(step.replace(SHOW_LAST, of_run), by) for step, by in steps if step]
     return Alarm(
         entry.code,
@@ -196,7 +197,7 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
 def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
     match entry.then:
         case "resume":
-            command = f", or `hilcell resume {line(run)}`" if over else ""
+            command = f", or `hilcell resume {quote(line(run))}`" if over else ""
             return f"Continue: {go_on}{command}."
         case "new run":
             return "Start a new run: `hilcell run`."

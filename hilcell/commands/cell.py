@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from queue import Empty, SimpleQueue
+from shlex import quote
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.devices import (
@@ -211,7 +212,8 @@ def sim(args: Sim) -> int:
         flush_data()
         print_message(
             "simulated cell is up; in another terminal:\n"
-            f"  hilcell run --cell {args.cell} --set simulation.address={simulated.address}\n"
+            f"  hilcell run --cell {quote(args.cell)} "
+            f"--set simulation.address={simulated.address}\n"
             "ctrl-C ends it"
         )
         if args.train and training is not None:

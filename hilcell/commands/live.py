@@ -22,6 +22,7 @@ from hilcell.journal.index import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, live_engine
+from hilcell.journal.runs_folder import command_on
 from hilcell.run.control import Command, order
 
 FOLLOW_S = 0.1
@@ -63,7 +64,7 @@ def _watch(folder: Path, *, as_json: bool) -> int:
         return EXIT_REFUSED
     log.take(first)
     name = encodable(folder.name)
-    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(name, log.inputs.points)
+    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(folder, log.inputs.points)
     with output:
         output.take(first)
         for record in records:
@@ -74,9 +75,8 @@ def _watch(folder: Path, *, as_json: bool) -> int:
     if output.lost is not None:
         raise output.lost
     state = log.state if log.end is None else ended_words(log)
-    ended = (
-        "" if log.end is not None else f"; its engine is gone, `hilcell resume {name}` continues it"
-    )
+    again = command_on(folder, "resume")
+    ended = "" if log.end is not None else f"; its engine is gone, `{again}` continues it"
     fault = f": {log.fault}" if log.end is not None and log.fault else ""
     print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
     if words := left_moving(log):

@@ -31,6 +31,7 @@ from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, rea
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, live_engine, read_log, read_records
+from hilcell.journal.runs_folder import command_on
 from hilcell.journal.standing import Standing
 from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
@@ -401,10 +402,11 @@ def revoke(args: Revoke) -> int:
             f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
         )
     cell = f"cell {log.cell.name}"
-    _check_permission(folder)
+    operator = ("--operator", args.operator) if args.operator else ()
+    again = command_on(folder, "revoke", "--reason", args.reason, *operator)
+    _check_permission(folder, again)
     with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):
         name = encodable(folder.name)
-        again = f"hilcell revoke {name}"
         journal = RunJournal(folder / JOURNAL, name, create=False, again=again)
         try:
             revoked = CalibrationRevoked(reason=args.reason, operator=args.operator)
@@ -423,18 +425,16 @@ def revoke(args: Revoke) -> int:
     return 0
 
 
-def _check_permission(folder: Path) -> None:
+def _check_permission(folder: Path, again: str) -> None:
     """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
     for place in (folder / JOURNAL, folder, folder.resolve().parent):
         if os.statvfs(place).f_flag & os.ST_RDONLY:
             raise StorageError(
                 f"run {folder.name}: its calibration is not revoked: {place} lies on a read-only "
-                f"file system; mount it for writing, then `hilcell revoke "
-                f"{encodable(folder.name)}` again"
+                f"file system; mount it for writing, then `{again}`"
             )
         if not os.access(place, os.W_OK):
             raise StorageError(
                 f"run {folder.name}: its calibration is not revoked: no permission to write "
-                f"{place}; ask the owner of that for it, or revoke as the owner, then "
-                f"`hilcell revoke {encodable(folder.name)}` again"
+                f"{place}; ask the owner of that for it, or revoke as the owner, then `{again}`"
             )

@@ -23,6 +23,7 @@ from hilcell.errors import DONE, EXIT_ABORTED, EXIT_STORAGE
 from hilcell.journal.index import find_run
 from hilcell.journal.log import Log
 from hilcell.journal.runs import live_engine, read_log
+from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
@@ -63,7 +64,7 @@ def resume(args: Resume) -> int:
 def _performed(engine: Engine, *, as_json: bool) -> int:
     """Run to an end, print it, and return its exit code."""
     plan, log, name = engine.plan, engine.journal.log, engine.journal.run
-    output = JsonOutput(name) if as_json else ProgressOutput(name, plan.points)
+    output = JsonOutput(name) if as_json else ProgressOutput(plan.folder, plan.points)
     code, fault, unclosed = engine.run(output)
     output.close(code, log, fault)
     print_end(plan.folder, log, plan.procedure, output, fault)
@@ -83,7 +84,7 @@ def _resume_live(folder: Path, args: Resume) -> int:
     log, under_way = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     if not somebody:
-        check_word(folder.name, awaited_motion(log), log)
+        check_word(folder, awaited_motion(log), log)
     if somebody or not (status.unattended or status.screens):
         waits_for = log.life[-1].change.reason if log.life else ""
         if not somebody:
@@ -135,12 +136,13 @@ def awaited_motion(log: Log) -> str:
     return next((fact.motion for fact in since if isinstance(fact, Announced)), "")
 
 
-def check_word(run: str, motion: str, log: Log) -> None:
+def check_word(folder: Path, motion: str, log: Log) -> None:
     """Refuse a real motion that needs a typed word where nobody can type it."""
+    resume = command_on(folder, "resume")
     if motion and not log.inputs.simulated:
         raise HilcellError(
-            f"run {run}: nobody can be asked whether the robot may go on, for this is no terminal; "
-            f'it waits before a motion: {motion}; type "yes" at `hilcell resume {run}` in a '
+            f"run {folder.name}: nobody can be asked whether the robot may go on, for this is no "
+            f'terminal; it waits before a motion: {motion}; type "yes" at `{resume}` in a '
             "terminal, or let it go on at `hilcell tui`",
             code="HC-C31",
         )

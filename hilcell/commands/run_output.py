@@ -11,13 +11,14 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Self
 
 import msgspec
 
 from hilcell.alarms.catalogue import catalogue, code_of_verdict, entry_of
 from hilcell.cell.file import Cell
-from hilcell.clean import harmless, harmless_lines
+from hilcell.clean import encodable, harmless, harmless_lines
 from hilcell.commands.output import (
     flush_data,
     json_line,
@@ -143,12 +144,12 @@ def progress_bar() -> Progress:
 class ProgressOutput(RunOutput):
     """Draws a progress bar on stderr."""
 
-    def __init__(self, run: str, points: int) -> None:
+    def __init__(self, folder: Path, points: int) -> None:
         super().__init__(as_json=False)
-        self._run, self._progress = harmless(run), progress_bar()
+        self._folder, self._progress = folder, progress_bar()
         self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
-        self._task = self._progress.add_task(self._run, total=points)
+        self._task = self._progress.add_task(harmless(encodable(folder.name)), total=points)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -198,7 +199,7 @@ class ProgressOutput(RunOutput):
             if change.prompt is not None:
                 question = f"{change.prompt['title']}. {change.prompt['text']}"
                 for_what = f"{question} When it is done, "
-            go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
+            go_on = f"`{command_on(self._folder, 'resume')}` goes on, ctrl-C stops"
             self._print(f"{change.to}: {for_what}{go_on}")
 
     def _print(self, text: str) -> None:
@@ -309,7 +310,8 @@ def print_lost(folder: Path, output: RunOutput) -> None:
     if output.lost is not None:
         print_error(output.lost)
         print_message(
-            f"the journal in {folder} is whole: `hilcell watch {folder} --json` prints it"
+            f"the journal in {folder} is whole: "
+            f"`hilcell watch {quote(str(folder))} --json` prints it"
         )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from hilcell.commands.orders import Tui
 from hilcell.commands.output import print_message
 from hilcell.errors import EXIT_INTERNAL, HilcellError
-from hilcell.journal.runs_folder import runs_option
+from hilcell.journal.runs_folder import command_on
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
@@ -56,9 +56,8 @@ def tui(args: Tui) -> int:
             " not stopped by that: `hilcell tui last` shows it again"
         )
         return EXIT_INTERNAL
-    runs = runs_option(args.runs)
     for detached in app.detached:
-        again = f"hilcell tui {detached}{runs}"
+        again = command_on(args.runs / detached, "tui")
         print_message(f"hilcell: detached; the run goes on: `{again}` shows it again")
     return 0
 

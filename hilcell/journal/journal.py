@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from hilcell.errors import EXIT_REFUSED, EXIT_STORAGE, HilcellError
-from hilcell.journal.runs_folder import runs_option
+from hilcell.journal.runs_folder import command_on
 from hilcell.model.records import Fact, Kind, fact_of
 from hilcell.typed import Json, typed
 
@@ -222,9 +222,7 @@ class Journal:
 
     @property
     def _again(self) -> str:
-        return (
-            self._asked_again or f"hilcell resume {self.run}{runs_option(self.path.parent.parent)}"
-        )
+        return self._asked_again or command_on(self.path.parent, "resume")
 
     def append(self, kind: Kind, key: str, body: Body) -> Record:
         """Write one record and return it when it is durable.

@@ -16,6 +16,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
+from shlex import quote
 from statistics import fmean
 from typing import NamedTuple
 from uuid import UUID
@@ -101,7 +102,7 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
     """
     row, log = row_of_records(run, records), Log(records)
     if not log.over or log.end is None:
-        raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
+        raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {quote(run)}` ends it")
     head, (run_key, revision) = heads(records)[-1], key_of(run, records)
     month = date.fromisoformat(f"{records[0].t[:MONTH]}-01")
     made = _Rows(log)

@@ -34,6 +34,7 @@ import msgspec
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import StorageError, is_there
 from hilcell.journal.runs import ENGINE, EngineFile, read_engine_file
+from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.typed import Json, decoded, typed
 from hilcell.writing import NotWritten, write_whole
@@ -242,7 +243,7 @@ def _say_where(file: Path, where: EngineFile) -> None:
     except NotWritten as error:
         raise StorageError(
             f"the engine could not say where it listens: {error}; make room or mend the disk, "
-            f"then `hilcell resume {file.parent.name}`",
+            f"then `{command_on(file.parent, 'resume')}`",
             code="HC-J01",
         ) from error
 

@@ -161,7 +161,7 @@ class Resume(Signature):
         from hilcell.cell.settings import SettingsError
         from hilcell.errors import HilcellError
         from hilcell.journal.runs import CALIBRATION
-        from hilcell.journal.runs_folder import runs_option
+        from hilcell.journal.runs_folder import command_on
         from hilcell.run.run_plan import NONE, Changes, ResumedRun, changed_inputs, check_attended
         from hilcell.run.states import retake_refusal
 
@@ -182,11 +182,10 @@ class Resume(Signature):
             try:
                 check_options(log.cell)
             except SettingsError as error:
-                again = f"hilcell resume {folder.name}{runs_option(folder.parent)}"
                 raise HilcellError(
                     f"run {folder.name} cannot go on here; it is as it was. {error}\n"
                     "  it keeps the cell that it began with: install here what is missing, then "
-                    f"`{again}`",
+                    f"`{command_on(folder, 'resume')}`",
                     code=error.code,
                 ) from error
             found = changed_inputs(log, procedure.used_in(log.cell))

@@ -222,7 +222,9 @@ def test_a_read_only_file_system_is_named(
     monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_flag=os.ST_RDONLY))
     words = ["revoke", "1-made", "--reason", "a nest", "--runs", str(tmp_path)]
     assert main(words) == 7
-    assert "read-only file system" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "read-only file system" in said
+    assert f"then `hilcell revoke 1-made --reason 'a nest' --runs {tmp_path}`\n" in said
     assert not row_of(tmp_path / "1-made").facts.revoked
 
 

@@ -154,7 +154,7 @@ def test_a_verdict_that_does_not_hold_is_printed_with_its_figures(
 
 def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     body = {"what": "promise", "port": "tracker", "promise": "late", "verdict": "broken"}
-    with ProgressOutput("r", 0) as output:
+    with ProgressOutput(Path("r"), 0) as output:
         output.print_record(Record(1, "", "event", "", body | {"why": "3 mm off"}))
         output.print_record(Record(2, "", "event", "", body | {"why": "", "verdict": "held"}))
     said = capsys.readouterr().err
@@ -185,7 +185,7 @@ def test_a_run_that_waits_says_for_what(
     to: str, facts: dict[str, Any], words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     body = {"machine": "run", "from": "running", "to": to} | facts
-    ProgressOutput("r", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    ProgressOutput(Path("r"), 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
     said = " ".join(capsys.readouterr().err.split())
     assert [word for word in (to, *words, "hilcell resume") if word not in said] == []
 
@@ -193,7 +193,7 @@ def test_a_run_that_waits_says_for_what(
 def test_the_bar_counts_each_point_once_and_never_beyond_its_total(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with ProgressOutput("r", 2) as output:
+    with ProgressOutput(Path("r"), 2) as output:
         output.skip_measured(["base/1"])
         for key in ("grid/1", "grid/1", "grid/2"):
             at = {"xyz_mm": [0.0, 0.0, 0.0], "std_mm": [0.0, 0.0, 0.0], "samples": 1, "session": 1}
@@ -295,11 +295,15 @@ def test_a_run_that_finished_says_its_outcome_and_each_failure_once(
 
 
 def test_a_run_that_waits_says_how_its_own_name_goes_on(
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     body = {"machine": "run", "from": "running", "to": "paused"}
-    ProgressOutput("r7", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
-    assert "`hilcell resume r7`" in " ".join(capsys.readouterr().err.split())
+    ProgressOutput(tmp_path / "r 7", 3).take(
+        Record(1, "2026-01-01T00:00:00+00:00", "state", "", body)
+    )
+    said = capsys.readouterr().err.replace("\n", "")
+    assert f"`hilcell resume 'r 7' --runs {tmp_path}`".replace(" ", "") in said.replace(" ", "")
 
 
 def test_ctrl_c_at_a_watched_run_names_it(
@@ -342,5 +346,5 @@ def test_a_run_whose_devices_stand_says_nothing_of_that(
 
 def test_a_run_says_that_it_connects(capsys: pytest.CaptureFixture[str]) -> None:
     body = {"machine": "run", "from": "idle", "to": "checking"}
-    ProgressOutput("r", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    ProgressOutput(Path("r"), 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
     assert "connecting" in capsys.readouterr().err
