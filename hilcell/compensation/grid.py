@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.clean import counted
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.ports import HilcellError
 
 ROUNDING_MM = 1e-6  # a target on a face may lie outside by the rounding of its frame
-FAR_MM = 200.0  # by which all targets of a list are outside where it is in another unit
-UNITS = "\nall are far off: is the list in metres or inches? It must be in mm"
 NAMED = 5  # targets that one message names
 
 
@@ -101,10 +100,9 @@ class Grid:
                 for n in bad[:NAMED]
             )
             raise OutsideGrid(
-                f"{len(bad)} of {len(targets)} targets are outside the calibrated volume "
+                f"{len(bad)} of {counted(len(targets), 'target')} outside the calibrated volume "
                 f"{_text(self.origin_mm)} .. {_text(self.far_mm)} mm: {named}"
                 f"{', ...' if len(bad) > NAMED else ''}; move them, or calibrate a larger volume"
-                f"{UNITS if len(bad) == len(targets) and excess.min() >= FAR_MM else ''}"
             )
 
 

@@ -30,6 +30,7 @@ JOINERS = re.compile("[\u200c\u200d]")
 BRACKETS = re.compile(r"\s*[\[(]\s*(\w+)\s*[\])]$")  # a unit, as spreadsheets state it
 BOUND = "bound95_mm"
 MM_DECIMALS, DEG_DECIMALS = 4, 6
+NEAR_MM = 200.0  # from the origin are all points of a list in metres or inches
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 
 
@@ -46,6 +47,15 @@ def read_targets(path: Path) -> tuple[list[str], Array]:
     """Return names and values (N, 6); raises as `read_named_rows` does."""
     rows = read_named_rows(path, [HEADER], "targets")
     return rows.names, np.array(rows.values)
+
+
+def unit_hint(points_mm: Array) -> str:
+    """Return the question for a list of points (N, 3), elsewhere than expected, that may be in
+    another unit; "" where it cannot be.
+    """
+    if not np.abs(points_mm).max() < NEAR_MM:
+        return ""
+    return "\nis the list in metres or inches? It must be in mm"
 
 
 def read_named_rows(

@@ -19,7 +19,8 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, Station
-from hilcell.compensation.grid import FAR_MM, ROUNDING_MM, UNITS
+from hilcell.compensation.grid import ROUNDING_MM
+from hilcell.compensation.targets import unit_hint
 from hilcell.errors import MOST_LISTED, indented
 from hilcell.geometry.frames import inverse, zyx_from_pose
 from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
@@ -272,11 +273,11 @@ def _refuse_unreached(
         named = indented(why, len(bad))
         count = f"{len(ok)} hole{'s' * (len(ok) != 1)}"
         places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
-        small = len(bad) == len(ok) and float(np.abs(holes.points_mm).max()) < FAR_MM
+        hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
         raise UnreachableHoles(
             f"{len(bad)} of {count} cannot be drilled from {places} in status "
             f"{cell.robot.status}:\n{named}\n"
-            f"{_act(holes, bad, stations, served)}{UNITS if small else ''}"
+            f"{_act(holes, bad, stations, served)}{hint}"
         )
 
 

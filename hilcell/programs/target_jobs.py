@@ -32,7 +32,7 @@ from hilcell.compensation.programs import (
     suffixes,
     write_program,
 )
-from hilcell.compensation.targets import HEADER, csv_of, read_targets, target_rows
+from hilcell.compensation.targets import HEADER, csv_of, read_targets, target_rows, unit_hint
 from hilcell.errors import bounded, indented
 from hilcell.geometry.frames import (
     apply,
@@ -148,7 +148,11 @@ class StationTargets(TargetFiles):
         tip = _tip(known, tool, program, source)
         if program is not None and station in released.calibration.stations:
             check_base(released.calibration, station, program.base, nominal)  # a cause of the next
-        targets = released.corrected(station, names, nominal, tip, known)
+        try:
+            targets = released.corrected(station, names, nominal, tip, known)
+        except OutsideGrid as error:  # the unit of a program is that of its format
+            hint = unit_hint(listed[:, :3]) if program is None else ""
+            raise OutsideGrid(f"{source.name}: {error}{hint}") from error
         if program is not None:
             _check_program(released, targets, program, source, cell, tip, strokes, say)
         stated = targets.command if root is None else taken_in(inverse(root), targets.command)

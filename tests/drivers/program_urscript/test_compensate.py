@@ -18,7 +18,7 @@ from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.programs.drilling import Drilling, Part, station_program
-from tests.drivers.program_urscript.samples import SCRIPT
+from tests.drivers.program_urscript.samples import SCRIPT, TURN
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
 from tests.hilcell.compensation.models import level
@@ -115,6 +115,17 @@ def test_a_tcp_that_is_not_the_calibrated_one(desk: Workplace, tcp: str, code: i
 def test_refused_and_nothing_written(desk: Workplace, old: str, new: str, token: str) -> None:
     desk.program(SCRIPT.replace(old, new))
     assert token in desk.refused()
+
+
+def test_a_program_states_metres_and_is_not_asked_for_its_unit(desk: Workplace) -> None:
+    desk.program(SCRIPT.replace("P1=p[1.85, -.05, 0.95", "P1=p[0.1, -.05, 0.1"))
+    said = desk.refused()
+    assert "drill.script: 1 of 3 targets outside the calibrated volume" in said
+    assert "inches" not in said
+    desk.program(f"def drill():\n  movel(p[0.1, 0.0, 0.1, {TURN}])\nend\n")
+    said = desk.refused()
+    assert "1 of 1 target outside the calibrated volume" in said
+    assert "inches" not in said
 
 
 def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:

@@ -65,6 +65,15 @@ def test_a_corrected_list_arrives(desk: Workplace) -> None:
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
 
 
+def test_a_list_in_metres_is_asked_for_its_unit(desk: Workplace) -> None:
+    write_targets(desk.source, ["H1", "H2"], TARGETS * [1e-3, 1e-3, 1e-3, 1, 1, 1])
+    said = desk.refused()
+    assert "targets.csv: 2 of 2 targets outside the calibrated volume" in said
+    assert "metres" in said
+    write_targets(desk.source, ["H1", "H2"], TARGETS + [0, 5000, 0, 0, 0, 0])
+    assert "metres" not in desk.refused()
+
+
 def test_one_hole_under_two_names_is_named(desk: Workplace) -> None:
     assert "one hole" not in desk.run().stderr
     write_targets(desk.source, ["H1", "H2", "H9"], TARGETS[[0, 1, 0]])

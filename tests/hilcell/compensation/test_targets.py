@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.grid import Grid, OutsideGrid
 from hilcell.compensation.targets import HEADER, read_targets, write_targets
 
 HEAD = ",".join(HEADER)
@@ -55,15 +54,6 @@ def test_what_is_wrong_with_a_name(tmp_path: Path, name: str) -> None:
 def test_persian_names_with_joiners_are_read(tmp_path: Path) -> None:
     name = "\u0645\u06cc\u200c\u062e"
     assert read_targets(file_of(tmp_path, HEAD, f"{name},1,2,3,0,0,0"))[0] == [name]
-
-
-def test_a_list_in_metres_is_asked_for_its_unit() -> None:
-    grid = Grid(np.array([900.0, -300.0, 600.0]), 100.0, (4, 4, 4))
-    with pytest.raises(OutsideGrid, match="metres"):
-        grid.check_inside(np.array([[1.0, 0.2, 0.9]] * 3))
-    with pytest.raises(OutsideGrid) as refused:
-        grid.check_inside(np.array([[1.0, 0.2, 0.9], [950.0, -250.0, 650.0]]))
-    assert "metres" not in str(refused.value)
 
 
 @pytest.mark.parametrize("lines", [["name,x,y,z"], [HEAD.replace(",", "\t")], [], [HEAD]])
