@@ -7,6 +7,7 @@ refused; so is one whose validation failed or was not made, unless somebody acce
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -63,11 +64,15 @@ def check_fitness(
     settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
-    if standing is not None and not accept_not_current:
-        reasons += _not_current(standing)
-    if intolerant and not accept_out_of_tolerance:
-        reasons += [*intolerant, "--accept-out-of-tolerance uses it all the same, and says so"]
+    acceptable = {
+        "--accept-not-current": [] if accept_not_current else [*_not_current(standing)],
+        "--accept-out-of-tolerance": [] if accept_out_of_tolerance else intolerant,
+    }
     found = [reason for reason in reasons if reason]
+    flags = [flag for flag, against in acceptable.items() if against and not found]
+    found += itertools.chain.from_iterable(acceptable.values())
+    if flags:
+        found.append(f"to use it all the same, add {' '.join(flags)}; the output says so")
     if found:
         raise Unfit(calibration, found)
     return intolerant
@@ -105,15 +110,14 @@ def out_of_tolerance(
     return reasons + [f"{key} did not hold: {words}" for key, words in failed.items()]
 
 
-def _not_current(standing: Standing) -> Iterator[str]:
-    if standing.usable:
+def _not_current(standing: Standing | None) -> Iterator[str]:
+    if standing is None or standing.usable:
         return
     yield f"it is {standing.text}"
     if standing.current:
         yield f"the current one of the cell is that of run {standing.current}"
     elif standing.state != "in doubt":
         yield "no calibration of the cell is current: calibrate again"
-    yield "--accept-not-current uses it all the same, and says so"
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from hilcell.calibration.decision import Guard, judged, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import load_cell
+from hilcell.journal.standing import Standing
 from hilcell.model.calibration import Update
 from hilcell.model.verdicts import Limits, Turn
 from tests.hilcell.calibration.calibrations import LIMITS, STAMP, calibration
@@ -89,6 +90,22 @@ def test_a_validation_that_was_never_made() -> None:
     with pytest.raises(Unfit, match="--accept-out-of-tolerance"):
         check_fitness(never, NOW)
     assert len(check_fitness(never, NOW, accept_out_of_tolerance=True)) == 1
+
+
+def test_a_flag_is_offered_where_it_is_enough() -> None:
+    failed = validated(5.0)
+    with pytest.raises(Unfit, match="S1100") as refused:
+        check_fitness(failed, NOW, cell=CELL)
+    assert "--accept" not in str(refused.value), "it is of another cell"
+    doubted = Standing("in doubt", reason="the tracker was bumped")
+    with pytest.raises(Unfit, match="add --accept-not-current --accept-out-of-tolerance;"):
+        check_fitness(failed, NOW, standing=doubted)
+    with pytest.raises(Unfit, match="in doubt") as refused:
+        check_fitness(failed, NOW, standing=doubted, accept_out_of_tolerance=True)
+    assert "--accept-out" not in str(refused.value)
+    check_fitness(
+        failed, NOW, standing=doubted, accept_out_of_tolerance=True, accept_not_current=True
+    )
 
 
 def test_another_tolerance_than_the_cell_s() -> None:
