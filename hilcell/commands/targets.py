@@ -10,8 +10,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.orders import Compensate, Fit
 from hilcell.commands.output import print_data, print_json, print_message, print_table
-from hilcell.fit.fitted_arm import FittedArm
-from hilcell.fit.methods import FitResult, Fitted, fitted, in_mm, methods_table
+from hilcell.fit.methods import FitResult, Fitted, FittedArm, fitted, in_mm, methods_table
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
 from hilcell.programs.arm_targets import ArmTargets

@@ -17,8 +17,7 @@ import numpy as np
 from hilcell import __version__
 from hilcell.clean import clean
 from hilcell.compensation.targets import write_rows
-from hilcell.fit.fitted_arm import FittedArm
-from hilcell.fit.methods import Fitted
+from hilcell.fit.methods import Fitted, FittedArm
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Urdf, beside, chain_of, urdf_of
