@@ -41,6 +41,7 @@ from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import VALIDATION, Verdict
+from hilcell.ports import RecordingEnded
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
@@ -248,8 +249,8 @@ def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
     advised = catalogue().get(fault.code) if isinstance(fault, HilcellError) else None
     if advised is None or advised.then != "new run":
         return f"resume with: {resume}"
-    if isinstance(fault, StorageError):
-        return ""  # the journal takes no more
+    if isinstance(fault, StorageError | RecordingEnded):
+        return ""  # the journal takes no more, or the recording has no more
     return f"a new run is advised (hilcell explain {advised.code}); resume this one with: {resume}"
 
 

@@ -27,6 +27,7 @@ from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import verdict_of
+from hilcell.ports import RecordingEnded
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
@@ -74,6 +75,7 @@ def test_a_fault_names_the_alarms_that_say_what_to_do(
             "a new run is advised (hilcell explain HC-C20); resume this one with: {resume}",
         ),
         (7, StorageError("damaged", code="HC-J13"), ""),
+        (3, RecordingEnded("it ends here", code="HC-C26"), ""),
         (2, REFUSED, ""),
         (0, None, ""),
     ],

@@ -1,7 +1,6 @@
 """A journal that somebody damages while it is written acknowledges nothing more, and says so."""
 
 import os
-import shlex
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ import pytest
 
 from hilcell.journal import journal as module
 from hilcell.journal.journal import Journal, StorageError, read_journal
+from hilcell.journal.runs_folder import command_on
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
@@ -188,8 +188,7 @@ def test_a_full_disk_is_no_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -
         with pytest.raises(StorageError) as caught:
             tick(journal, 1)
     assert caught.value.code == "HC-J01"
-    again = shlex.quote(str(path.parent.parent))
-    assert f"hilcell resume r --runs {again}" in str(caught.value)
+    assert command_on(path.parent, "resume") in str(caught.value)
     tick(journal, 1)  # there is room again
     journal.close()
     assert len(read_journal(path)) == 8
