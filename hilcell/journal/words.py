@@ -33,7 +33,6 @@ _STEPS = {
     "two-face-closing": "Tracker in both faces, at the end",
     "iso9283": "ISO 9283 test",
 }
-_WITHOUT_RAIL = {"home": "Park the robot"}
 OTHERS = "others"  # stations that are judged together
 NEST_KINDS = ("world", "control", "length", "back", "reflector", "held", "slide", "three")
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
@@ -97,7 +96,7 @@ def procedure_words(name: str) -> str:
 
 def step_words(name: str, *, has_rail: bool) -> str:
     """Return a step's name in words; without a rail the robot alone is homed."""
-    names = _STEPS if has_rail else _STEPS | _WITHOUT_RAIL
+    names = _STEPS if has_rail else _STEPS | {"home": "Park the robot"}
     return names.get(name, name.replace("-", " ").capitalize())
 
 

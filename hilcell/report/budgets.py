@@ -106,12 +106,9 @@ class Placed:
         return None if self.coverage is None else of(self.coverage)
 
 
-def _mean_mm(found: Coverage) -> float:
-    return float(found.bounds_mm.mean())
-
-
-def _most_mm(found: Coverage) -> float:
-    return float(found.bounds_mm.max())
+def place_words(place: str) -> str:
+    """Return the name of a place in a table: a station, or those that are judged together."""
+    return "others together" if place == OTHERS else place
 
 
 def placed(budget: TargetBudget) -> list[Placed]:
@@ -119,7 +116,7 @@ def placed(budget: TargetBudget) -> list[Placed]:
     names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
     return [
         Placed(
-            "others together" if name == OTHERS else name,
+            place_words(name),
             budget.in_use.get(name),
             budget.coverage.get(name),
         )
@@ -143,8 +140,18 @@ def bounds_sheet(budget: TargetBudget) -> Table:
         Column(
             "share inside", lambda row: row.validated(lambda each: 100 * each.share), "%", ".1f"
         ),
-        Column("validation bound, mean", lambda row: row.validated(_mean_mm), "mm", ".3f"),
-        Column("validation bound, max", lambda row: row.validated(_most_mm), "mm", ".3f"),
+        Column(
+            "validation bound, mean",
+            lambda row: row.validated(lambda each: float(each.bounds_mm.mean())),
+            "mm",
+            ".3f",
+        ),
+        Column(
+            "validation bound, max",
+            lambda row: row.validated(lambda each: float(each.bounds_mm.max())),
+            "mm",
+            ".3f",
+        ),
     )
     return Table(columns, placed(budget), "95 % bounds of corrected targets", note)
 

@@ -244,7 +244,8 @@ class _Steps:
     def words(self, line: int, text: str) -> str:
         """Return the words of a line; "" of a step that did nothing."""
         if line not in self._idle:
-            return f"{text}{_points(self._counts[line])}"
+            count = self._counts[line]
+            return f"{text} {count} point{'s' if count > 1 else ''}." if count else text
         return f"{text} Computed again, nothing measured." if line in self._computed else ""
 
 
@@ -270,11 +271,6 @@ def _is_computed(record: Record, log: Log) -> bool:
         case Verdict() as verdict:
             return log.verdicts.get(record.key) != verdict
     return False
-
-
-def _points(count: int) -> str:
-    """Return how many points a step gave, where it did."""
-    return f" {count} point{'s' if count > 1 else ''}." if count else ""
 
 
 def _starts(fact: Fact) -> bool:

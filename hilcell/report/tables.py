@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hilcell.calibration.errors import (
-    OTHERS,
     Errors,
     counting,
     errors_of,
@@ -39,7 +38,7 @@ from hilcell.model.results import PaperRow, Repeated, Turns
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
-from hilcell.report.budgets import TargetBudget
+from hilcell.report.budgets import TargetBudget, place_words
 from hilcell.report.drawings.figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
@@ -89,7 +88,7 @@ class Tables:
         """Return each series of targets with its place."""
         return [
             Validated(
-                "others together" if place == OTHERS else place,
+                place_words(place),
                 how,
                 series_name(how, self.facts),
                 errors,
@@ -263,25 +262,47 @@ class Tables:
     def repeats(self) -> list[Repeat]:
         """Return each two successive measurements of a point, in the order of the later ones."""
         pairs = list(self._pairs())
-        measured = _Repeats(self.facts.log)
-        counted = {key: measured.counted(key) for key in {again.key for _, again, _ in pairs}}
+        counted = {key: self._counted(key) for key in {again.key for _, again, _ in pairs}}
         seats, times = seats_of(self.facts.log), Counter[str]()
         found = []
         for first, again, why in pairs:
-            turns = measured.turns_deg(again.key, seats)[times[again.key] :][:2]
+            turns = self._turns_deg(again.key, seats)[times[again.key] :][:2]
             times[again.key] += 1
             found.append(
                 Repeat(
                     first,
                     again,
                     why,
-                    measured.error_mm(first),
-                    measured.error_mm(again),
+                    self._error_mm(first),
+                    self._error_mm(again),
                     _which(counted[again.key], first, again),
                     *(turns if len(turns) == 2 else ()),
                 )
             )
         return found
+
+    def _turns_deg(self, key: str, seats: Array | None) -> list[float]:
+        """Return by how much a target's tool was turned, each time that it was measured."""
+        point = self.facts.log.points.get(key)
+        if seats is None or point is None or point.id.kind != "validate":
+            return []
+        tool = self.facts.log.find(point.id.at_seat(1))
+        return turned_each_time(self.facts.log, tool, seats).angles_deg.tolist() if tool else []
+
+    def _counted(self, key: str) -> Point | None:
+        """Return the measurement of a point that counts, nothing where none does any more."""
+        point = self.facts.log.points.get(key)
+        target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
+        return (
+            counting(self.facts.log, point)
+            if point is not None and target and "world" in self.facts.log.frames
+            else point
+        )
+
+    def _error_mm(self, point: Point) -> float | None:
+        if point.nominal_mm is None or "world" not in self.facts.log.frames:
+            return None
+        return float(errors_of(self.facts.log, [point]).norms_mm[0])
 
     def _pairs(self) -> Iterator[tuple[Point, Point, str]]:
         before: dict[str, Point] = {}
@@ -331,9 +352,8 @@ class Tables:
     def oriented(self) -> Iterator[tuple[str, Sent, Turned]]:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
         for place, stations in places(self.facts.cell).items():
-            name = "others together" if place == OTHERS else place
             for how, turned in validated_turns(self.facts.log, stations).items():
-                yield name, how, turned
+                yield place_words(place), how, turned
 
     def orientation(self) -> Table:
         """Return by how much the tool was turned from its nominal orientation, before and after."""
@@ -572,36 +592,6 @@ REPEATS: tuple[Column[Repeat], ...] = (
     Column("error again", attrgetter("again_mm"), "mm", ".4f"),
     Column("apart", attrgetter("apart_mm"), "mm", ".4f"),
 )
-
-
-@dataclass(frozen=True, eq=False)
-class _Repeats:
-    """The points of a run that were measured more than once."""
-
-    log: Log
-
-    def turns_deg(self, key: str, seats: Array | None) -> list[float]:
-        """Return by how much a target's tool was turned, each time that it was measured."""
-        point = self.log.points.get(key)
-        if seats is None or point is None or point.id.kind != "validate":
-            return []
-        tool = self.log.find(point.id.at_seat(1))
-        return turned_each_time(self.log, tool, seats).angles_deg.tolist() if tool else []
-
-    def counted(self, key: str) -> Point | None:
-        """Return the measurement of a point that counts, nothing where none does any more."""
-        point = self.log.points.get(key)
-        target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
-        return (
-            counting(self.log, point)
-            if point is not None and target and "world" in self.log.frames
-            else point
-        )
-
-    def error_mm(self, point: Point) -> float | None:
-        if point.nominal_mm is None or "world" not in self.log.frames:
-            return None
-        return float(errors_of(self.log, [point]).norms_mm[0])
 
 
 def _which(counted: Point | None, first: Point, again: Point) -> str:

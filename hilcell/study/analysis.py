@@ -311,7 +311,7 @@ def answers(study: Study, rows: Rows) -> Answers:
         not_estimable(
             study, model, all_points.values(), points_of(study, rows).values(), steps, counts
         ),
-        model.explained(_means(study, done)),
+        model.explained(np.array([_mean(own, study.accuracy) for own in _by_point(done).values()])),
         model.unknowns,
     )
 
@@ -452,11 +452,6 @@ def _targets(study: Study, all_points: Mapping[int, Point], done: Rows) -> list[
 
 def _known(values: Iterable[float]) -> Interval:
     return interval(each for each in values if np.isfinite(each))
-
-
-def _means(study: Study, done: Rows) -> Array:
-    """Return the accuracy of each point that was done, in the order of their numbers."""
-    return np.array([_mean(own, study.accuracy) for own in _by_point(done).values()])
 
 
 def not_estimable(

@@ -87,7 +87,8 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     dashes = ("", "1.6 0.9", "0.4 0.8")  # of the stations
     most_lines = len(dashes)
     nearest = sorted(found, key=lambda name: -float(found[name].max()))[:most_lines]
-    bounds_mm = _bounds_mm(facts, budget)
+    judged = [budget.coverage.get(each.name) for each in facts.cell.station]
+    bounds_mm = np.concatenate([each.bounds_mm for each in judged if each] or [np.empty(0)])
     largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
     frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
     parts = []
@@ -111,9 +112,10 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
 
 def over_bound(facts: Facts, budget: TargetBudget) -> str:
     """Return how often the error was which share of its own bound; "" without bounds."""
-    names = [each.name for each in facts.cell.station]
-    found = [budget.coverage[name] for name in names if name in budget.coverage]
-    ratios = np.concatenate([each.errors_mm / each.bounds_mm for each in found] or [np.empty(0)])
+    judged = [budget.coverage.get(each.name) for each in facts.cell.station]
+    ratios = np.concatenate(
+        [each.errors_mm / each.bounds_mm for each in judged if each] or [np.empty(0)]
+    )
     if not len(ratios):
         return ""
     bin_wide = 0.1  # of error over bound
@@ -167,12 +169,6 @@ def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
     yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
 
 
-def _bounds_mm(facts: Facts, budget: TargetBudget) -> Array:
-    names = [each.name for each in facts.cell.station]
-    found = [budget.coverage[name].bounds_mm for name in names if name in budget.coverage]
-    return np.concatenate(found or [np.empty(0)])
-
-
 def _maxwell(ratios: Array) -> Array:
     """Return the density of |e| over its 95 % bound for three equal normal coordinates."""
     k_95 = 2.796  # bound over sigma: chi of three degrees of freedom
@@ -208,7 +204,9 @@ def vectors(facts: Facts) -> str:
 
 def _views(name: str, errors: Errors, colour: str, top: float, width_mm: float) -> Iterator[str]:
     panel_mm, gap_mm, left_mm, top_mm = 31.0, 10.0, 9.0, 8.0
-    low, span = _cube(errors)
+    low, high = errors.nominal_mm.min(axis=0), errors.nominal_mm.max(axis=0)
+    span = 1.3 * (float((high - low).max()) or 1000.0)  # of a cube with a margin
+    low = (low + high) / 2 - span / 2
     scale = panel_mm / span
     share = 0.1  # of the panel, that the largest error is drawn as, at most
     factor = round_down(share * span / max(errors.figures.max, 1e-6))
@@ -239,13 +237,6 @@ def _views(name: str, errors: Errors, colour: str, top: float, width_mm: float) 
     y, x = top + top_mm + panel_mm + 6.2, left_mm
     yield path([(x, y), (x + bar_mm * factor * scale, y)], colour, 0.8)
     yield text(x + bar_mm * factor * scale + 1.0, y + 1.0, f"error {bar_mm:g} mm")
-
-
-def _cube(errors: Errors) -> tuple[Array, float]:
-    """Return the low corner (3,) and the side of the cube that holds every target with a margin."""
-    low, high = errors.nominal_mm.min(axis=0), errors.nominal_mm.max(axis=0)
-    span = 1.3 * (float((high - low).max()) or 1000.0)
-    return (low + high) / 2 - span / 2, span
 
 
 def round_down(value: float) -> float:

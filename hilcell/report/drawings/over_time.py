@@ -69,12 +69,16 @@ def air(facts: Facts) -> str:
     if not found:
         return ""
     at_s, celsius = np.array(found).T
-    valid = time_axis.valid() or (float(celsius.min()), float(celsius.max()))
-    low, high = min(valid[0], celsius.min()) - 0.3, max(valid[1], celsius.max()) + 0.3
+    calibration = calibration_so_far(facts.log, facts.run)
+    range_c = calibration.validity.temperature_c if calibration is not None else None
+    margin_k = TEMPERATURE_MARGIN_K
+    valid = None if range_c is None else (range_c[0] - margin_k, range_c[1] + margin_k)
+    ends_c = [*celsius, *(valid or ())]
+    low, high = min(ends_c) - 0.3, max(ends_c) + 0.3
     frame = time_axis.frame(Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
     time = f"time, {facts.zone.tzname(None)}"
     parts, named = [], []
-    if time_axis.valid():
+    if valid is not None:
         bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
         parts.append(
             rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
@@ -99,29 +103,26 @@ class _Times:
 
     facts: Facts
 
-    def valid(self) -> tuple[float, float] | None:
-        calibration = calibration_so_far(self.facts.log, self.facts.run)
-        range_c = calibration.validity.temperature_c if calibration is not None else None
-        if range_c is None:
-            return None
-        return range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K
-
     def times(self) -> dict[str, float]:
         """Return when each point that counts was recorded, s."""
         return {each.key: _seconds(each.t) for each in self.facts.records if each.kind == "point"}
 
+    def ends(self) -> tuple[float, float]:
+        """Return when the run began and ended, s; it lasted a second at least."""
+        begin = _seconds(self.facts.records[0].t)
+        return begin, max(_seconds(self.facts.last.t), begin + 1.0)
+
     def frame(self, y: Scale) -> Frame:
-        begin, end = _seconds(self.facts.records[0].t), _seconds(self.facts.last.t)
-        return Frame(Scale(begin, max(end, begin + 1.0), LEFT_MM, WIDTH_MM - 7.0), y)
+        return Frame(Scale(*self.ends(), LEFT_MM, WIDTH_MM - 7.0), y)
 
     def ticks(self) -> list[tuple[float, str]]:
-        begin, end = _seconds(self.facts.records[0].t), _seconds(self.facts.last.t)
+        begin, end = self.ends()
         short_s = 600.0  # of a run so short seconds are shown
         form = "%H:%M:%S" if end - begin < short_s else "%H:%M"
         ticks = 4
         return [
             (float(each), datetime.fromtimestamp(each, tz=self.facts.zone).strftime(form))
-            for each in np.linspace(begin, max(end, begin + 1.0), ticks)
+            for each in np.linspace(begin, end, ticks)
         ]
 
     def stops(self, frame: Frame) -> Iterator[str]:
