@@ -144,15 +144,11 @@ def angles_mrad(log: Log, along: Array) -> dict[str, list[float]]:
     """Return the slide's roll, pitch and yaw (N,) against its first stop, from all its nests."""
     nests = [path_mm(log, FORTH, nest.name) for nest in log.cell.layout.slide]
     stops_mm = np.stack(nests, axis=1)
-    turns = np.array([turn_rad(stops_mm[0], stop_mm) for stop_mm in stops_mm]) * 1e3
+    fits = [rigid_fit(stops_mm[0], stop_mm) for stop_mm in stops_mm]
+    turns = np.array([to_rotvec(fit.T[:3, :3]) for fit in fits]) * 1e3
     level, upright = across_axes(along)
     axes = {"roll": along, "pitch": level, "yaw": upright}
     return {name: (turns @ axis).tolist() for name, axis in axes.items()}
-
-
-def turn_rad(before_mm: Array, after_mm: Array) -> Array:
-    """Return the rotation vector (3,) between two sightings of the same points (N, 3)."""
-    return to_rotvec(rigid_fit(before_mm, after_mm).T[:3, :3])
 
 
 def survey_table(result: Result) -> Table:
@@ -310,7 +306,8 @@ def approaches(log: Log, how: str, way: str) -> Approaches:
     """Return the figures of one kind of approach."""
     points = log.select("repeat", how=how, way=way)
     points_mm = positions_mm(points)
-    along_mm = along_rail(log, points_mm)
+    R = log.matrix("world")[:3, :3]
+    along_mm = points_mm @ R.T @ np.array(log.cell.layout.rail_direction)
     above = np.array([point.id.side > 0 for point in points])
     lost_mm = float(along_mm[above].mean() - along_mm[~above].mean()) if above.any() else None
     return Approaches(
@@ -318,13 +315,6 @@ def approaches(log: Log, how: str, way: str) -> Approaches:
         rp_mm=repeatability_mm(from_mean_mm(points_mm)),
         backlash_mm=lost_mm,
     )
-
-
-def along_rail(log: Log, points_mm: Array) -> Array:
-    """Return (N,) coordinates along the rail's nominal direction of raw points (N, 3)."""
-    rotation = log.matrix("world")[:3, :3]
-    along: Array = points_mm @ rotation.T @ np.array(log.cell.layout.rail_direction)
-    return along
 
 
 def approach_table(result: Result) -> Table:

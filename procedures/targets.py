@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,6 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_named
 from hilcell.calibration.target_pass import (
     KIND,
-    TargetError,
     TargetsResult,
     gross_targets,
     judged_pass,
@@ -136,16 +136,16 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
         raise HilcellError(f"target: {error}", code="HC-C10") from error
 
 
-COLUMNS: tuple[Column[TargetError], ...] = (
-    Column("target", lambda row: row.name),
-    Column("error", lambda row: row.error_mm, "mm", ".4f"),
-)
-
-
 def targets_table(result: Result) -> Table:
     """Return the worst targets' errors as found."""
     found = typed(result[KIND], TargetsResult).targets
-    return Table(COLUMNS, sorted(found, key=lambda each: -each.error_mm)[:ROWS])
+    return Table(
+        [
+            Column("target", attrgetter("name")),
+            Column("error", attrgetter("error_mm"), "mm", ".4f"),
+        ],
+        sorted(found, key=lambda each: -each.error_mm)[:ROWS],
+    )
 
 
 TARGETS = Procedure(

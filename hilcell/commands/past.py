@@ -170,12 +170,6 @@ def _facts(standing: Standing) -> Json:
     }
 
 
-_SHOWN = (
-    "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest", "exit",
-)  # fmt: skip
-
-
 def show(args: Show) -> int:
     """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
@@ -204,7 +198,12 @@ def show(args: Show) -> int:
     if args.json:
         print_json(summary)
         return 0
-    rows = [(name, str(summary[name])) for name in _SHOWN if summary.get(name) not in ("", None)]
+    shown = (
+        "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
+        "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest",
+        "exit",
+    )  # fmt: skip
+    rows = [(name, str(summary[name])) for name in shown if summary.get(name) not in ("", None)]
     rows.append(("state", summary["state"]))
     if summary.get("reason") not in ("", summary.get("fault")):
         rows.append(("reason", summary["reason"]))
@@ -275,12 +274,6 @@ def _held(verdict: Proof) -> str:
 
 # -- compare --------------------------------------------------------------------------------------
 
-SETTINGS: tuple[Column[Setting], ...] = (
-    Column("differs", attrgetter("key")),
-    Column("first", attrgetter("first")),
-    Column("second", attrgetter("second")),
-)
-
 
 def compare(args: Compare) -> int:
     """Print the changes from the first run to the second; a drift is no failure of the command."""
@@ -300,7 +293,12 @@ def compare(args: Compare) -> int:
         head: Json = {"first": names[0], "second": names[1], "verdict": found.verdict}
         print_json(head | msgspec.to_builtins(found) | {"changes": changes})
         return 0
-    print_table(Table(SETTINGS, [Setting("run", *names), *found.settings]))
+    columns: list[Column[Setting]] = [
+        Column("differs", attrgetter("key")),
+        Column("first", attrgetter("first")),
+        Column("second", attrgetter("second")),
+    ]
+    print_table(Table(columns, [Setting("run", *names), *found.settings]))
     print_table(Table(CHANGES, found.changes))
     for note in found.notes:
         print_message(f"note: {note}")
@@ -329,25 +327,21 @@ def report(args: Report) -> int:
     return 0
 
 
-_NAMED = {
-    "csv": (CSV, "CSV"),
-    "xlsx": ((".xlsx",), "a workbook"),
-    "json": ((".json",), "JSON"),
-    "dcc": ((".xml", ".dcc"), "a DCC"),
-}
-
-
 def export(args: Export) -> int:
     """Write points as CSV, tables as a workbook, the certificate as a DCC, or all as JSON."""
     from hilcell.report.dcc import dcc_bytes
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 
-    forms = {"csv": csv_bytes, "xlsx": xlsx_bytes, "json": json_bytes, "dcc": dcc_bytes}
+    written, suffixes, what = {
+        "csv": (csv_bytes, CSV, "CSV"),
+        "xlsx": (xlsx_bytes, (".xlsx",), "a workbook"),
+        "json": (json_bytes, (".json",), "JSON"),
+        "dcc": (dcc_bytes, (".xml", ".dcc"), "a DCC"),
+    }[args.form]
     folder, place = find_run(args.runs, args.run), Path(args.output)
-    suffixes, what = _NAMED[args.form]
     check_output(place, suffixes, what, inputs=_files(folder))
     facts = read_facts(folder)
-    write_whole(place, forms[args.form](facts), inputs=_files(folder))
+    write_whole(place, written(facts), inputs=_files(folder))
     _say_written(args.form, facts, folder, args.output)
     return 0
 
