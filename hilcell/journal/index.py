@@ -28,9 +28,8 @@ import msgspec
 
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
-from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
+from hilcell.journal.journal import ABSENT, FETCH, NeverBegan, Record, StorageError
 from hilcell.journal.runs import (
-    FETCH,
     JOURNAL,
     is_run,
     live_engine,

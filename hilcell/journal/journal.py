@@ -82,6 +82,7 @@ LARGEST_RECORD = 2**25  # bytes
 # Of SQLite's machine, which takes some 15 for a record: reading ends, also of a hostile file.
 MOST_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
+FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 # Raised where a file is read that is no journal of ours.
 BROKEN = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
 
@@ -132,6 +133,20 @@ class StorageError(HilcellError):
         """Return what the journal keeps of the error, plain enough for JSON."""
         fields = {} if self.record is None else {"fields": {"record": self.record}}
         return super().facts() | fields
+
+
+class Damaged(StorageError):
+    """Records that are not the ones which were written; ``damage`` says where and how."""
+
+    code = "HC-J02"
+
+    def __init__(self, path: Path, damage: str, record: int) -> None:
+        super().__init__(
+            f"journal {path}: {damage}; the file was changed or damaged, and its results cannot be "
+            f"trusted; {FETCH}",
+            record=record,
+        )
+        self.damage = damage
 
 
 class NeverBegan(StorageError):
@@ -271,6 +286,8 @@ class Journal:
             if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
                 raise self._no_room("it could not be read back", error) from error
             self._refuse(f"it cannot be read back: {error}", seq + 1)
+        except Damaged as error:
+            self._refuse(error.damage, seq + 1)
         except StorageError as error:
             self._refuse(str(error).removeprefix(f"journal {self.path}: "), seq + 1)
         if (seq, last) != (self._seq, self._hash) and self._seq > after:
@@ -482,10 +499,8 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
     """
     wanted = after + 1
     try:
-        begun = _check_schema(base, path)
-        if not after:
+        if not _check_schema(base, path):
             _check_pages(base, path)
-        if not begun:
             return  # killed while it was made: nothing was recorded
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
@@ -496,17 +511,24 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
                 raise ValueError("it is not the one that was written")
             yield record, stored
             wanted += 1
+        if not after:
+            _check_pages(base, path)  # they may hide the last records, while the chain holds
     except (*BROKEN, sqlite3.Error) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
         if code in _BEYOND:
             raise
         other = "not a journal, or " if code == sqlite3.SQLITE_NOTADB else ""
-        raise StorageError(
-            f"journal {path}: {other}damaged at record {wanted}: {error}; the file was changed or "
-            "damaged, and its results cannot be trusted",
-            code="HC-J02",
-            record=wanted,
-        ) from error
+        damage = f"{other}damaged at record {wanted}: {_cause(error)}"
+        raise Damaged(path, damage, wanted) from error
+
+
+def _cause(error: Exception) -> str:
+    """Return in one line what is wrong with a record or a page."""
+    if isinstance(error, UnicodeError):
+        return "its text is not UTF-8"
+    if isinstance(error, sqlite3.Error):
+        return "SQLite cannot read its pages"
+    return " ".join(str(error).split())
 
 
 def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
@@ -522,6 +544,6 @@ def _check_pages(base: sqlite3.Connection, path: Path) -> None:
     """Raise `ValueError` where SQLite finds its own pages damaged: they may hide records."""
     (found,) = base.execute("PRAGMA integrity_check(1)").fetchone()
     if found != "ok":
-        raise ValueError(str(found))
+        raise ValueError("the pages of the file are damaged")
     if 0 < path.stat().st_size < SMALLEST_PAGE:
         raise ValueError("the file is cut short")  # SQLite takes it for a new one

@@ -18,6 +18,7 @@ import msgspec
 
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.journal import (
+    FETCH,
     NeverBegan,
     Record,
     StorageError,
@@ -35,7 +36,6 @@ CALIBRATION = "calibration.json"
 ENGINE = "engine.json"  # while the run's engine lives
 LARGEST_ENGINE = 2**16  # bytes of that file
 ANSWER_S = 5.0  # of an engine
-FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
 
 def new_run(procedure: str) -> str:

@@ -54,6 +54,14 @@ def unreadable_text(journal: Path) -> None:
     journal.write_bytes(content.replace(b'"matrix":[[1.0', b'"matrix":\xff[1.0'))
 
 
+def unreadable_pages(journal: Path) -> None:
+    """Overwrite the middle of the page that holds the fifth record."""
+    content = bytearray(journal.read_bytes())
+    at = content.index(b'"matrix":[[1.0') // 4096 * 4096
+    content[at : at + 64] = bytes(64)
+    journal.write_bytes(content)
+
+
 def damaged_schema(journal: Path) -> None:
     content = journal.read_bytes()
     journal.write_bytes(content.replace(b"CREATE TABLE record", b"CREATE TABL\xc5 record"))
@@ -69,7 +77,8 @@ def made_a_folder(journal: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "how", [changed, unreadable_text, damaged_schema, Path.unlink, made_a_folder]
+    "how",
+    [changed, unreadable_text, unreadable_pages, damaged_schema, Path.unlink, made_a_folder],
 )
 def test_a_reader_names_the_journal(runs: Path, how: Callable[[Path], None]) -> None:
     """And its record, where it is one that is damaged."""
@@ -80,6 +89,8 @@ def test_a_reader_names_the_journal(runs: Path, how: Callable[[Path], None]) -> 
         assert done.stderr.startswith(f"hilcell: journal {runs / 'r' / JOURNAL}: ")
         assert ("record 5:" in done.stderr) is (how in (changed, unreadable_text))
         assert "Traceback" not in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert "from the backup" in done.stderr
         assert not (runs.parent / "out").exists()
 
 
@@ -134,10 +145,13 @@ def test_an_empty_journal_beside_files_of_its_run_has_lost_its_records(
     assert beside in done.stderr
 
 
-@pytest.mark.parametrize("how", [changed, unreadable_text, damaged_schema])
+@pytest.mark.parametrize("how", [changed, unreadable_text, unreadable_pages, damaged_schema])
 def test_a_list_of_runs_names_the_unreadable(runs: Path, how: Callable[[Path], None]) -> None:
     how(runs / "r" / JOURNAL)
     assert listed(runs) == {"r": "unreadable", "s": "finished"}
+    (line,) = command("runs", "--runs", runs).stderr.splitlines()
+    assert line.startswith(f"journal {runs / 'r' / JOURNAL}: ")
+    assert "from the backup" in line
 
 
 AS_NOBODY = """
