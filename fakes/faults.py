@@ -8,7 +8,6 @@ waits for something that moves strikes at rest, too, where it is set so.
 
 from __future__ import annotations
 
-import difflib
 import threading
 import tomllib
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from fakes.truth.transforms import Array
-from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
+from hilcell.cell.settings import SettingsError, convert, did_you_mean, read_text, unreadable
 
 Value = bool | int | float | str
 UNTIL_CLEARED = 0
@@ -258,9 +257,8 @@ def load_faults(path: str) -> Faults:
 def _problem(name: str, value: Value) -> str:
     """Return the problem of a fault; ``true`` is the default value of every fault."""
     if name not in KNOWN:
-        near = difflib.get_close_matches(name, KNOWN, n=1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(KNOWN)}"
-        return f"fault {name!r} is unknown; {hint}"
+        hint = did_you_mean(name, KNOWN) or f"; known: {', '.join(KNOWN)}"
+        return f"fault {name!r} is unknown{hint}"
     wanted = "text" if name in TEXTS else "a number"
     if value is True or isinstance(value, str) == (name in TEXTS):
         return ""

@@ -224,9 +224,17 @@ def _short(value: object) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
 
+def near_misses(word: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Return the known words of which this one may be a slip, the likeliest first."""
+    one_slip = 0.75  # of characters in common, in words of five
+    plain = {each.lstrip("-"): each for each in known}  # dashes are in common of all options
+    found = difflib.get_close_matches(word[:LONGEST_VALUE].lstrip("-"), plain, most, one_slip)
+    return [plain[each] for each in found]
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return the end of a sentence that names the nearest known word; empty without one."""
-    near = difflib.get_close_matches(word[:LONGEST_VALUE], list(known), n=1)
+    near = near_misses(word, known)
     return f'; did you mean "{near[0]}"?' if near else ""
 
 

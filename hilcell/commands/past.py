@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
-from difflib import get_close_matches
 from operator import attrgetter, itemgetter
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import msgspec
 from hilcell.alarms.catalogue import catalogue
 from hilcell.calibration.in_use import standing_of, standings_in
 from hilcell.cell.devices import load_entry
+from hilcell.cell.settings import near_misses
 from hilcell.clean import encodable, harmless
 from hilcell.commands.orders import Compare, Explain, Export, ListRuns, Report, Revoke, Show
 from hilcell.commands.output import (
@@ -360,16 +360,15 @@ def _files(folder: Path) -> list[Path]:
 
 # -- explain --------------------------------------------------------------------------------------
 
-NEAREST = 3
-
 
 def explain(args: Explain) -> int:
     """Print one entry of the catalogue; an unknown code with those that are most like it."""
     known = catalogue()
     named = re.sub(r"^HC(?=[A-Z])", "HC-", args.code.upper())
     if named not in known:
-        nearest = ", ".join(get_close_matches(args.code.upper(), known, NEAREST, 0.0))
-        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; the nearest known: {nearest}")
+        nearest = ", ".join(near_misses(args.code.upper(), known, most=3))
+        hint = f"the nearest known: {nearest}" if nearest else "codes are like HC-T10"
+        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
     entry = known[named]
     facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
     if args.json:

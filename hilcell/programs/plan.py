@@ -275,8 +275,8 @@ def _refuse_unreached(
         places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
         hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
         raise UnreachableHoles(
-            f"{len(bad)} of {count} cannot be drilled from {places} in status "
-            f"{cell.robot.status}:\n{named}\n"
+            f"{len(bad)} of {count} cannot be drilled from {places} in the robot's posture "
+            f"(robot.status = {cell.robot.status}):\n{named}\n"
             f"{_act(holes, bad, stations, served)}{hint}"
         )
 
@@ -284,11 +284,17 @@ def _refuse_unreached(
 def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Volume | None) -> str:
     """Return what to do about holes (K,) that are drilled from no station."""
     if served is None:
-        return "move the part or the tracker, or try --free stations"
+        return (
+            "move the part or the tracker, try --free stations, or another posture: --set "
+            "robot.status=N, 0 to 7"
+        )
     names, poses = [each.name for each in stations], holes.reflector_poses()
     if all(served.points_back(names, poses[n]) for n in bad.tolist()):
         return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
-    return "move or turn the part, move the tracker, or calibrate a larger volume"
+    return (
+        "move or turn the part, move the tracker, or calibrate a larger volume or in another "
+        "posture (robot.status)"
+    )
 
 
 def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Volume | None) -> str:

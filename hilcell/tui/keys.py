@@ -17,7 +17,6 @@ is read.
 from __future__ import annotations
 
 import asyncio
-import difflib
 import os
 import string
 import tomllib
@@ -27,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from textual.message_pump import MessagePump
@@ -114,8 +113,7 @@ def load_keys(path: Path | None) -> Keymap:
     found = dict(defaults)
     for name, value in _table_of_keys(table, problems).items():
         if name not in BY_NAME:
-            near = difflib.get_close_matches(name, BY_NAME, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; actions: {', '.join(BY_NAME)}"
+            hint = did_you_mean(name, BY_NAME) or f"; actions: {', '.join(BY_NAME)}"
             problems.append(f"keys.{name}: no such action{hint}")
             continue
         found[name] = _keys_of(name, value, problems)

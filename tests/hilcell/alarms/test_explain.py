@@ -33,3 +33,5 @@ def test_an_unknown_code_is_refused_with_those_most_like_it(
     said = capsys.readouterr()
     assert said.out == ""
     assert "HC-R31," in said.err
+    assert main(["explain", "bogus"]) == 2
+    assert "the nearest" not in capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 from msgspec import Meta
 
 from hilcell.cell.file import Cell, load_cell
-from hilcell.cell.settings import SettingsError, convert, refuse
+from hilcell.cell.settings import SettingsError, convert, did_you_mean, refuse
 
 
 class Inner(msgspec.Struct, kw_only=True):
@@ -67,6 +67,21 @@ def test_what_is_nested_too_deeply_is_refused() -> None:
     for _ in range(100_000):
         values = {"a": values}
     assert len(problems({"inner": {"speed": values}})) == 1
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "meant"),
+    [
+        ("rial", ["rail", "tracker"], "rail"),
+        ("calbirate", ["calibrate", "recheck"], "calibrate"),
+        ("--jsn", ["--json", "--set"], "--json"),
+        ("nosuch", ["touch", "calibrate"], ""),
+        ("--bogus", ["--runs", "--bounds"], ""),
+        ("rail.interface", ["rail", "tracker"], ""),
+    ],
+)
+def test_only_a_near_miss_is_offered(word: str, known: list[str], meant: str) -> None:
+    assert did_you_mean(word, known) == (f'; did you mean "{meant}"?' if meant else "")
 
 
 def test_keys_are_shown_without_escape_sequences() -> None:

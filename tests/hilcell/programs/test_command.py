@@ -59,6 +59,7 @@ def test_unreachable_holes_exit_with_2(tmp_path: Path, capsys: pytest.CaptureFix
     shown = capsys.readouterr()
     assert shown.out == ""
     assert "40 of 40" in shown.err
+    assert "posture (robot.status = 6)" in shown.err
     assert shown.err.count("\n  H") == 10
     assert "metres" not in shown.err
     assert not out.exists()
