@@ -167,14 +167,15 @@ def changed_inputs(log: Log, uses: str) -> list[str]:
 
 
 def _changed_cell(log: Log, uses: str) -> list[str]:
-    where = log.inputs.cell_file
+    where, kept = log.inputs.cell_file, "the run keeps the cell that it began with"
+    if where not in built_in_cells() and not Path(where).exists():
+        return [f"cell file {where} is missing; {kept}"]
     try:
         cell = load_cell(where, log.inputs.settings)
     except SettingsError as error:
-        return [f"cell file {where} has changed, and is no cell any more: {error.problems[0]}"]
+        return [f"cell file {where} has changed, and is not valid: {error.problems[0]}; {kept}"]
     changed = differences(log.cell, cell, without=uses)
-    found = f"cell file {where} has changed: {changed}"
-    return [f"{found}; the run keeps the cell that it began with"] if changed else []
+    return [f"cell file {where} has changed: {changed}; {kept}"] if changed else []
 
 
 def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str]:

@@ -263,6 +263,29 @@ def test_another_version_is_refused_where_nobody_can_be_asked(
     assert resumed(folder, monkeypatch, None, *words, "--accept-changes") == (0, gone_on)
 
 
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "is missing; "), ("name = 3", "has changed, and is not valid: ")],
+)
+def test_a_cell_file_that_is_gone_or_spoilt_is_named_with_what_to_do(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    content: str | None,
+    words: str,
+) -> None:
+    file = tmp_path / "mycell.toml"
+    if content is not None:
+        file.write_text(content)
+    folder = left(tmp_path / "r", cell_file=str(file))
+    assert resumed(folder, monkeypatch, None) == (2, [])
+    refusal = capsys.readouterr().err
+    assert f"cell file {file} {words}" in refusal
+    assert "the run keeps the cell that it began with" in refusal
+    assert "put back what was there" in refusal
+    assert "built in" not in refusal
+
+
 def test_at_a_terminal_another_version_is_agreed_to_and_journalled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
