@@ -330,7 +330,10 @@ Noted = Annotated[str, Argument("kept in the journal", "NAME", clean)]
 Runs = Annotated[
     Path,
     Argument(
-        "folder of runs (default: HILCELL_RUNS, or one for each user)", "DIR", Path, required=False
+        "folder of runs (default: HILCELL_RUNS, or one for each user)",
+        "DIR",
+        folder,
+        required=False,
     ),
 ]
 RunName = Annotated[str, Argument("a run's name, its beginning, or `last`", "RUN", word=True)]

@@ -64,7 +64,7 @@ def runs(args: ListRuns) -> int:
         print_json({"runs": [_summary(row, known.get(row.name)) for row in listed]})
         return 0
     if not os.path.isdir(args.runs):  # noqa: PTH112 - Path.is_dir raises for a name too long
-        print_message(f"no runs: the folder {args.runs} is not there")
+        print_message(f"no runs: the folder of runs {args.runs} is not there")
         return 0
     if not listed:
         print_message(f"no {'such ' if rows else ''}runs in {args.runs}")

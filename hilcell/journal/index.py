@@ -169,6 +169,12 @@ def find_run(runs: Path, name: str) -> Path:
         )
     if Path(name).parts:  # neither "" nor "."
         _check_journal(runs / name)
+    if not _is_folder(runs):
+        raise HilcellError(
+            f"run {name[:80]!r} is not there, nor is the folder of runs {runs}; name another "
+            "folder with --runs, or make the first run with `hilcell run`",
+            code="HC-J09",
+        )
     newest = ", ".join(row.name for row in read_index(runs)[2::-1]) or "none"
     raise HilcellError(
         f"run {name[:80]!r} is not in {runs}; newest there: {newest}",

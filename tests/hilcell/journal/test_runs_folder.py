@@ -62,3 +62,21 @@ def test_a_tilde_that_no_shell_has_expanded_is_the_home(
     assert main(["runs", "--runs=~/kept"]) == 0
     assert "1-made" in capsys.readouterr().out
     assert not (here / "~").exists()
+
+
+def test_a_folder_of_runs_that_is_not_there_is_named(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["show", "last", "--runs", str(here / "none")]) == 2
+    said = capsys.readouterr().err
+    assert f"nor is the folder of runs {here / 'none'}; " in said
+    assert "--runs" in said
+
+
+def test_an_empty_name_is_no_folder_of_runs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    finished(here, "1-made", MADE)  # in the current folder
+    for words in (["--runs", ""], ["--runs="]):
+        with pytest.raises(SystemExit) as refused:
+            main(["runs", *words])
+        assert refused.value.code == 2
+        assert "--runs: " in capsys.readouterr().err
