@@ -14,21 +14,21 @@ import numpy as np
 from drivers.supervision import Patience
 from hilcell.ports import Array
 
-PLANNED_TIMES = 3.0  # the plan knows no ramps, no blending and no limits of torque
-MARGIN_S = 10.0
-LOOK_S = 1.0  # progress is looked at once in several polls
-
 
 class MotionLimits:
     """Progress and time of one motion of several axes."""
 
+    PLANNED_TIMES = 3.0  # the plan knows no ramps, no blending and no limits of torque
+    MARGIN_S = 10.0
+    LOOK_S = 1.0  # progress is looked at once in several polls
+
     def __init__(self, planned_s: float, stall_s: float, progress: float) -> None:
         """``planned_s`` is the motion's duration at full override; ``progress`` in axis units."""
-        self.limit_s = PLANNED_TIMES * planned_s + MARGIN_S
+        self.limit_s = self.PLANNED_TIMES * planned_s + self.MARGIN_S
         self.spent_s = 0.0
         self._stall_s, self._progress = stall_s, progress
-        self._patience = Patience(stall_s, LOOK_S)
-        self._at_least = Patience(stall_s, LOOK_S)
+        self._patience = Patience(stall_s, self.LOOK_S)
+        self._at_least = Patience(stall_s, self.LOOK_S)
         self._position: Array | None = None
         self._stands = False
         self._now_s: float | None = None
@@ -40,7 +40,7 @@ class MotionLimits:
             np.all(np.abs(position - self._position) <= self._progress)
         )
         if not self._stands:
-            self._position, self._patience = position, Patience(self._stall_s, LOOK_S)
+            self._position, self._patience = position, Patience(self._stall_s, self.LOOK_S)
             return False
         return self._patience.over()
 

@@ -16,10 +16,6 @@ from heapq import nlargest
 from drivers.standstill import DEVICE
 from hilcell.ports import DeviceError
 
-SHARE = 0.05  # of the way; scales of real slides differ by far less
-APART_MM = 5.0
-LAG_S = 0.1  # between the two readings of a strip on a wire of its own
-
 
 @dataclass(frozen=True, slots=True)
 class Ways:
@@ -37,10 +33,14 @@ class Ways:
 class ScaleGuard:
     """The polls of one motion."""
 
+    SHARE = 0.05  # of the way; scales of real slides differ by far less
+    APART_MM = 5.0
+    LAG_S = 0.1  # between the two readings of a strip on a wire of its own
+
     def __init__(self, still_mm: float, speed_mm_s: float, *, together: bool) -> None:
         """``still_mm``: either flickers so far at rest; ``together``: both are read at one SYNC."""
         self._still_mm = still_mm
-        self._apart_mm = APART_MM + LAG_S * speed_mm_s
+        self._apart_mm = self.APART_MM + self.LAG_S * speed_mm_s
         self._last: tuple[float, float] | None = None
         self._drive_mm = self._strip_mm = 0.0
         self._uncounted, self._parted_mm = 1 if together else 2, [0.0]
@@ -62,7 +62,7 @@ class ScaleGuard:
         """Return the ways where they are too far apart to be one."""
         drive_mm, strip_mm = self._drive_mm, self._strip_mm
         apart_mm = abs(strip_mm - drive_mm) - sum(nlargest(self._uncounted, self._parted_mm))
-        allowed_mm = self._apart_mm + SHARE * max(abs(strip_mm), abs(drive_mm))
+        allowed_mm = self._apart_mm + self.SHARE * max(abs(strip_mm), abs(drive_mm))
         return None if apart_mm <= allowed_mm else Ways(drive_mm, strip_mm)
 
     def check(self, operation: str) -> None:
@@ -84,7 +84,7 @@ class ScaleGuard:
             operation,
             f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
             f"the strip: a ratio of {ways.ratio:.4g}",
-            wanted=f"one way within {SHARE:.0%}",
+            wanted=f"one way within {self.SHARE:.0%}",
             act=act,
             fields={
                 "drive_mm": ways.drive_mm,

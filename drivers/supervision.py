@@ -18,7 +18,6 @@ from hilcell.ports import Clock, DeviceError
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
 LIFE_S = 1.5  # of a program without a sign of life: the PC reports first that it is late
-ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
 
 def go_on() -> None:
@@ -45,6 +44,8 @@ class Patience:
 
 class Supervision:
     """Sees to it that a moving device is looked at; ``look`` belongs into every wait."""
+
+    ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
     def __init__(self, device: str, code: str, clock: Clock, late_s: float = LATE_S) -> None:
         """``code`` is that of the alarm where nobody looked."""
@@ -89,7 +90,7 @@ class Supervision:
     def attended(self) -> bool:
         """Whether a heartbeat may go on: nothing moves, or it was looked at just now."""
         looked_s = self._looked_s
-        return looked_s is None or self._clock.pc_s() - looked_s <= ATTENDED_S
+        return looked_s is None or self._clock.pc_s() - looked_s <= self.ATTENDED_S
 
     def _check(self, gap_s: float) -> None:
         if not gap_s <= self._late_s:

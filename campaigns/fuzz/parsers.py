@@ -146,7 +146,7 @@ class _Time:
 
     @property
     def listened_s(self) -> float:
-        self.now_s += sdo.LATE_S / 2
+        self.now_s += sdo.SdoChannel.LATE_S / 2
         return self.now_s
 
 

@@ -34,7 +34,6 @@ STALE_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
 DISABLED, NO_RTR = 1 << 31, 1 << 30
-COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older
 NO_MODE = 0  # of CiA 402: no mode assigned
 
 
@@ -245,6 +244,8 @@ class Snapshot:
 class ProcessImage:
     """Four PDOs: TPDO1 and 2 and RPDO1 of the drive, TPDO1 of the strip sensor on its bus."""
 
+    COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older
+
     def __init__(
         self,
         link: CanLink,
@@ -320,15 +321,15 @@ class ProcessImage:
         Raises `DeviceError` for one that enables the drive by a reading that is too old.
         """
         age_s = self._link.clock.pc_s() - self._taken_s
-        if cia.enables(controlword) and not age_s <= COMMAND_AGE_S:
+        if cia.enables(controlword) and not age_s <= self.COMMAND_AGE_S:
             raise DeviceError(
                 "HC-R39",
                 DEVICE,
                 "move",
                 f"PC late: the reading to move by is {age_s:.1f} s old",
-                wanted=f"<= {COMMAND_AGE_S:.1f} s",
+                wanted=f"<= {self.COMMAND_AGE_S:.1f} s",
                 act="give the engine a PC of its own, or end other programs on it; then resume",
-                fields={"age_s": age_s, "limit_s": COMMAND_AGE_S},
+                fields={"age_s": age_s, "limit_s": self.COMMAND_AGE_S},
             )
         with self._lock:
             if cia.enables(controlword):

@@ -48,14 +48,15 @@ from drivers.supervision import Patience, Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
-LATE_S = 0.8  # below the consumer time of the drive (1016h)
-WINDOW_MM = 0.05
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 LARGEST_COUNT = 2**31 - 1
 
 
 class CanopenRail:
     """Satisfies `hilcell.ports.Rail`."""
+
+    LATE_S = 0.8  # below the consumer time of the drive (1016h)
+    WINDOW_MM = 0.05
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """The bus, the two nodes and their scales."""
@@ -128,7 +129,7 @@ class CanopenRail:
         """
         options, drive = self._options, self._used()
         past_mm = rail_setup.HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
-        self._move(lambda: drive.home(round((WINDOW_MM + past_mm) * options.counts_per_mm)))
+        self._move(lambda: drive.home(round((self.WINDOW_MM + past_mm) * options.counts_per_mm)))
 
     def move_to(self, position_mm: float) -> None:
         """Move by the drive's encoder; return at standstill, the drive holding."""
@@ -184,7 +185,7 @@ class CanopenRail:
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
         image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
-        supervision = Supervision(DEVICE, "HC-R39", self._clock, LATE_S)
+        supervision = Supervision(DEVICE, "HC-R39", self._clock, self.LATE_S)
         identities = self._identify(link, drive_sdo, strip_sdo)
         if feed is not None:
             identities.append(feed.connect())
@@ -282,7 +283,7 @@ class CanopenRail:
                 travel_mm=options.travel_max_mm - options.travel_min_mm,
                 speed_mm_s=min(options.speed_mm_s, options.homing_mm_s),
             ),
-            window=max(1, round(WINDOW_MM * scale)),
+            window=max(1, round(self.WINDOW_MM * scale)),
             windows=Windows(
                 speed=max(1.0, options.standstill_speed_mm_s * scale),
                 spread=max(2, round(options.standstill_window_mm * scale)),

@@ -27,9 +27,7 @@ from hilcell.ports import DeviceError
 
 POLL_S = 0.02
 REPLY_S = 0.3
-LATE_S = 0.5  # a late reply has come by then
 TRIES = 3
-DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 
 # No such object, no such sub-index, no data available.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x08000024})
@@ -105,6 +103,9 @@ class _Client(SdoClient):
 
 class SdoChannel:
     """Objects of one node; used by one thread at a time."""
+
+    LATE_S = 0.5  # a late reply has come by then
+    DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 
     def __init__(
         self,
@@ -247,7 +248,7 @@ class SdoChannel:
     def _check_alone(self) -> None:
         """Raise `DeviceError` where more answers have come than questions were asked."""
         self._doubles = 0 if self._client.responses.empty() else self._doubles + 1
-        if self._doubles >= DOUBLES:
+        if self._doubles >= self.DOUBLES:
             raise DeviceError(
                 "HC-R45",
                 DEVICE,
@@ -260,7 +261,7 @@ class SdoChannel:
 
     def _clear(self) -> None:
         """Let a late reply come and pass, then ask something that it cannot answer."""
-        deadline_s = self._link.time.listened_s + LATE_S
+        deadline_s = self._link.time.listened_s + self.LATE_S
         while self._link.time.listened_s < deadline_s:
             self._check()
             self._link.check()

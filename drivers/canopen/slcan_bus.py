@@ -45,8 +45,6 @@ def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[s
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
-ANSWER_S = 0.3  # to a command; many gateways send none
-LONGEST_LINE = 64
 # Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them. A
 # line with one of 32 bits may as well be a frame whose length was garbled.
 _FRAME = re.compile(
@@ -61,6 +59,9 @@ class SlcanBus(can.BusABC):
     ``bad_line`` is the last that was bad. The constructor raises `can.CanInitializationError`
     where the gateway refuses the bit rate or to open.
     """
+
+    ANSWER_S = 0.3  # to a command; many gateways send none
+    LONGEST_LINE = 64
 
     def __init__(self, channel: str, bitrate: int) -> None:
         self._is_shutdown = True  # there is no port yet
@@ -99,7 +100,7 @@ class SlcanBus(can.BusABC):
 
     def _taken_command(self, opening: bool = False) -> bool | None:
         """Return whether the gateway takes a command; None where it does not answer."""
-        deadline_s = time.monotonic() + ANSWER_S
+        deadline_s = time.monotonic() + self.ANSWER_S
         while True:
             while (found := self._line()) is not None:
                 line, end = found
@@ -142,7 +143,7 @@ class SlcanBus(can.BusABC):
         self._bytes = self._bytes.lstrip(b"\n")  # of CR LF
         end = re.search(rb"[\r\n\a]", self._bytes)  # CR ends a line, BELL refuses one
         if end is None:
-            if len(self._bytes) > LONGEST_LINE:
+            if len(self._bytes) > self.LONGEST_LINE:
                 self._drop(self._bytes)
                 self._bytes = b""
             return None
@@ -151,7 +152,7 @@ class SlcanBus(can.BusABC):
 
     def _drop(self, line: bytes) -> None:
         self.bad_lines += 1
-        self.bad_line = line[:LONGEST_LINE]
+        self.bad_line = line[: self.LONGEST_LINE]
 
     def _message(self, line: bytes) -> can.Message | None:
         if line in (b"", b"z", b"Z"):  # acknowledgements; many gateways send none

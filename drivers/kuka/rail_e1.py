@@ -33,8 +33,6 @@ from hilcell.ports import (
     RailReading,
 )
 
-CYCLE_S = 0.012  # of the controller: within one the place does not change
-
 
 @dataclass(frozen=True, slots=True)
 class AxisPoll:
@@ -50,6 +48,8 @@ class AxisPoll:
 
 class KukaE1Rail:
     """Satisfies `hilcell.ports.Rail` and `hilcell.ports.RidesOnRobot`."""
+
+    CYCLE_S = 0.012  # of the controller: within one the place does not change
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """The travel, the axis' speeds and the strip."""
@@ -201,7 +201,7 @@ class KukaE1Rail:
         before, self._before = self._before, (axis.position_mm, now_s)
         speed_mm_s = 0.0  # of the first look; standstill wants several
         if before is not None:
-            speed_mm_s = (axis.position_mm - before[0]) / max(now_s - before[1], CYCLE_S)
+            speed_mm_s = (axis.position_mm - before[0]) / max(now_s - before[1], self.CYCLE_S)
         return AxisPoll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)
 
     def _stop_after_failure(self) -> None:

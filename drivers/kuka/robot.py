@@ -56,19 +56,13 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host
 
-MAX_SEQUENCE = 1_000_000_000
 POLL_S = 0.03
-POLL_LOOK_S = 0.5  # one poll counts for this long, at most
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
-CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
-DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
 AXIS_TOLERANCE_DEG = 0.005
 STILL_DEG, STILL_MM = 0.0005, 0.01
 STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
 ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
-PROGRESS_DEG = 0.01
-FRAME_TOLERANCE = 0.001  # mm and deg
 PERCENT = 100
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
 BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
@@ -88,6 +82,13 @@ class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 class KukaRobot:
     """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+
+    MAX_SEQUENCE = 1_000_000_000
+    POLL_LOOK_S = 0.5  # one poll counts for this long, at most
+    CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
+    DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
+    PROGRESS_DEG = 0.01
+    FRAME_TOLERANCE = 0.001  # mm and deg
 
     def __init__(
         self, options: KukaOptions, clock: Clock, wires: Callable[[KukaRobot], Controller]
@@ -142,7 +143,7 @@ class KukaRobot:
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
         try:
             number = self.command(target_deg, round(speed_percent))
-            limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
+            limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
             while not self.acknowledged(number):
                 self.check_round(next(self._round), limits, number)
                 self._clock.wait(POLL_S)
@@ -159,7 +160,7 @@ class KukaRobot:
         taken_s = self._clock.pc_s()
         self.wire().look()
         before = self._axes()
-        self._clock.wait(DWELL_S)
+        self._clock.wait(self.DWELL_S)
         self.wire().look()
         pose = self._pose()
         moved = np.abs(self._axes() - before)
@@ -248,7 +249,7 @@ class KukaRobot:
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, FRAME)
-        if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
+        if not all(abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
             raise refused(
                 "HC-B06",
                 f"{name} is {frame_text(found)}",
@@ -265,7 +266,7 @@ class KukaRobot:
         controller.look()
         give_back_left_behind(controller)
         controller.release()
-        patience = Patience(CATCH_UP_S, POLL_LOOK_S)
+        patience = Patience(self.CATCH_UP_S, self.POLL_LOOK_S)
         self._sequence = self.integer("HC_SEQ")
         over = False
         while (acknowledged := self.integer("HC_ACK")) != self._sequence:
@@ -297,7 +298,7 @@ class KukaRobot:
         self._check_stopped()
         self.wire().look()
         self.check(*self.wire().ready)
-        number = self._sequence % MAX_SEQUENCE + 1
+        number = self._sequence % self.MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
         self._watch.begin()
         start(number)
@@ -329,13 +330,13 @@ class KukaRobot:
         # The pose means something only with the tool and the base that connect has verified.
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
-        patience, wanted = Patience(REST_S, POLL_LOOK_S), self._whole(target_deg)
+        patience, wanted = Patience(REST_S, self.POLL_LOOK_S), self._whole(target_deg)
         over = False
         while True:
             taken_s = self._clock.pc_s()
             controller.look()
             axes, before = self._axes(), self._pose()
-            self._clock.wait(DWELL_S)
+            self._clock.wait(self.DWELL_S)
             controller.look()
             pose = self._pose()
             arrived = bool(np.all(np.abs(axes - wanted) <= ARRIVED[: len(wanted)]))

@@ -92,13 +92,8 @@ STRUCTURES = {
 
 # The controller serves one client a channel and opens it again a moment after a client has gone, so
 # connecting is tried for a while.
-DOCUMENTS_VERSION = 1
-ANSWER_S = 2.0
 OPEN_S = 3.0  # the channel of a client that has gone is open again
 AGAIN = 5  # times POLL_S from one try to the next
-RECEIVE = 4096
-LARGEST_ID = 1_000_000_000
-LIFE_MS = round(1000 * LIFE_S)
 
 
 class Kind(IntEnum):
@@ -216,6 +211,9 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
 class EkiChannel:
     """One connection, one command in flight; a lock lets a keep-alive share it."""
 
+    ANSWER_S = 2.0
+    RECEIVE = 4096
+
     def __init__(self, host: str, port: int, root: str, attend: Callable[[], None]) -> None:
         """``root`` is that of the answers; ``attend`` runs in every wait."""
         self.attend = attend
@@ -255,18 +253,18 @@ class EkiChannel:
         self.attend()
 
     def _answer(self, number: int, operation: str) -> State:
-        patience, others = Patience(ANSWER_S), 0
+        patience, others = Patience(self.ANSWER_S), 0
         while True:
             for found, state in self._documents(operation):
                 if found == number:
                     return state
                 others += 1
-            piece = self._link.receive(RECEIVE, patience)
+            piece = self._link.receive(self.RECEIVE, patience)
             if not piece:
                 passed = f"; {others} answers to other commands came" if others else ""
                 started = f"; {len(self._received)} bytes of one came" if self._received else ""
                 raise self._link.broken(
-                    operation, f"no answer within {ANSWER_S:.1f} s{passed}{started}"
+                    operation, f"no answer within {self.ANSWER_S:.1f} s{passed}{started}"
                 )
             self._received += piece
 
@@ -314,16 +312,20 @@ def open_channel(
 class EkiController:
     """Satisfies `drivers.kuka.controller.SlidingController`; a look is an exchange of documents."""
 
+    DOCUMENTS_VERSION = 1
+    LARGEST_ID = 1_000_000_000
+    LIFE_MS = round(1000 * LIFE_S)
+
     measured = "$AXIS_ACT_MEAS"
     rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
     ready = (*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")  # one document has them all
 
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
-        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": DOCUMENTS_VERSION}
+        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": self.DOCUMENTS_VERSION}
         opened = partial(open_channel, options.host)
         # Answers to an earlier session must not pass for answers to this one.
-        self._number = -1 - secrets.randbelow(LARGEST_ID)
+        self._number = -1 - secrets.randbelow(self.LARGEST_ID)
         self._state: State | None = None
         self._life_ms = 0
         probe, stop_probe = command(0, Kind.ASK), stop_command(0, brake=False)
@@ -390,7 +392,7 @@ class EkiController:
         """Have the next command be a sign of life; others are none, so that a motion brakes whose
         engine has died while this one asks for states.
         """
-        self._life_ms = LIFE_MS
+        self._life_ms = self.LIFE_MS
 
     def brake(self) -> None:
         """Send a stop over the channel of commands."""
@@ -449,11 +451,11 @@ class EkiController:
         axes: Sequence[float] = (0.0,) * 6,
         e1: float = 0.0,
     ) -> None:
-        motion = command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
+        motion = command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=self.LIFE_MS)
         self._state = self._line.ask(number, motion)
 
     def _send(self, kind: Kind, percent: int = 1) -> State:
-        self._number = -1 - (-self._number) % LARGEST_ID
+        self._number = -1 - (-self._number) % self.LARGEST_ID
         life_ms, self._life_ms = self._life_ms, 0
         document = command(self._number, kind, percent=percent, life_ms=life_ms)
         self._state = self._line.ask(self._number, document)

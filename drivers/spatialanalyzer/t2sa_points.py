@@ -34,13 +34,14 @@ SEARCH_MM = 60.0
 MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm
 MOST_POINTS = 200_000
 LEAST_RANGE_MM = 1.0
-AROUND = 64  # points, among which one is chosen
 STEP_MM = 200.0  # along a direction, when places are looked for
 COLUMNS = ["name", "x", "y", "z"]
 
 
 class NamedPoints:
     """Names, and nominal positions (N, 3), N > 0, mm, in the tracker's frame."""
+
+    AROUND = 64  # points, among which one is chosen
 
     def __init__(self, names: Sequence[str], xyz_mm: Array) -> None:
         self.names, self.xyz_mm = names, xyz_mm
@@ -57,7 +58,7 @@ class NamedPoints:
         its range.
         """
         range_mm = float(np.linalg.norm(near_mm))
-        most = range(1, min(AROUND, len(self.names)) + 1)
+        most = range(1, min(self.AROUND, len(self.names)) + 1)
         found = self._tree.query(near_mm / max(range_mm, LEAST_RANGE_MM), k=most)
         beside, order = np.atleast_1d(found[0]), np.atleast_1d(found[1])
         best = 0

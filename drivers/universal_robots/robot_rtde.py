@@ -49,24 +49,25 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
-LIFE_EVERY_S = 0.2
-STARTED_S = 5.0  # wire deadline: from sending the script to its first word
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement, or a brake of a sweep, to standstill
-ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
-BRAKED_S = 2.0  # wire deadline: a script that brakes (stopj, 2 rad/s2) goes on
-CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
 LOOK_S = 0.5  # one look counts for this long, at most
-PROGRESS_S = 0.2  # between two looks at the progress of a motion
-COUNT_S = 1.0  # the script's counter stands no longer
-AXIS_TOLERANCE_RAD = 2e-4
-PROGRESS_DEG = 0.01
-TOOL_MM, TOOL_RAD = 1e-3, 1e-5
 DWELL_S = 0.05  # of the packages that tell standstill
 
 
 class UrRtdeRobot:
     """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+
+    LIFE_EVERY_S = 0.2
+    STARTED_S = 5.0  # wire deadline: from sending the script to its first word
+    ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
+    BRAKED_S = 2.0  # wire deadline: a script that brakes (stopj, 2 rad/s2) goes on
+    CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
+    PROGRESS_S = 0.2  # between two looks at the progress of a motion
+    COUNT_S = 1.0  # the script's counter stands no longer
+    AXIS_TOLERANCE_RAD = 2e-4
+    PROGRESS_DEG = 0.01
+    TOOL_MM, TOOL_RAD = 1e-3, 1e-5
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""
@@ -133,11 +134,11 @@ class UrRtdeRobot:
         speed_rad_s = np.radians(leading_deg) / planned if planned > 0.0 else slowest
         try:
             number = self.command(target_rad, speed_rad_s)
-            limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
-            due_s = time.monotonic() + PROGRESS_S
+            limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
+            due_s = time.monotonic() + self.PROGRESS_S
             while not self.acknowledged(number):
                 if time.monotonic() >= due_s:
-                    due_s = time.monotonic() + PROGRESS_S
+                    due_s = time.monotonic() + self.PROGRESS_S
                     self.check_progress(limits, number, self.link().next())
             return self.rest(target_rad)
         finally:
@@ -226,12 +227,12 @@ class UrRtdeRobot:
             return
         if self._ours_plays(before):
             self._panel().ask("stop")
-        patience, over = Patience(ENDED_S, LOOK_S), False
+        patience, over = Patience(self.ENDED_S, LOOK_S), False
         while (state := link.fresh()).runtime_state != Runtime.STOPPED or not stands([state]):
             if over:
                 raise refused(
                     "HC-B25",
-                    f"runtime_state is {runtime_text(state)}, {ENDED_S:.0f} s after stop",
+                    f"runtime_state is {runtime_text(state)}, {self.ENDED_S:.0f} s after stop",
                     wanted=f"{Runtime.STOPPED} (stopped), at rest",
                     act="stop the program at the panel",
                 )
@@ -244,7 +245,7 @@ class UrRtdeRobot:
         Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
         `DeviceRefused` for another program.
         """
-        link, patience, over = self.link(), Patience(BRAKED_S, LOOK_S), False
+        link, patience, over = self.link(), Patience(self.BRAKED_S, LOOK_S), False
         while (state := link.fresh()).count == before.count:
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
@@ -268,7 +269,7 @@ class UrRtdeRobot:
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
-            patience, over = Patience(STARTED_S, LOOK_S), False
+            patience, over = Patience(self.STARTED_S, LOOK_S), False
             while True:
                 state = link.fresh()
                 if state.session == self._session and state.acknowledged == 0:
@@ -276,7 +277,7 @@ class UrRtdeRobot:
                 line.receive(65536, Patience(0.0))  # states that nobody needs
                 if over:
                     self._check_remote()
-                    raise self._script_ended(state, f"no word of it within {STARTED_S:.0f} s")
+                    raise self._script_ended(state, f"no word of it within {self.STARTED_S:.0f} s")
                 over = patience.over()
         finally:
             line.close()
@@ -286,7 +287,7 @@ class UrRtdeRobot:
     def _check_tool(self, state: UrState) -> None:
         """Refuse a tool that is not the cell file's: the pose would be another point's."""
         wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
-        limits = np.array([TOOL_MM] * 3 + [TOOL_RAD] * 3)
+        limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
             raise refused(
                 "HC-B06",
@@ -313,7 +314,7 @@ class UrRtdeRobot:
 
     def live(self) -> None:
         """Give the script a sign of life."""
-        self._life_due_s = time.monotonic() + LIFE_EVERY_S
+        self._life_due_s = time.monotonic() + self.LIFE_EVERY_S
         self.link().write(self._order)
 
     def acknowledged(self, number: int) -> bool:
@@ -345,7 +346,7 @@ class UrRtdeRobot:
             raise self._script_ended(state, "")
         if state.count != self._count:
             self._count, self._counted_s = state.count, state.by_s
-        elif not state.by_s - self._counted_s <= COUNT_S:
+        elif not state.by_s - self._counted_s <= self.COUNT_S:
             raise self._script_ended(state, f"its counter stands at {state.count}")
 
     def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
@@ -364,7 +365,7 @@ class UrRtdeRobot:
             began_s, states = self._clock.pc_s(), self._dwell()
             self.look(states)
             last = states[-1]
-            arrived = np.abs(last.joints_rad - target_rad) <= AXIS_TOLERANCE_RAD
+            arrived = np.abs(last.joints_rad - target_rad) <= self.AXIS_TOLERANCE_RAD
             if bool(np.all(arrived)) and stands(states):
                 # The pose means something only with the tool that connect has verified.
                 self._check_tool(last)
@@ -375,7 +376,7 @@ class UrRtdeRobot:
                 break
             over = patience.over()
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
-        tolerance = f"{joints_text(target_deg)} +-{np.degrees(AXIS_TOLERANCE_RAD):.3f}"
+        tolerance = f"{joints_text(target_deg)} +-{np.degrees(self.AXIS_TOLERANCE_RAD):.3f}"
         raise stopped_short(joints_text(axes_deg), tolerance, axes_deg, target_deg)
 
     def _dwell(self) -> list[UrState]:
@@ -384,7 +385,7 @@ class UrRtdeRobot:
         first = link.next()
         self._clock.wait(DWELL_S)
         self._asked_s = self._clock.pc_s()
-        last, patience, over = link.fresh(), Patience(CLOCK_S, LOOK_S), False
+        last, patience, over = link.fresh(), Patience(self.CLOCK_S, LOOK_S), False
         while not last.timestamp_s > first.timestamp_s:  # several packages may have been under way
             if over:
                 raise DeviceError(
@@ -392,7 +393,7 @@ class UrRtdeRobot:
                     DEVICE,
                     "read",
                     f"the controller's time stands at {last.timestamp_s:.3f} s",
-                    wanted=f"a later time within {CLOCK_S:g} s",
+                    wanted=f"a later time within {self.CLOCK_S:g} s",
                     act="restart the controller; resume",
                 )
             over, last = patience.over(), link.next()

@@ -18,11 +18,7 @@ from drivers.supervision import Patience
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
-CONNECT_S = 3.0
 SEND_S = 1.0
-LEAVE_S = 0.5
-KEEPALIVE_S = 5
-UNSENT_MS = 5000
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +44,11 @@ class Alarms:
 class TcpLink:
     """A connected socket. One thread receives; any thread may send."""
 
+    CONNECT_S = 3.0
+    LEAVE_S = 0.5
+    KEEPALIVE_S = 5
+    UNSENT_MS = 5000
+
     def __init__(
         self, device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
     ) -> None:
@@ -57,7 +58,7 @@ class TcpLink:
         self.unheard = False  # something was sent whose answer nobody awaits
         check()
         try:
-            self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
+            self._socket = socket.create_connection((host, port), timeout=self.CONNECT_S)
         except OSError as error:
             raise DeviceError(
                 alarms.unreachable,
@@ -69,9 +70,9 @@ class TcpLink:
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        probes = {"TCP_KEEPIDLE": KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+        probes = {"TCP_KEEPIDLE": self.KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
         # Not every system names all of these; the deadlines of the reads hold without them.
-        for name, value in (probes | {"TCP_USER_TIMEOUT": UNSENT_MS}).items():
+        for name, value in (probes | {"TCP_USER_TIMEOUT": self.UNSENT_MS}).items():
             if hasattr(socket, name):
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket.setblocking(False)  # a wait is a call of its own, and most bytes need none
@@ -129,7 +130,7 @@ class TcpLink:
 
     def _leave(self) -> None:
         """End what is sent; return when the device has closed its end, too."""
-        patience = Patience(LEAVE_S)
+        patience = Patience(self.LEAVE_S)
         self._socket.shutdown(socket.SHUT_WR)
         while not patience.over():
             ready, _, _ = select.select([self._socket], [], [], POLL_S)

@@ -33,11 +33,11 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
     time = WireTime()
     for module, name, value in (
         (robot_c3, "REPLY_S", 0.3),
-        (robot_eki, "ANSWER_S", 0.3),
+        (robot_eki.EkiChannel, "ANSWER_S", 0.3),
         (robot_eki, "OPEN_S", 0.05),
         (kuka_robot, "STALL_S", 0.3),
         (kuka_robot, "REST_S", 0.1),
-        (kuka_robot, "CATCH_UP_S", 0.2),
+        (kuka_robot.KukaRobot, "CATCH_UP_S", 0.2),
         (kuka_external, "STALL_S", 0.3),
         # The peer's slide is there within three looks.
         (kuka_external.SlidingKukaRobot, "SPEED_OVER_S", 10.0),

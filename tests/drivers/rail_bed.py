@@ -57,7 +57,7 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
         (rail_setup, "START_PERIOD_S", 0.1),
         (canopen_rail.Release, "RELEASE_S", 0.5),
         (sdo, "REPLY_S", 0.1),
-        (sdo, "LATE_S", 0.15),
+        (sdo.SdoChannel, "LATE_S", 0.15),
         (can_link, "PAUSE_S", 0.0),
         (supervision, "time", time),
         (canopen_rail, "time", time),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.motion_limits import MARGIN_S, PLANNED_TIMES, MotionLimits, planned_s
+from drivers.motion_limits import MotionLimits, planned_s
 
 
 def limits(planned: float = 2.0, stall_s: float = 0.0) -> MotionLimits:
@@ -19,7 +19,7 @@ def test_the_slowest_axis_sets_the_plan() -> None:
 
 def test_a_motion_may_take_several_times_its_plan() -> None:
     motion = limits()
-    allowed_s = PLANNED_TIMES * 2.0 + MARGIN_S
+    allowed_s = MotionLimits.PLANNED_TIMES * 2.0 + MotionLimits.MARGIN_S
     assert not motion.overdue(1000.0, 100)
     assert not motion.overdue(1000.0 + allowed_s, 100)
     assert motion.overdue(1000.1 + allowed_s, 100)

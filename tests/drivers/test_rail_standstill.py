@@ -152,7 +152,7 @@ def test_a_drive_that_is_home_within_one_poll_is_believed(
 def test_a_drive_that_creeps_on_for_ever_ends(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion_limits, "MARGIN_S", 0.2)
+    monkeypatch.setattr(motion_limits.MotionLimits, "MARGIN_S", 0.2)
     with connected(peer, time) as rail:
 
         def crawl() -> None:

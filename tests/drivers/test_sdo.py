@@ -29,7 +29,7 @@ def _short_limits(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> None:
     monkeypatch.setattr(can_link, "PAUSE_S", A_LOOK_S)
     monkeypatch.setattr(slcan_bus, "select", RailTime(peer))
     monkeypatch.setattr(sdo, "REPLY_S", 0.2)
-    monkeypatch.setattr(sdo, "LATE_S", 0.1)
+    monkeypatch.setattr(sdo.SdoChannel, "LATE_S", 0.1)
 
 
 @contextlib.contextmanager
@@ -190,7 +190,7 @@ def test_two_threads_never_mix_their_answers(peer: CanPeer, channel: SdoChannel)
 
 
 def test_a_node_that_answers_each_question_twice_is_two_nodes(channel: SdoChannel) -> None:
-    for _ in range(sdo.DOUBLES):
+    for _ in range(sdo.SdoChannel.DOUBLES):
         assert channel.read(*PROFILE_VELOCITY) == 111
         channel._client.responses.put(bytes(8))
     found = refusal(lambda: channel.read(*PROFILE_VELOCITY))
@@ -198,7 +198,7 @@ def test_a_node_that_answers_each_question_twice_is_two_nodes(channel: SdoChanne
 
 
 def test_a_frame_that_is_doubled_now_and_then_is_no_second_node(channel: SdoChannel) -> None:
-    for number in range(4 * sdo.DOUBLES):
+    for number in range(4 * sdo.SdoChannel.DOUBLES):
         assert channel.read(*PROFILE_VELOCITY) == 111
-        if number % sdo.DOUBLES:
+        if number % sdo.SdoChannel.DOUBLES:
             channel._client.responses.put(bytes(8))

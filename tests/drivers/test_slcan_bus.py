@@ -64,7 +64,7 @@ def _command(connection: socket.socket) -> bytes:
 @pytest.fixture
 def mute(monkeypatch: pytest.MonkeyPatch) -> None:
     """The gateway answers no command, and nobody waits for that."""
-    monkeypatch.setattr(slcan_bus, "ANSWER_S", 0.0)
+    monkeypatch.setattr(slcan_bus.SlcanBus, "ANSWER_S", 0.0)
 
 
 FRAME = (0x585, bytes.fromhex("4064600015CD5B07"))

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.canopen.process_image import Snapshot
 from drivers.standstill import Rest, Standstill, Unrest, Windows
-from drivers.supervision import ATTENDED_S
+from drivers.supervision import Supervision
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
 
@@ -96,7 +96,7 @@ def test_a_slide_that_came_to_rest_is_read_by_later_polls() -> None:
 @pytest.mark.parametrize("dwell_s", [0.05, 0.25, 0.4, 1.0, 5.0])
 def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s: float) -> None:
     windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=dwell_s)
-    assert windows.apart_s < ATTENDED_S / 2
+    assert windows.apart_s < Supervision.ATTENDED_S / 2
     standstill = Standstill(windows)
     for n in range(windows.polls):
         standstill.take(poll(), n * windows.apart_s)

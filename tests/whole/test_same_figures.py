@@ -31,7 +31,7 @@ def busy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Threads take turns all the time, and a sign of life is due at each look, as on a late PC."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    for module, name in (controller.LifeSign, "EVERY_S"), (robot_rtde, "LIFE_EVERY_S"):
+    for module, name in (controller.LifeSign, "EVERY_S"), (robot_rtde.UrRtdeRobot, "LIFE_EVERY_S"):
         monkeypatch.setattr(module, name, 0.0)
     yield
     sys.setswitchinterval(before_s)

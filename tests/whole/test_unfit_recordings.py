@@ -171,7 +171,7 @@ def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path
 def _nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait shortly where a recording has ended."""
     monkeypatch.setattr(rail.Release, "RELEASE_S", 0.2)
-    monkeypatch.setattr(sdo, "LATE_S", 0.05)
+    monkeypatch.setattr(sdo.SdoChannel, "LATE_S", 0.05)
 
 
 def cut(path: Path, behind: bytes = b"") -> None:

@@ -239,7 +239,7 @@ def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None
 def test_a_program_of_somebody_else_is_left_alone(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_ur_rtde, "BRAKED_S", 0.2)
+    monkeypatch.setattr(robot_ur_rtde.UrRtdeRobot, "BRAKED_S", 0.2)
     bench.play(OTHER)
     with pytest.raises(DeviceRefused) as found:
         bench.robot().connect()

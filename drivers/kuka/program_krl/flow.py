@@ -25,7 +25,6 @@ from drivers.kuka.program_krl.data import EXTERNAL, KrlError, Statement
 from drivers.kuka.program_krl.program import SLIDE, Kept, Target
 from hilcell.errors import bounded
 
-DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
 State = TypeVar("State", bound=Hashable)
 
 ENDS = {
@@ -52,6 +51,8 @@ class Flow(Generic[State]):
     Of states with one ``key`` the first stands for all: where each branch gave a state of its own,
     the ways through 600 branches would be 600 times as many.
     """
+
+    DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
 
     def __init__(
         self,
@@ -86,8 +87,10 @@ class Flow(Generic[State]):
             return self._done[begun]
         self._done[begun] = [begin]  # as it calls itself
         self._depth += 1
-        if self._depth > DEEPEST:
-            raise KrlError(f"{name} is called within more than {DEEPEST} others; call it directly")
+        if self._depth > self.DEEPEST:
+            raise KrlError(
+                f"{name} is called within more than {self.DEEPEST} others; call it directly"
+            )
         block, following, ends = self._blocks[name], self._next[name], list[State]()
         seen, todo = set[tuple[int, Hashable]](), [(0, begin)]
         while todo:
