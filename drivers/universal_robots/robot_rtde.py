@@ -489,6 +489,14 @@ def script_text(session: int) -> bytes:
     return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
 
 
+def stands(states: Sequence[UrState]) -> bool:
+    """Whether no joint moves, by speed and by spread."""
+    joints_rad = np.array([state.joints_rad for state in states])
+    speeds = np.abs([state.speeds_rad_s for state in states])
+    still = np.all(np.ptp(joints_rad, axis=0) <= 2e-5)  # rad; a joint that holds dithers
+    return bool(still and np.all(speeds <= 2e-3))  # rad/s
+
+
 class UrSweep:
     """Satisfies `hilcell.ports.Sweep`: one axis turned slowly, with its joints read meanwhile.
 
@@ -670,13 +678,24 @@ class Release:
         while True:
             self._stop()
             try:
-                states = _dwell(link)
+                first = link.fresh(patiently=True)
+                time.sleep(DWELL_S)
+                by_s = link.fresh(patiently=True).by_s
+                between = link.following(first.by_s, patiently=True)
             except DeviceError as error:
                 raise self._unconfirmed(error.found) from error
-            if _at_rest(states):
+            states = [first, *(state for state in between if state.by_s <= by_s)]
+            last, ended = states[-1], all(s.runtime_state == Runtime.STOPPED for s in states)
+            # At rest no joint moves while the controller's time goes on.
+            if ended and stands(states) and last.timestamp_s > first.timestamp_s:
                 return
             if over:
-                raise self._unconfirmed(_words(states))
+                fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
+                where = joints_text(np.degrees(last.joints_rad))
+                raise self._unconfirmed(
+                    f"runtime_state is {runtime_text(last)}, {fastest_deg_s:.2f} deg/s at {where}, "
+                    f"{last.timestamp_s:.3f} s by the controller's clock"
+                )
             over = patience.over()
             self._hear(Patience(0.0))
 
@@ -711,37 +730,3 @@ class Release:
             act="keep away from the arm, it may move: press the E-stop; then see the panel",
             fields={"answer": self._answer},
         )
-
-
-def _dwell(link: UrLink) -> list[UrState]:
-    """Return the states of a dwell that began after this call."""
-    first = link.fresh(patiently=True)
-    time.sleep(DWELL_S)
-    last = link.fresh(patiently=True)
-    between = link.following(first.by_s, patiently=True)
-    return [first, *(state for state in between if state.by_s <= last.by_s)]
-
-
-def stands(states: Sequence[UrState]) -> bool:
-    """Whether no joint moves, by speed and by spread."""
-    joints_rad = np.array([state.joints_rad for state in states])
-    speeds = np.abs([state.speeds_rad_s for state in states])
-    still = np.all(np.ptp(joints_rad, axis=0) <= 2e-5)  # rad; a joint that holds dithers
-    return bool(still and np.all(speeds <= 2e-3))  # rad/s
-
-
-def _at_rest(states: Sequence[UrState]) -> bool:
-    """Whether no program plays and no joint moves, while the controller's time goes on."""
-    ended = all(state.runtime_state == Runtime.STOPPED for state in states)
-    return ended and stands(states) and states[-1].timestamp_s > states[0].timestamp_s
-
-
-def _words(states: Sequence[UrState]) -> str:
-    """Return what a dwell's last state shows."""
-    last = states[-1]
-    fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
-    where = joints_text(np.degrees(last.joints_rad))
-    return (
-        f"runtime_state is {runtime_text(last)}, {fastest_deg_s:.2f} deg/s at {where}, "
-        f"{last.timestamp_s:.3f} s by the controller's clock"
-    )

@@ -1,12 +1,22 @@
+"""RTDE: packages, and states from a controller that a test plays."""
+
 from __future__ import annotations
 
+import contextlib
+import select
+import socket
 import struct
+import threading
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
 
+from drivers import supervision
 from drivers.universal_robots import rtde
+from drivers.universal_robots import rtde as ur_link
 from drivers.universal_robots.rtde import (
+    ECHO,
     INPUTS,
     OUTPUTS,
     Kind,
@@ -14,8 +24,14 @@ from drivers.universal_robots.rtde import (
     Packages,
     Recipe,
     RtdeError,
+    UrLink,
     UrState,
+    encode,
 )
+from hilcell.ports import DeviceRefused
+from tests.drivers.peers import Server, wire_time
+from tests.drivers.rail_bed import refusal
+from tests.fakes.rail_bench import until
 
 RECIPE = Recipe(1, ("timestamp", "actual_q", "robot_mode"), ("DOUBLE", "VECTOR6D", "INT32"))
 DATA = struct.pack(">B7di", 1, 12.5, *range(6), 7)
@@ -100,3 +116,156 @@ def test_registers_of_the_script() -> None:
     values = Order(7, np.arange(6.0), 0.25, stop=True).registers(3)
     assert tuple(values) == INPUTS
     assert [values[name][0] for name in INPUTS] == [7, 1, 3, 1, *range(6), 0.25]
+
+
+SIX = {"actual_q", "actual_qd", "actual_TCP_pose"}
+TYPES = ["VECTOR6D" if name in SIX else "DOUBLE" for name in OUTPUTS]
+ECHOED = OUTPUTS.index(ECHO) - len(OUTPUTS)  # its place among the numbers of a state
+QUESTION = struct.Struct(">Bi")
+INTEGERS = struct.Struct(">B4i")
+RATE_HZ = 125.0
+
+
+class Controller:
+    """Answers the set-up, and sends a state and ``besides``, when ``due`` returns."""
+
+    def __init__(
+        self,
+        types: Sequence[str] = TYPES,
+        due: Callable[[], object] = lambda: None,
+        besides: bytes = b"",
+    ) -> None:
+        self.types, self.due, self._besides = types, due, besides
+        self.number, self.sent, self.question, self.takes = 1, 0, 0, True
+        self.written: list[tuple[int, ...]] = []  # sequence, command, life, stop
+
+    def serve(self, wire: socket.socket) -> None:
+        packages = Packages()
+        while data := wire.recv(65536):
+            for kind, payload in packages.feed(data):
+                asked = payload.split(b",")
+                answer = {
+                    Kind.CONTROLLER_VERSION: bytes(16),
+                    Kind.OUTPUTS: b"\1" + ",".join(self.types).encode(),
+                    Kind.INPUTS: b"\2" + b",".join(
+                        b"INT32" if b"_int_" in each else b"DOUBLE" for each in asked
+                    ),
+                }.get(Kind(kind), b"\1")  # fmt: skip
+                wire.sendall(encode(Kind(kind), answer))
+                if kind == Kind.START:
+                    self._send_states(wire, packages)
+
+    def _send_states(self, wire: socket.socket, packages: Packages) -> None:
+        while True:
+            while self.takes and select.select([wire], [], [], 0.0)[0]:
+                if not (data := wire.recv(65536)):
+                    return
+                for _, payload in packages.feed(data):
+                    if len(payload) == QUESTION.size:
+                        self.question = QUESTION.unpack(payload)[1]
+                    else:
+                        self.written.append(INTEGERS.unpack_from(payload)[1:])
+            question = float(self.question)
+            self.due()
+            values = [float(self.sent), *[0.0] * (len(OUTPUTS) + 3 * 5 - 1)]
+            values[ECHOED] = question
+            payload = struct.pack(f">B{len(values)}d", self.number, *values)
+            wire.sendall(encode(Kind.DATA, payload) + self._besides)
+            self.sent += 1
+
+
+@contextlib.contextmanager
+def link_to(controller: Controller, check: Callable[[], None] = lambda: None) -> Iterator[UrLink]:
+    with Server(controller.serve) as server:
+        link = UrLink("127.0.0.1", server.port, RATE_HZ, check)
+        try:
+            yield link
+        finally:
+            link.close()
+
+
+def test_a_state_that_was_under_way_is_no_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """States that left before the question came do not have its number, however many they are."""
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e3)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        link.fresh()
+        controller.takes = False
+        asked, states = threading.Event(), list[float]()
+
+        def ask() -> None:
+            asked.set()
+            states.append(link.fresh().timestamp_s)
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        asked.wait()
+        sent = controller.sent
+        until(lambda: controller.sent > sent + 20)
+        assert not states
+        late, controller.takes = controller.sent, True
+        asking.join()
+        assert states[0] >= late
+
+
+def test_a_controller_that_takes_no_question_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    time = wire_time(monkeypatch, supervision)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        controller.takes = False
+        time.silence(0.05)
+        assert refusal(link.fresh).code == "HC-B02"
+
+
+def test_no_later_write_takes_the_end_of_the_script_back() -> None:
+    controller = Controller()
+    with link_to(controller) as link:
+        link.write(Order(4, np.zeros(6), 0.1))
+        link.end_script(815)
+        link.write(Order(5, np.zeros(6), 0.1))
+        link.fresh()
+    assert [stop for *_, stop in controller.written] == [0, 815, 815]
+
+
+def test_the_end_of_the_script_gives_no_sign_of_life() -> None:
+    controller = Controller()
+    with link_to(controller) as link:
+        link.write(Order(4, np.zeros(6), 0.1))
+        for _ in range(3):
+            link.end_script(815)
+        link.fresh()
+    assert controller.written == [(4, 1, 1, 0), *[(4, 1, 1, 815)] * 3]
+
+
+def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e-4)
+    controller = Controller(besides=16 * encode(Kind.TEXT, bytes(4000)))
+    with link_to(controller) as link:
+        until(lambda: controller.sent > 300)
+        assert link.next().timestamp_s > 0.0
+
+
+def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 0.01)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        link.next()
+        controller.number = 2  # of another recipe
+        sent = controller.sent
+        until(lambda: controller.sent > sent + 50)
+        controller.number = 1
+        for _ in range(2):
+            assert refusal(link.fresh).code == "HC-B26"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("actual_q", "DOUBLE"), ("timestamp", "VECTOR6D"), ("timestamp", "STRING")]
+)
+def test_a_field_of_another_type_is_refused(name: str, kind: str) -> None:
+    types = [kind if each == name else usual for each, usual in zip(OUTPUTS, TYPES, strict=True)]
+    with pytest.raises(DeviceRefused, match=name) as found, link_to(Controller(types)):
+        pass
+    assert found.value.code == "HC-B69"
