@@ -33,7 +33,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
-from hilcell.journal.standing import Standing, standings
+from hilcell.journal.standing import Standing, current_of, standings
 from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.point import Point
@@ -154,13 +154,25 @@ def _instead(folder: Path) -> str:
         log = read_log(folder)
         used, recheck = calibration_in(log), log.verdict(Rechecked)
     if used is None:
-        return "name a finished `hilcell run calibrate`"
+        current = _current_beside(folder)
+        make = "name a finished `hilcell run calibrate`"
+        return f"name {current}, the current calibration of its cell" if current else make
     latest = used.provenance.latest
     if recheck is not None and recheck.verdict == "valid":
         return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
     if recheck is not None and recheck.verdict == "redo":
         return f"it found that the calibration of {latest} no longer holds: calibrate again"
     return f"it used that of {latest}"
+
+
+def _current_beside(folder: Path) -> str:
+    """Return the run whose calibration is current for the cell of a run; "" where there is none."""
+    with suppress(HilcellError):
+        rows = read_index(folder.parent)
+        own = next((row for row in rows if row.name == folder.name and row.readable), None)
+        if own is not None:
+            return current_of(rows, own.cell, own.serial, own.simulated, own.machine_seed)
+    return ""
 
 
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:

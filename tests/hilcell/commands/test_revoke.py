@@ -135,6 +135,16 @@ def test_one_that_is_undecided_is_listed_so(runs: Path) -> None:
     ]  # fmt: skip
 
 
+def test_the_last_run_that_wrote_none_leads_to_the_current_one(runs: Path) -> None:
+    finished(runs, "2-home", {})
+    (runs / "2-home" / CALIBRATION).unlink()
+    assert "2-home wrote no calibration; name 1-made, the current calibration of its cell" in (
+        refused(runs, "last")
+    )
+    assert revoke(runs, "1-made", "--reason", "a crash").returncode == 0
+    assert "name a finished `hilcell run calibrate`" in refused(runs, "last")
+
+
 @pytest.mark.parametrize("words", [(), ("--reason", ""), ("--reason", " \x1b")])
 def test_a_reason_is_wanted(runs: Path, words: tuple[str, ...]) -> None:
     assert revoke(runs, "1-made", *words).returncode == 2
