@@ -93,16 +93,20 @@ def fitted(log: Log) -> Fitted:
     """Return the choice of the error model, by what was measured."""
     measured = measured_of(log)
     choice = chosen(measured, turned=log.cell.plan.turns)
-    turned = log.cell.robot.more_smr_mm
+    model, orientation = choice.model, ""
+    if log.cell.orients:
+        orientation = f"left as it is: {model} predicts positions only"
+        if _orients(log.cell, model, measured):
+            orientation = f"corrected: {model} predicts it"
     return Fitted(
         holds=True,
-        method=choice.model,
+        method=model,
         loocv={name: each._asdict() for name, each in choice.figures.items()},
         reason=choice.reason,
         refused=choice.refused,
         curves=curves_used(measured),
         outliers=outlying_vertices(log),
-        orientation=_orientation(log.cell, choice.model, measured) if turned else "",
+        orientation=orientation,
     )
 
 
@@ -115,13 +119,6 @@ def _orients(cell: Cell, name: str, measured: Measured) -> bool:
     """Whether a model learnt from what was measured predicts orientation."""
     vertex = poses_at(cell, measured.grid.grid.origin_mm[None])
     return MODELS[name].learn(measured).predict(vertex).turn is not None
-
-
-def _orientation(cell: Cell, name: str, measured: Measured) -> str:
-    """Return in words what becomes of the tool's orientation."""
-    if _orients(cell, name, measured):
-        return f"corrected: {name} predicts it"
-    return f"left as it is: {name} predicts positions only"
 
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2

@@ -22,8 +22,6 @@ from hilcell.commands.output import print_data
 from hilcell.commands.parser import Parser
 
 Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
-_FILE = re.compile(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml")
-_FOLDER = re.compile(r"DIR|FOLDER")
 # The lines of the table of runs are bars in ASCII, or box characters; three of it are its head.
 _LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
 _NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
@@ -40,12 +38,7 @@ _hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
 _hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 """,
 }
-_NAMED: dict[str, Completer] = {
-    "RUN": {"bash": "_hilcell_run", "zsh": "_hilcell_run"},
-    "CALIBRATION": {"bash": "_hilcell_run", "zsh": "_hilcell_run"},
-    "CELL": {"bash": "_hilcell_cell", "zsh": "_hilcell_cell"},
-}
-_CELL_OF_RUNS: Completer = {"bash": "_hilcell_cell_of_runs", "zsh": "_hilcell_cell_of_runs"}
+_NAMED = {"RUN": "run", "CALIBRATION": "run", "CELL": "cell"}  # the functions of the preamble
 
 
 def completion(args: Completion) -> int:
@@ -73,10 +66,9 @@ def _actions(parser: Parser) -> Iterator[argparse.Action]:
 def _completed_by(action: argparse.Action) -> Completer | None:
     """Return what completes an argument; None for words of no list."""
     name = str(action.metavar or "")
-    if (action.dest, name) == ("cell", "NAME"):
-        return _CELL_OF_RUNS
-    if name in _NAMED:
-        return _NAMED[name]
-    if _FOLDER.search(name):
+    of_runs = (action.dest, name) == ("cell", "NAME")
+    if function := "cell_of_runs" if of_runs else _NAMED.get(name):
+        return dict.fromkeys(PREAMBLE, f"_hilcell_{function}")
+    if re.search(r"DIR|FOLDER", name):
         return shtab.DIRECTORY
-    return shtab.FILE if _FILE.search(name) else None
+    return shtab.FILE if re.search(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml", name) else None

@@ -53,7 +53,11 @@ class Finding(NamedTuple):
 
 def doctor(args: Doctor) -> int:
     """Print what was checked; exit code 2 where something has to be mended before a run."""
-    found = list(_of_this_pc(args.runs))
+    found = [
+        python(), terminal(os.environ, *shutil.get_terminal_size()), can(), serial_ports(),
+        loopback(), disk(args.runs), clock(args.runs), locks(), pace(), browser(), _keys(),
+        _drivers(),
+    ]  # fmt: skip
     if args.cell:
         found += _of_cell(args.cell, dict(args.settings))
     sound = all(each.state != "wrong" for each in found)
@@ -66,21 +70,6 @@ def doctor(args: Doctor) -> int:
             lines += [f"{'':20} -> {each.do}"] if each.do else []
         print_data(harmless_lines("\n".join(lines)))
     return 0 if sound else EXIT_REFUSED
-
-
-def _of_this_pc(runs: Path) -> Iterator[Finding]:
-    yield python()
-    yield terminal(os.environ, *shutil.get_terminal_size())
-    yield can()
-    yield serial_ports()
-    yield loopback()
-    yield disk(runs)
-    yield clock(runs)
-    yield locks()
-    yield pace()
-    yield browser()
-    yield _keys()
-    yield _drivers()
 
 
 # -- this PC --------------------------------------------------------------------------------------

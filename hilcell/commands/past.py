@@ -155,18 +155,14 @@ def _summary(row: RunRow, standing: Standing | None) -> Json:
         "ended": row.ended or None,
         "verdict": row.verdict,
         "reason": encodable(row.reason),
-        "standing": None if standing is None else _facts(standing),
-    }
-
-
-def _facts(standing: Standing) -> Json:
-    """Return how a run's calibration stands among those of its cell."""
-    return {
-        "state": standing.state,
-        "by": standing.by or None,
-        "reason": encodable(standing.reason),
-        "current": standing.current or None,
-        "text": encodable(standing.text),
+        "standing": standing
+        and {
+            "state": standing.state,
+            "by": standing.by or None,
+            "reason": encodable(standing.reason),
+            "current": standing.current or None,
+            "text": encodable(standing.text),
+        },
     }
 
 

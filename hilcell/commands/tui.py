@@ -25,7 +25,9 @@ def tui(args: Tui) -> int:
             "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
         )
     keymap = load_keys(Path(args.keys) if args.keys else None)
-    glyphs = ASCII if args.ascii or not _has_unicode() else UNICODE
+    writes = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+    shapes = writes and has_unicode(os.environ, coerced=is_coerced()) and not args.ascii
+    glyphs = UNICODE if shapes else ASCII
     variables = textual_environment(args.colors, os.environ)
     os.environ.pop("NO_COLOR", None)
     os.environ.update(variables)
@@ -74,8 +76,3 @@ def textual_environment(colours: str, environment: Mapping[str, str]) -> dict[st
         "TEXTUAL_ANIMATIONS": "none",
     }
     return found | ({"NO_COLOR": "1"} if colours == "none" else {})
-
-
-def _has_unicode() -> bool:
-    writes = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
-    return writes and has_unicode(os.environ, coerced=is_coerced())

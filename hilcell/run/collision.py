@@ -201,12 +201,13 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
     at = from_posture + nearest.share * (to_posture - from_posture)
     axes = ", ".join(f"A{axis} {deg:.1f}" for axis, deg in enumerate(np.degrees(at[1:]), 1))
     of = f" (way {first + 1}, and {count - 1} more of {len(start)})" if len(start) > 1 else ""
+    inside = nearest.clearance_mm < 0.0
+    near = "is in" if inside else f"comes within {nearest.clearance_mm:.0f} mm of"
     raise Blocked(
         "HC-B34",
         "Robot",
         f"{what}{of}",
-        f"link {nearest.link} {_how_near(nearest.clearance_mm)} keep-out {nearest.volume}, at "
-        f"{axes} deg, rail {at[0]:.0f} mm",
+        f"link {nearest.link} {near} keep-out {nearest.volume}, at {axes} deg, rail {at[0]:.0f} mm",
         wanted=f">= {wanted_mm:.0f} mm",
         act="choose another pose, or correct keep_out or robot.envelope in the cell file",
         fields={
@@ -219,10 +220,6 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
             "rail_mm": at[0],
         },
     )
-
-
-def _how_near(clearance_mm: float) -> str:
-    return "is in" if clearance_mm < 0.0 else f"comes within {clearance_mm:.0f} mm of"
 
 
 # -- before motions that come in turn -------------------------------------------------------------
