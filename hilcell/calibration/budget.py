@@ -23,9 +23,8 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import (
     Frames,
     base_covariance,
-    floor_points,
     hold_covariance,
-    world_covariance,
+    world_as_framed,
 )
 from hilcell.calibration.influence import (
     ASSUMED,
@@ -45,7 +44,6 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms, trace_freedom
-from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import (
     Log,
     commanded_rad,
@@ -147,15 +145,12 @@ class _Lines:
 
     def world(self) -> Influence:
         """Return {W} as the floor nests define it: their noise and the reflector's centring."""
-        centring_mm2 = rectangular_variance(self.log.cell.uncertainty.smr_centring_limit_mm)
-        known = len(floor_points(self.log)) == FLOOR_NESTS
-        covariance = (
-            world_covariance(self.log, np.zeros(3), centring_mm2) if known else np.zeros((6, 6))
-        )
+        framed = world_as_framed(self.log)
+        known = np.zeros((6, 6)) if framed is None else framed
         return Influence(
             "World frame", f"{MEASURED}, and {ASSUMED}",
             "noise of the three floor nests and the reflector's centring in each, carried to the "
-            "target", "5.1.2", "world", moved_frame(covariance), counts="in use",
+            "target", "5.1.2", "world", moved_frame(known), counts="in use",
         )  # fmt: skip
 
     def tracker(self) -> Influence:

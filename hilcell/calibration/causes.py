@@ -30,7 +30,6 @@ from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
 
 LARGE_AXES = 5
-ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
 RISK = 0.001  # of each of two tests: that poses which have not changed are found to
 SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
@@ -45,10 +44,19 @@ class Pattern(NamedTuple):
     unit: str
 
 
+def zero_columns(arm: Arm, joints_rad: Array) -> Array:
+    """Return how a lost zero of each axis moves the reflector at joints (N, 6): (N, 3, 6) in {B},
+    mm / rad.
+    """
+    offsets = slice(18, 24)  # of the links' parameters
+    columns: Array = parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign
+    return columns
+
+
 def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
     """Return the patterns at joints (N, 6) of the robot's causes, in {B}."""
     poses = forward(arm, joints_rad)
-    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    J = zero_columns(arm, joints_rad)
     grown = motion_levers(poses[:, :3, 3])[:, :, 6].reshape(-1, 1)
     return [
         Pattern(Cause.MOUNT_SLIPPED, poses[:, :3, :3].reshape(-1, 3), 1.0, "mm"),
@@ -63,7 +71,7 @@ def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
     It is that of a mount which slipped along the turn, and no reflector alone tells them apart. So
     it is no cause to test for, but the likelier one where a slip has this direction by itself.
     """
-    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    J = zero_columns(arm, joints_rad)
     lever_mm = float(np.sqrt(np.square(J[:, :, LARGE_AXES]).sum(axis=1).mean()))
     least_lever_mm = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
     return [_zero(J, LARGE_AXES)] if lever_mm >= least_lever_mm else []
@@ -160,10 +168,10 @@ def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
 
 
 def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by: str) -> Suspicion:
-    best = min(explained, key=_penalised)
+    best = min(explained, key=lambda each: each.penalised)
     if best.suspicion.cause is Cause.MOUNT_SLIPPED:
         turns = _by_patterns(found, axis_6_pattern(arm, found.joints_rad), noticed_by)
-        best = min([best, *turns], key=_penalised)
+        best = min([best, *turns], key=lambda each: each.penalised)
     d = found.difference_mm.reshape(-1)
     most_left = 0.5  # of chi^2, by a cause that is named
     if best.left <= most_left * float(d @ np.linalg.solve(found.covariance_mm2, d)):
@@ -172,16 +180,17 @@ def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by
     return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)
 
 
-def _penalised(each: _Explained) -> float:
-    return each.left + PENALTY * each.parameters
-
-
 class _Explained(NamedTuple):
     """A cause, the chi^2 that it leaves, and its number of parameters."""
 
     suspicion: Suspicion
     left: float
     parameters: int
+
+    @property
+    def penalised(self) -> float:
+        """Return the chi^2 with the penalty of its parameters."""
+        return self.left + PENALTY * self.parameters
 
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:

@@ -28,11 +28,11 @@ from hilcell.calibration.causes import (
     LARGE_AXES,
     RISK,
     SPREAD,
-    ZEROS,
     Change,
     Differences,
     changed,
     likeliest,
+    zero_columns,
 )
 from hilcell.calibration.drift import robot_drift, tracker_drift
 from hilcell.calibration.errors import errors_of, of_differences, visit_noise, visit_scatter
@@ -50,7 +50,6 @@ from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix, motion_levers
-from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import (
     bounds95_mm,
@@ -465,7 +464,7 @@ def deviations_of(log: Log) -> Deviations | None:
         errors, bounds = found
         R = calibration.base(name)[:3, :3]
         joints_rad = commanded_rad(validation_points(log, name))
-        J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+        J = zero_columns(arm, joints_rad)
         covariance_mm2 = bounds.covariance_mm2
         traces = [np.trace(each.covariance_mm2, axis1=1, axis2=2) for each in bounds.parts]
         freedom = effective_freedom(traces, [each.freedom for each in bounds.parts])

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.decision import judged_again
-from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity, written_now
+from hilcell.calibration.form import Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import measured_of
 from hilcell.calibration.influence import SIZE
@@ -283,11 +283,11 @@ def problems_of(calibration: Calibration) -> list[str]:
     checks = _Checks(calibration)
     found = [
         *checks.name(),
-        *_validity(calibration.validity),
+        *checks.validity(),
         *checks.grid(),
-        *_stations(calibration.stations),
+        *checks.stations(),
         *checks.uncertainty(),
-        *_lost_motion(calibration.lost_motion),
+        *checks.lost_motion(),
         *checks.updates(),
         *checks.targets(),
         *checks.verdicts(),
@@ -313,6 +313,26 @@ class _Checks:
         except HilcellError as error:
             yield f"model.parameters: {error}"
 
+    def validity(self) -> Iterator[str]:
+        validity = self.calibration.validity
+        for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
+            yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
+        yield from _rotation("validity.orientation", _array(validity.orientation))
+        for number, R in enumerate(validity.orientations):
+            yield from _rotation(f"validity.orientations.{number}", _array(R))
+        tolerance_deg = validity.orientation_tolerance_deg
+        if not 0 < tolerance_deg <= MOST_TURN_DEG:
+            yield (
+                f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
+                f"<= {MOST_TURN_DEG:g}"
+            )
+        if validity.temperature_c is None:
+            return
+        yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
+        low_c, high_c = validity.temperature_c
+        if not low_c <= high_c:
+            yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
+
     def grid(self) -> Iterator[str]:
         errors = _array(self.calibration.grid_errors_mm)
         if errors.ndim != 4 or min(errors.shape[:3]) < 2:
@@ -330,6 +350,24 @@ class _Checks:
                 f"pitch_mm: {counts} vertices {pitch_mm:g} mm apart do not fill the validity's "
                 f"{sides} mm"
             )
+
+    def stations(self) -> Iterator[str]:
+        stations = self.calibration.stations
+        if not stations:
+            yield "stations: there is none"
+        for name, station in stations.items():
+            at = f"stations.{name[:40]}"
+            yield from _frame(f"{at}.T_W_B", _array(station.T_W_B))
+            yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
+            covariance = _array(station.covariance)
+            if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+                yield f"{at}.covariance: wanted 6 x 6 finite numbers"
+            if not 0 <= station.tool_uncertainty_mm <= MOST_ERROR_MM:
+                yield (
+                    f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
+                    f"{MOST_ERROR_MM:g}"
+                )
+            yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
     def uncertainty(self) -> Iterator[str]:
         stated = self.calibration.uncertainty
@@ -356,6 +394,18 @@ class _Checks:
                 yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
             if each.freedom is not None and not each.freedom > 0:
                 yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+
+    def lost_motion(self) -> Iterator[str]:
+        lost = self.calibration.lost_motion
+        most_lost_rad = 0.1
+        axes = 6
+        for name, values in (("lost_rad", lost.lost_rad), ("u_rad", lost.u_rad)):
+            if len(values) != axes:
+                yield f"lost_motion.{name}: {len(values)} axes, expected {axes}"
+            else:
+                yield from _within(f"lost_motion.{name}", values, most_lost_rad, "rad")
+        if not all(each >= 0.0 for each in lost.u_rad):
+            yield "lost_motion.u_rad: a standard deviation below zero"
 
     def updates(self) -> Iterator[str]:
         for update in self.calibration.provenance.updates:
@@ -400,56 +450,6 @@ class _Checks:
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:
                 yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
-
-
-def _validity(validity: Validity) -> Iterator[str]:
-    for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
-        yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
-    yield from _rotation("validity.orientation", _array(validity.orientation))
-    for number, R in enumerate(validity.orientations):
-        yield from _rotation(f"validity.orientations.{number}", _array(R))
-    tolerance_deg = validity.orientation_tolerance_deg
-    if not 0 < tolerance_deg <= MOST_TURN_DEG:
-        yield (
-            f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
-            f"<= {MOST_TURN_DEG:g}"
-        )
-    if validity.temperature_c is None:
-        return
-    yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
-    low_c, high_c = validity.temperature_c
-    if not low_c <= high_c:
-        yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
-
-
-def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
-    if not stations:
-        yield "stations: there is none"
-    for name, station in stations.items():
-        at = f"stations.{name[:40]}"
-        yield from _frame(f"{at}.T_W_B", _array(station.T_W_B))
-        yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
-        covariance = _array(station.covariance)
-        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-            yield f"{at}.covariance: wanted 6 x 6 finite numbers"
-        if not 0 <= station.tool_uncertainty_mm <= MOST_ERROR_MM:
-            yield (
-                f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
-                f"{MOST_ERROR_MM:g}"
-            )
-        yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
-
-
-def _lost_motion(lost: LostMotion) -> Iterator[str]:
-    most_lost_rad = 0.1
-    axes = 6
-    for name, values in (("lost_rad", lost.lost_rad), ("u_rad", lost.u_rad)):
-        if len(values) != axes:
-            yield f"lost_motion.{name}: {len(values)} axes, expected {axes}"
-        else:
-            yield from _within(f"lost_motion.{name}", values, most_lost_rad, "rad")
-    if not all(each >= 0.0 for each in lost.u_rad):
-        yield "lost_motion.u_rad: a standard deviation below zero"
 
 
 def _is_covariance(found: Array) -> bool:

@@ -184,6 +184,17 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     return covariance
 
 
+def world_as_framed(log: Log) -> Array | None:
+    """Return the covariance (6, 6) of {W} at its origin, by noise and centring of its floor nests.
+
+    None where the run has not measured all three.
+    """
+    if len(floor_points(log)) != FLOOR_NESTS:
+        return None
+    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
+    return world_covariance(log, np.zeros(3), centring_mm2)
+
+
 def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
     """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
     ``step_mm`` (3,) in the tracker's frame.

@@ -18,11 +18,10 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.calibration.causes import ZEROS
+from hilcell.calibration.causes import zero_columns
 from hilcell.calibration.errors import of_differences, visit_noise
 from hilcell.calibration.form import LostMotion
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, positions_mm
@@ -104,7 +103,7 @@ def reversal(log: Log) -> Reversal | None:
     below = [log.point(PointId("revisit", vertex=point.id.vertex)) for point in above]
     off_mm = apply(T_B_L, positions_mm(above)) - apply(T_B_L, positions_mm(below))
     arm, joints_rad = log.cell.robot.arm(), commanded_rad(above)
-    J = -(parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign).reshape(-1, 6)
+    J = -zero_columns(arm, joints_rad).reshape(-1, 6)
     count, drift_mm2 = len(above), rectangular_variance(log.cell.uncertainty.drift_limit_mm)
     noise = visit_noise(log)
     visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (above, below)]
@@ -153,7 +152,7 @@ def straight_way(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) 
     fall_rad = straight_rad.max(axis=1) - end_rad
     turns_down = end_rad < straight_rad[:, -2]
     share = np.where(turns_down, np.minimum(fall_rad / TAKE_UP_RAD, 1.0), 0.0)
-    J = T_W_B[:3, :3] @ (parameter_jacobian(arm, end_rad)[:, :3, ZEROS] * arm.sign)
+    J = T_W_B[:3, :3] @ zero_columns(arm, end_rad)
     lost_rad, u_rad = np.array(lost.lost_rad), np.array(lost.u_rad)
     shift_mm = -np.einsum("nij,nj->ni", J, share * lost_rad)
     partly = share * (1.0 - share) * np.abs(lost_rad)

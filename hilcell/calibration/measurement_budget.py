@@ -15,12 +15,11 @@ from typing import Literal
 
 import numpy as np
 
-from hilcell.calibration.frames import floor_points, world_covariance
+from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.cell.uncertainty import COVERAGE_FACTOR, UncertaintyTable
 from hilcell.geometry.frames import apply, motion_levers
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
-from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.point import Point
 from hilcell.ports import Array
@@ -145,10 +144,9 @@ class _Contributions:
 
     def world(self) -> list[Contribution]:
         """Return what {W} is uncertain by at the points, where the run measured its three nests."""
-        if len(floor_points(self.log)) != FLOOR_NESTS:
+        covariance = world_as_framed(self.log)
+        if covariance is None:
             return []
-        centring_mm2 = rectangular_variance(self.log.cell.uncertainty.smr_centring_limit_mm)
-        covariance = world_covariance(self.log, np.zeros(3), centring_mm2)
         at_mm = apply(self.log.matrix("world"), positions_mm(self._judged()))
         J = motion_levers(at_mm)[:, :, :6]
         variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3

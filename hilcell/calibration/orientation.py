@@ -20,7 +20,7 @@ import numpy as np
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.decision import UNKNOWN_TURN, stated_mm2
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.frames import floor_points, world_covariance
+from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.grid import measured_of
 from hilcell.calibration.influence import Influence, NoBound
 from hilcell.calibration.measurement_budget import expanded_mm
@@ -32,11 +32,9 @@ from hilcell.geometry.statistics import (
     effective_freedom,
     figures_of,
     lengths_mm,
-    rectangular_variance,
     trace_freedom,
 )
 from hilcell.identification.readings import IdentificationError
-from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import TurnBounds, Turns
@@ -188,13 +186,11 @@ def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
     """Return the covariances (N, 3, 3) of measured orientations, axes of {W}; those that many
     attainments of a pose share are without the noise of ``readings``.
     """
-    stated = log.cell.uncertainty
     covariance_rad2 = stated_mm2(log.cell) * turned.per_mm2_rad2
     if readings:
         covariance_rad2 = covariance_rad2 + turned.reading_rad2
-    if len(floor_points(log)) == FLOOR_NESTS:
-        centring_mm2 = rectangular_variance(stated.smr_centring_limit_mm)
-        covariance_rad2 = covariance_rad2 + world_covariance(log, np.zeros(3), centring_mm2)[3:, 3:]
+    if (framed := world_as_framed(log)) is not None:
+        covariance_rad2 = covariance_rad2 + framed[3:, 3:]
     return covariance_rad2
 
 

@@ -9,12 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import ZEROS, patterns
+from hilcell.calibration.causes import patterns, zero_columns
 from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.geometry.frames import from_rotvec, inverse
-from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
@@ -77,7 +76,7 @@ def room_warms(log: Log) -> None:
 
 def axis_2_loses_motion(log: Log) -> None:
     points, arm = log.select(REVERSAL), log.cell.robot.arm()
-    J = parameter_jacobian(arm, commanded_rad(points))[:, :3, ZEROS] * arm.sign
+    J = zero_columns(arm, commanded_rad(points))
     move(log, points, -200e-6 * J[:, :, 1])
 
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.budget import uncertainty_of
-from hilcell.calibration.causes import ZEROS
+from hilcell.calibration.causes import zero_columns
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
 from hilcell.geometry.frames import inverse
-from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
@@ -30,7 +29,7 @@ def with_lost(log: Log, lost_urad: Array) -> Log:
     """Let the axes lose more where they were approached from above."""
     arm, points = log.cell.robot.arm(), log.select(REVERSAL)
     R_L_B = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
-    J = parameter_jacobian(arm, commanded_rad(points))[:, :3, ZEROS] * arm.sign
+    J = zero_columns(arm, commanded_rad(points))
     moved_mm = -(J @ (1e-6 * lost_urad)) @ R_L_B.T
     for point, off_mm in zip(points, moved_mm, strict=True):
         x, y, z = (np.array(point.xyz_mm) + off_mm).tolist()

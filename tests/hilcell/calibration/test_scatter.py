@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import LARGE_AXES, ZEROS
+from hilcell.calibration.causes import LARGE_AXES, zero_columns
 from hilcell.calibration.diagnosis import (
     Deviations,
     Scatter,
@@ -14,7 +14,6 @@ from hilcell.calibration.diagnosis import (
     worst_scatter,
 )
 from hilcell.cell.file import load_cell
-from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL
@@ -32,7 +31,7 @@ COUNT = 135
 
 def columns() -> Array:
     joints_rad = joints_for(CELL, targets(CELL, 1)["S1100"][:COUNT])
-    found: Array = (parameter_jacobian(ARM, joints_rad)[:, :3, ZEROS] * ARM.sign)[:, :, :LARGE_AXES]
+    found: Array = zero_columns(ARM, joints_rad)[:, :, :LARGE_AXES]
     return found
 
 
