@@ -171,8 +171,8 @@ def speed_of(text: str) -> float:
     value = math.inf if text == "max" else _number(text)
     if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
         raise argparse.ArgumentTypeError(
-            f"a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max, is wanted (not slower than "
-            f"real time, in which the devices' watchdogs run), found {text[:80]!r}"
+            f"expected a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max (not slower than "
+            f"real time, in which the devices' watchdogs run), got {text[:80]!r}"
         )
     return value
 
@@ -186,7 +186,7 @@ def _whole(least: int, most: int) -> Callable[[str], int]:
         value = int(text) if text.isascii() and text.isdecimal() and short else -1
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(
-                f"a whole number of {least} .. {most} is wanted, found {text[:80]!r}"
+                f"expected a whole number of {least} .. {most}, got {text[:80]!r}"
             )
         return value
 
@@ -206,8 +206,8 @@ def ports_of(text: str) -> dict[str, int]:
             raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
         if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
             raise argparse.ArgumentTypeError(
-                f"rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with ports of "
-                f"1 .. {MOST_PORT} is wanted, found {word[:80]!r}"
+                f"expected rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with "
+                f"ports of 1 .. {MOST_PORT}, got {word[:80]!r}"
             )
         found[name] = number
     return found
@@ -220,8 +220,8 @@ def run_name(text: str) -> str:
         raise argparse.ArgumentTypeError("'last' is reserved: it names the newest run")
     if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text):
         raise argparse.ArgumentTypeError(
-            "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
-            f"found {text[:80]!r}"
+            "expected 1 to 100 letters, digits, '_', '.' and '-', the first a letter or digit, "
+            f"got {text[:80]!r}"
         )
     return text
 
@@ -229,7 +229,7 @@ def run_name(text: str) -> str:
 def reason(text: str) -> str:
     """Return words."""
     if not (found := clean(text)):
-        raise argparse.ArgumentTypeError("words are wanted that say why")
+        raise argparse.ArgumentTypeError("expected words that say why, got none")
     return found
 
 
@@ -241,7 +241,7 @@ def folder(text: str) -> Path:
 def name(text: str) -> str:
     """Return a name, not empty."""
     if not text:
-        raise argparse.ArgumentTypeError("a name is wanted, found ''")
+        raise argparse.ArgumentTypeError("expected a name, got ''")
     return text
 
 
@@ -249,7 +249,7 @@ def finite(text: str) -> float:
     """Return a finite number."""
     value = _number(text)
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"a finite number is wanted, found {text[:80]!r}")
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {text[:80]!r}")
     return value
 
 
@@ -257,9 +257,7 @@ def days(text: str) -> float:
     """Return a number of days."""
     value = _number(text)
     if not 0 <= value <= MOST_DAYS:
-        raise argparse.ArgumentTypeError(
-            f"days of 0 .. {MOST_DAYS:g} are wanted, found {text[:80]!r}"
-        )
+        raise argparse.ArgumentTypeError(f"expected days of 0 .. {MOST_DAYS:g}, got {text[:80]!r}")
     return value
 
 
@@ -288,7 +286,7 @@ def moment(text: str) -> datetime:
         return datetime.fromisoformat(text).astimezone()
     except (ValueError, OverflowError, OSError):
         raise argparse.ArgumentTypeError(
-            f"a date like 2026-11-22, or 2026-11-22T14:00, is wanted, found {text[:80]!r}"
+            f"expected a date like 2026-11-22, or 2026-11-22T14:00, got {text[:80]!r}"
         ) from None
 
 
@@ -296,14 +294,14 @@ def assignment(text: str) -> tuple[str, str]:
     """Return key and value."""
     key, sign, value = text.partition("=")
     if not (key and sign) or "\n" in text:
-        raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE on one line, got {text[:80]!r}")
     return key.strip(), value.strip()
 
 
 def scheduler_of(text: str) -> str:
     """Return the address of a Dask scheduler."""
     if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
-        raise argparse.ArgumentTypeError(f"tcp://HOST:PORT is wanted, found {clean(text[:80])!r}")
+        raise argparse.ArgumentTypeError(f"expected tcp://HOST:PORT, got {clean(text[:80])!r}")
     return text
 
 

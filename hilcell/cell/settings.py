@@ -95,7 +95,7 @@ def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsErr
         case IsADirectoryError():
             problem = f"is a folder, not a {kind}"
         case UnicodeDecodeError():
-            problem = "is no text in UTF-8; save it as UTF-8"
+            problem = "is not UTF-8 text; save it as UTF-8"
         case OSError():
             problem = f"cannot be read: {error.strerror}"
         case _:

@@ -69,7 +69,7 @@ def read_dcc(path: Path) -> InstrumentDcc:
     try:
         text = read_text(path)
     except UnicodeDecodeError:
-        raise NotRead("is no text in UTF-8") from None
+        raise NotRead("is not UTF-8 text") from None
     except OSError as error:
         raise NotRead(f"cannot be read: {error.strerror}") from error
     longest = 4_000_000  # characters

@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
             known = self._option_string_actions
             if name.startswith("--") and " " not in word and name not in known:
                 self._refuse_early(name, words)
-                self.error(f"{name[:80]} is no option{_nearest(name, known)}")
+                self.error(f"unknown option {name[:80]}{_nearest(name, known)}")
 
     def _refuse_early(self, name: str, words: Sequence[str]) -> None:
         """Refuse an option that stands before the command to which it belongs."""
@@ -108,7 +108,7 @@ class Parser(argparse.ArgumentParser):
 
         if word in entry_points(group="hilcell.procedures").names:
             self.error(f"{word} is a procedure; did you mean `{self.prog} run {word}`?")
-        self.error(f"{word[:80]!r} is no command{_nearest(word, known)}")
+        self.error(f"unknown command {word[:80]!r}{_nearest(word, known)}")
 
     def error(self, message: str) -> NoReturn:
         """Print an error, and where the arguments are listed, and end with exit code 2."""

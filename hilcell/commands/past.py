@@ -275,7 +275,7 @@ def compare(args: Compare) -> int:
     """Print the changes from the first run to the second; a drift is no failure of the command."""
     folders = [find_run(args.runs, name) for name in (args.first, args.second)]
     if folders[0].resolve() == folders[1].resolve():
-        raise HilcellError(f"run {folders[0].name} is both: two runs are wanted")
+        raise HilcellError(f"run {folders[0].name} is both; expected two runs")
     first, second = (read_log(folder) for folder in folders)
     lives, other_lives = (live_engine(folder) is not None for folder in folders)
     found = compare_runs(first, second, live=(lives, other_lives))

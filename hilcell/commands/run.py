@@ -174,7 +174,7 @@ def agrees(
     if answer.lower() in (("yes",) if real else ("y", "yes")):
         return True
     short = real and answer.lower() == "y"
-    print_message('nothing was moved: "yes" is wanted in full' if short else "nothing was moved")
+    print_message('nothing was moved: expected "yes" in full' if short else "nothing was moved")
     return False
 
 

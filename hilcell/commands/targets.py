@@ -178,5 +178,7 @@ def _robot(path: Path, tip: str) -> Robot:
     if path.suffix.lower() == URDF:
         return read_urdf(path, tip)
     if tip:
-        raise SettingsError(str(path), [f"--tip {tip} names a link of a URDF; {URDF} is wanted"])
+        raise SettingsError(
+            str(path), [f"--tip {tip} names a link of a URDF; expected a {URDF} file"]
+        )
     return read_robot(path)

@@ -30,10 +30,13 @@ def test_every_command_stands_in_one_group_of_the_help() -> None:
     [
         ("--json show last", "`hilcell show .. --json`"),
         ("--runs=x runs", "`hilcell runs .. --runs`"),
+        ("--verson", "unknown option --verson"),
         ("--verson", "--version"),
+        ("show last --bogus", "unknown option --bogus"),
+        ("shwo last", "unknown command 'shwo'"),
     ],
 )
-def test_an_option_before_its_command_is_told_to_go_after_it(
+def test_a_word_at_the_wrong_place_is_named_with_the_right_one(
     words: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`hilcell --json show last` proposed --version."""
