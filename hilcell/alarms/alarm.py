@@ -32,7 +32,7 @@ from hilcell.model.events import (
     StationHeld,
     after,
 )
-from hilcell.model.records import Change, Ended, StateChanged
+from hilcell.model.records import Change, StateChanged
 from hilcell.typed import Json
 
 if TYPE_CHECKING:
@@ -154,10 +154,12 @@ def alarms_of(
     if log.plan is None:
         return []
     session = [record for record in log.events if record.seq > log.began]
-    moments = [*_temperature(log), *_verdicts(log), *_events(log, session), *_strip(log, session)]
-    moments += _devices(log, session) if live else []
-    moments += [*_cut_off(log), *_end(log, session, live=live)]
-    moments += _lost(log) if lost and not live else []
+    raised = _Raised(log, session, live)
+    moments = [*raised.temperature(), *raised.verdicts(), *raised.events(), *raised.points()]
+    moments += raised.strip()
+    moments += raised.devices() if live else []
+    moments += [*raised.cut_off(), *raised.end()]
+    moments += raised.lost() if lost and not live else []
     moments.sort(key=lambda moment: moment.seq)
     over = not live or log.over
     return [_alarm(moment, run, go_on, over=over) for moment in moments]
@@ -208,54 +210,135 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
 # -- alarms of the journal's records --------------------------------------------------------------
 
 
-def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
-    back = max((r.seq for r in session if isinstance(r.fact, ScreenBack)), default=0)
-    for record in session:
-        t, seq = record.t, record.seq
-        match record.fact:
-            case NoReadingOf(error=error):  # tried again at once; whether that helped is elsewhere
-                yield from _moments(error, t, seq, "notice")
-            case SafeStopSent() | Closed() as closing:
-                for name in closing.problems:
-                    finding = _cell(PROBLEMS[closing.what], closing.what, _problem(name, closing))
-                    yield _Moment(finding, t, seq, cause="not watched")
-            case CommandRefused() as impossible:
-                yield _Moment(_cell("HC-C06", "command", impossible.why), t, seq)
-            case ScreenLost() if seq > back:
-                found = "nobody watches any more"
-                yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")
-            case AnswerRefused() | RetakeRefused() as refused:
-                found = refused.subject + after(refused.why) if refused.subject else refused.why
-                yield _Moment(_cell(REFUSALS[refused.what], refused.what, found), t, seq)
-            case LinkCounted() if log.link is not None and log.link.warning:
-                yield _Moment(_cell("HC-R12", "link", log.link.counts), t, seq)
-            case OutlierMeasuredAgain() | CurveMeasured() as measured:
-                yield from _of_points(measured, t, seq)
+@dataclass(frozen=True, eq=False)
+class _Raised:
+    """The moments that a run's journal raises; ``session`` are the events of the last session."""
 
+    log: Log
+    session: list[Record]
+    live: bool
 
-def _of_points(
-    measured: OutlierMeasuredAgain | CurveMeasured, t: str, seq: int
-) -> Iterator[_Moment]:
-    """Yield the alarms of points and sweeps that were not as they should be."""
-    if isinstance(measured, OutlierMeasuredAgain):
-        found = f"{measured.key} stands out from its neighbours and was measured again"
-        yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
-    elif not measured.holds:
-        found = f"A{measured.axis}: {measured.reason}"
-        yield _Moment(_cell("HC-V06", "axis sweep", found), t, seq)
+    def temperature(self) -> Iterator[_Moment]:
+        """Yield the first point at which the air is too far from that of the run's first."""
+        first_c = next(iter(self.log.celsius.values()), 0.0)
+        for key, now_c in self.log.celsius.items():
+            off_k = now_c - first_c
+            if not abs(off_k) <= DRIFT_LIMIT_K:
+                found = f"{now_c:.1f} C at {key}, {off_k:+z.1f} K from the start"
+                wanted = f"within {DRIFT_LIMIT_K:.0f} K"
+                yield _Moment(_cell("HC-V04", "temperature", found, wanted))
+                return
 
+    def verdicts(self) -> Iterator[_Moment]:
+        for key, record in self.log.judged.items():
+            verdict = self.log.verdicts[key]
+            if not verdict.holds:
+                code = code_of_verdict(key, verdict.outcome)
+                yield _Moment(_cell(code, f"verdict {key}", verdict.why), record.t, record.seq)
 
-def _devices(log: Log, session: list[Record]) -> Iterator[_Moment]:
-    """Yield the devices that are lost while the run waits: the next motion would be refused."""
-    lost: dict[str, tuple[Record, Json]] = {}
-    for record in session if log.state in ("paused", "suspended") else ():
-        match record.fact:
-            case DeviceLost(device=device, error=error):
-                lost[device] = record, error
-            case DeviceBack(device=device):
-                lost.pop(device, None)
-    for record, error in lost.values():
-        yield from _moments(error, record.t, record.seq, cause="watched")
+    def events(self) -> Iterator[_Moment]:
+        back = max((r.seq for r in self.session if isinstance(r.fact, ScreenBack)), default=0)
+        for record in self.session:
+            t, seq = record.t, record.seq
+            match record.fact:
+                case NoReadingOf(error=error):
+                    # Tried again at once; whether that helped is elsewhere.
+                    yield from _moments(error, t, seq, "notice")
+                case SafeStopSent() | Closed() as closing:
+                    for name in closing.problems:
+                        code, found = PROBLEMS[closing.what], _problem(name, closing)
+                        finding = _cell(code, closing.what, found)
+                        yield _Moment(finding, t, seq, cause="not watched")
+                case CommandRefused() as impossible:
+                    yield _Moment(_cell("HC-C06", "command", impossible.why), t, seq)
+                case ScreenLost() if seq > back:
+                    found = "nobody watches any more"
+                    yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")
+                case AnswerRefused() | RetakeRefused() as refused:
+                    found = refused.subject + after(refused.why) if refused.subject else refused.why
+                    yield _Moment(_cell(REFUSALS[refused.what], refused.what, found), t, seq)
+                case LinkCounted() if self.log.link is not None and self.log.link.warning:
+                    yield _Moment(_cell("HC-R12", "link", self.log.link.counts), t, seq)
+
+    def points(self) -> Iterator[_Moment]:
+        """Yield the points and sweeps that were not as they should be."""
+        for record in self.session:
+            match record.fact:
+                case OutlierMeasuredAgain(key=key):
+                    found = f"{key} stands out from its neighbours and was measured again"
+                    yield _Moment(_cell("HC-V05", "outlier", found), record.t, record.seq)
+                case CurveMeasured(holds=False) as sweep:
+                    found = f"A{sweep.axis}: {sweep.reason}"
+                    yield _Moment(_cell("HC-V06", "axis sweep", found), record.t, record.seq)
+
+    def strip(self) -> Iterator[_Moment]:
+        """Yield the holds that took long, or at which drive and strip have moved apart."""
+        rail, first_mm = self.log.cell.rail, dict[str, float]()
+        for record in self.session:
+            held = record.fact
+            if not isinstance(held, StationHeld):
+                continue
+            name, tries = held.station, held.tries
+            if tries > MANY_APPROACHES * rail.max_approaches:
+                found = f"{name} held only after {tries} approaches, "
+                found += f"{rail.max_approaches} are allowed"
+                yield _Moment(_cell("HC-S08", "strip approaches", found), record.t, record.seq)
+            apart_mm = held.rail_mm - held.strip_mm
+            strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
+            if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
+                found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
+                yield _Moment(_cell("HC-S09", "strip apart", found), record.t, record.seq)
+
+    def devices(self) -> Iterator[_Moment]:
+        """Yield the devices that are lost while the run waits: the next motion would be refused."""
+        lost: dict[str, tuple[Record, Json]] = {}
+        for record in self.session if self.log.state in ("paused", "suspended") else ():
+            match record.fact:
+                case DeviceLost(device=device, error=error):
+                    lost[device] = record, error
+                case DeviceBack(device=device):
+                    lost.pop(device, None)
+        for record, error in lost.values():
+            yield from _moments(error, record.t, record.seq, cause="watched")
+
+    def cut_off(self) -> Iterator[_Moment]:
+        """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
+
+        A run that has finished since has proven the cell: there they are only worth a notice.
+        """
+        severity: Severity | None = "notice" if self.log.state == "finished" else None
+        for cut in self.log.cut_off:
+            found = _crash(cut.state, cut.points)
+            yield _Moment(found, cut.last.t, cut.last.seq, severity, origin=cut.began)
+
+    def end(self) -> Iterator[_Moment]:
+        """Yield why the run stands as it does, or why a session did not begin."""
+        log = self.log
+        state, end = log.state, log.end
+        none = StateChanged(machine="run", to="idle")
+        seq, t, change = log.life[-1] if log.life else Change(0, "", none)
+        reason, error = change.reason, change.error
+        refused_has_end = log.life and not log.over
+        if state == "faulted":
+            yield from _moments(error, t, seq, "fault", "not watched")
+        elif state == "suspended" and self.live and error:
+            yield from _moments(error, t, seq, cause="watched")
+        elif state == "aborted":
+            yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
+        elif not self.live and (end is None or refused_has_end):
+            final = log.newest
+            at = (final.t, final.seq) if final is not None else (t, seq)
+            found = _crash(state, log.counted)
+            yield _Moment(found, *at, cause="watched", origin=log.began)
+        if end is not None and end.error and end.reason != reason and end.exit in REFUSED_EXITS:
+            yield from _moments(end.error, t, seq, "fault", "not watched")  # its end alone says so
+
+    def lost(self) -> Iterator[_Moment]:
+        """Yield that the calibration's file is not there, where the run has ended with one."""
+        if self.log.calibrates:
+            final = self.log.life[-1]
+            finding = _cell("HC-J11", "calibration", "it has no file")
+            yield _Moment(finding, final.t, final.seq, cause="watched")
 
 
 def _moments(
@@ -281,90 +364,6 @@ def _problem(name: str, closing: Closing) -> str:
     return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 
 
-def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
-    """Yield the holds that took long, or at which drive and strip have moved apart."""
-    rail, first_mm = log.cell.rail, dict[str, float]()
-    for record in session:
-        held = record.fact
-        if not isinstance(held, StationHeld):
-            continue
-        name, tries = held.station, held.tries
-        if tries > MANY_APPROACHES * rail.max_approaches:
-            found = f"{name} held only after {tries} approaches, {rail.max_approaches} are allowed"
-            yield _Moment(_cell("HC-S08", "strip approaches", found), record.t, record.seq)
-        apart_mm = held.rail_mm - held.strip_mm
-        strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
-        if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
-            found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
-            yield _Moment(_cell("HC-S09", "strip apart", found), record.t, record.seq)
-
-
-def _temperature(log: Log) -> Iterator[_Moment]:
-    """Yield the first point at which the air is too far from that of the run's first."""
-    first_c = next(iter(log.celsius.values()), 0.0)
-    for key, now_c in log.celsius.items():
-        off_k = now_c - first_c
-        if not abs(off_k) <= DRIFT_LIMIT_K:
-            found = f"{now_c:.1f} C at {key}, {off_k:+z.1f} K from the start"
-            wanted = f"within {DRIFT_LIMIT_K:.0f} K"
-            yield _Moment(_cell("HC-V04", "temperature", found, wanted))
-            return
-
-
-def _verdicts(log: Log) -> Iterator[_Moment]:
-    for key, record in log.judged.items():
-        verdict = log.verdicts[key]
-        if not verdict.holds:
-            code = code_of_verdict(key, verdict.outcome)
-            yield _Moment(_cell(code, f"verdict {key}", verdict.why), record.t, record.seq)
-
-
-def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
-    """Yield why the run stands as it does."""
-    state, end = log.state, log.end
-    none = StateChanged(machine="run", to="idle")
-    seq, t, change = log.life[-1] if log.life else Change(0, "", none)
-    reason, error = change.reason, change.error
-    if state == "faulted":
-        yield from _moments(error, t, seq, "fault", "not watched")
-    elif state == "suspended" and live and error:
-        yield from _moments(error, t, seq, cause="watched")
-    elif state == "aborted":
-        yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
-    elif not live and (end is None or (log.life and not log.over)):  # a refused resume has an end
-        final = log.newest
-        at = (final.t, final.seq) if final is not None else (t, seq)
-        yield _Moment(_crash(state, log.counted), *at, cause="watched", origin=log.began)
-    yield from _refused(end, reason, t, seq)
-
-
-def _cut_off(log: Log) -> Iterator[_Moment]:
-    """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
-
-    A run that has finished since has proven the cell: there they are only worth a notice.
-    """
-    severity: Severity | None = "notice" if log.state == "finished" else None
-    for cut in log.cut_off:
-        found = _crash(cut.state, cut.points)
-        yield _Moment(found, cut.last.t, cut.last.seq, severity, origin=cut.began)
-
-
 def _crash(state: str, points: int) -> Finding:
     found = f"the journal ends while the run was {state}, with {points} points"
     return _cell("HC-J05", "crash", found)
-
-
-def _lost(log: Log) -> Iterator[_Moment]:
-    """Yield that the calibration's file is not there, where the run has ended with one."""
-    if log.calibrates:
-        final = log.life[-1]
-        finding = _cell("HC-J11", "calibration", "it has no file")
-        yield _Moment(finding, final.t, final.seq, cause="watched")
-
-
-def _refused(end: Ended | None, known: str, t: str, seq: int) -> Iterator[_Moment]:
-    """Yield why a session did not begin, where its end alone says so."""
-    if end is None or not end.error:
-        return
-    if end.reason != known and end.exit in REFUSED_EXITS:
-        yield from _moments(end.error, t, seq, "fault", "not watched")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -33,10 +34,10 @@ def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefor
         return None
     log = read_log(runs / name)
     _refuse_other_order(name, log.cell, cell)
-    found, first = measured_before(name, log, cell), measured_by(rows, name)
+    found, first = _Measured(log, cell).floor(name), measured_by(rows, name)
     if found is None or first == name:
         return found
-    origin = measured_before(first, read_log(runs / first), cell)
+    origin = _Measured(read_log(runs / first), cell).floor(first)
     return found if origin is None else _with_frames(found, origin, runs / name / CALIBRATION, cell)
 
 
@@ -77,22 +78,64 @@ def _moved_base(base: Frame | None, after: _Calibration, station: str) -> Frame 
     return Frame(matrix=T.tolist(), covariance=covariance.tolist())
 
 
-def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
-    """Return them as the run ``name`` measured them, as far as ``cell`` still has them."""
-    nests = {point.id.nest: point for point in log.select("world") if point.id.number is None}
-    if log.cell.layout.floor != cell.layout.floor or len(nests) != len(cell.layout.floor):
-        return None
-    air_c = [point.temperature_c for point in nests.values() if point.temperature_c is not None]
-    then = log.cell
-    return FloorBefore(
-        name,
-        {nest: point.xyz_mm for nest, point in nests.items()},
-        sum(air_c) / len(air_c) if air_c else None,
-        _base_before(log, cell),
-        _same_robot(then, cell) and then.base_frame == cell.base_frame,
-        _stations_before(log, cell),
-        visits_mm=_visits_before(log, cell),
-    )
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """The log of an earlier run, seen from the cell as it is now."""
+
+    log: Log
+    cell: Cell
+
+    def floor(self, name: str) -> FloorBefore | None:
+        """Return what the run ``name`` measured, as far as the cell still has it."""
+        log, then = self.log, self.log.cell
+        nests = {point.id.nest: point for point in log.select("world") if point.id.number is None}
+        if then.layout.floor != self.cell.layout.floor or len(nests) != len(then.layout.floor):
+            return None
+        air_c = [each.temperature_c for each in nests.values() if each.temperature_c is not None]
+        return FloorBefore(
+            name,
+            {nest: point.xyz_mm for nest, point in nests.items()},
+            sum(air_c) / len(air_c) if air_c else None,
+            self._base(),
+            self._same_robot() and then.base_frame == self.cell.base_frame,
+            self._stations(),
+            visits_mm=self._visits(),
+        )
+
+    def _base(self) -> Frame | None:
+        """Return the base as circles gave it; None where the grid has another station now."""
+        then, frame = self.log.cell, self.log.frames.get("base")
+        station = then.station_named(then.grid.station)
+        same = station == self.cell.station_named(self.cell.grid.station)
+        if not isinstance(frame, MeasuredBase) or not same:
+            return None
+        return Frame(matrix=frame.matrix, covariance=frame.covariance)
+
+    def _stations(self) -> dict[str, Frame]:
+        """Return the slide at the stations, and with the nests, that the cell still has."""
+        if self.log.cell.layout.slide != self.cell.layout.slide:
+            return {}
+        frames = {
+            station.name: self.log.frames.get(f"station.{station.name}")
+            for station in self.cell.station
+            if station in self.log.cell.station
+        }
+        return {
+            name: Frame(matrix=frame.matrix, covariance=frame.covariance)
+            for name, frame in frames.items()
+            if frame is not None and frame.covariance
+        }
+
+    def _same_robot(self) -> bool:
+        """Whether both have one robot, whatever is stated of its repeatability."""
+        now = self.cell.robot
+        return msgspec.structs.replace(self.log.cell.robot, rp_mm=now.rp_mm) == now
+
+    def _visits(self) -> list[list[tuple[float, float, float]]]:
+        """Return clouds of places that the robot visited repeatedly, if the cell still has them."""
+        if not (self._same_robot() and self.log.cell.grid == self.cell.grid):
+            return []
+        return [[point.xyz_mm for point in visits] for visits in repeated_visits(self.log)]
 
 
 def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
@@ -119,40 +162,3 @@ def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
         act="put names and order of layout.floor back, or revoke that run's calibration",
         fields={"run": run, "nests": [nest.name for nest in spans[1]]},
     )
-
-
-def _base_before(log: Log, cell: Cell) -> Frame | None:
-    """Return the base as circles gave it; None where the grid has another station now."""
-    then, frame = log.cell, log.frames.get("base")
-    station = then.station_named(then.grid.station)
-    if not isinstance(frame, MeasuredBase) or station != cell.station_named(cell.grid.station):
-        return None
-    return Frame(matrix=frame.matrix, covariance=frame.covariance)
-
-
-def _stations_before(log: Log, cell: Cell) -> dict[str, Frame]:
-    """Return the slide at the stations, and with the nests, that the cell still has."""
-    if log.cell.layout.slide != cell.layout.slide:
-        return {}
-    frames = {
-        station.name: log.frames.get(f"station.{station.name}")
-        for station in cell.station
-        if station in log.cell.station
-    }
-    return {
-        name: Frame(matrix=frame.matrix, covariance=frame.covariance)
-        for name, frame in frames.items()
-        if frame is not None and frame.covariance
-    }
-
-
-def _same_robot(then: Cell, now: Cell) -> bool:
-    """Whether both have one robot, whatever is stated of its repeatability."""
-    return msgspec.structs.replace(then.robot, rp_mm=now.robot.rp_mm) == now.robot
-
-
-def _visits_before(log: Log, cell: Cell) -> list[list[tuple[float, float, float]]]:
-    """Return clouds of places that the robot visited repeatedly, where the cell still has them."""
-    if not (_same_robot(log.cell, cell) and log.cell.grid == cell.grid):
-        return []
-    return [[point.xyz_mm for point in visits] for visits in repeated_visits(log)]
