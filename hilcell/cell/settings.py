@@ -39,6 +39,7 @@ _EXPECTED = re.compile(
 MOST_BYTES = 16_000_000  # of a file that is read at once
 
 T = TypeVar("T", bound=msgspec.Struct)
+S = TypeVar("S")
 
 
 class Unread(AttributeError):
@@ -46,6 +47,15 @@ class Unread(AttributeError):
 
     A name that is no field at all is a defect of the check, and stays an AttributeError.
     """
+
+
+def is_read(table: S, field: Callable[[S], object]) -> bool:
+    """Whether a field of a table could be read: not `Unread`, by an attribute that there is."""
+    try:
+        field(table)
+    except Unread:
+        return False
+    return True
 
 
 class SettingsError(HilcellError):

@@ -7,11 +7,12 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Annotated
+from operator import attrgetter
+from typing import Annotated, TypeVar
 
 from msgspec import Meta
 
-from hilcell.cell.settings import did_you_mean, refuse
+from hilcell.cell.settings import did_you_mean, is_read, refuse
 from hilcell.cell.tables import Frozen, Name
 from hilcell.typed import typed
 
@@ -22,6 +23,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "triangular": ("mode",),
 }
 PARAMETERS = tuple(dict.fromkeys(key for keys in KINDS.values() for key in keys))
+T = TypeVar("T")
 LEAST_SHARE = 1e-6  # of a distribution between low and high
 
 
@@ -98,10 +100,10 @@ class Distribution(Frozen, frozen=True, kw_only=True):
             yield f"kind: {self.kind!r} is none{hint}"
             return
         for key in PARAMETERS:
-            is_stated = getattr(self, key, 0.0) is not None  # one that could not be read is stated
-            if is_stated and key not in wanted:
+            stated = is_stated(self, attrgetter(key))
+            if stated and key not in wanted:
                 yield f"{key}: {self.kind} has none"
-            elif key in wanted and not is_stated:
+            elif key in wanted and not stated:
                 yield f"{key}: missing; {self.kind} wants it"
 
 
@@ -112,7 +114,6 @@ UNITS = {
     "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_percent": "%", "_urad": "µrad", "_mm": "mm",
     "_deg": "deg", "_s": "s",
 }  # fmt: skip
-UNREAD = object()  # stands for a field that has a problem of its own
 
 
 class Factor(Frozen, frozen=True, kw_only=True):
@@ -221,8 +222,8 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def _has_range(self) -> bool:
-        ends = getattr(self, "low", UNREAD), getattr(self, "high", UNREAD)
-        return self.is_range and None not in ends
+        ends = is_stated(self, lambda it: it.low) and is_stated(self, lambda it: it.high)
+        return ends and self.is_range
 
     @property
     def _has_levels(self) -> bool:
@@ -233,9 +234,10 @@ class Factor(Frozen, frozen=True, kw_only=True):
             yield "levels are wanted, or low and high"
 
     def _range_without_levels(self) -> Iterator[str]:
-        for key in ("labels", "weights"):
-            if self._has_range and getattr(self, key, UNREAD) is not None:
-                yield f"{key}: these are for levels"
+        if self._has_range and is_stated(self, lambda it: it.labels):
+            yield "labels: these are for levels"
+        if self._has_range and is_stated(self, lambda it: it.weights):
+            yield "weights: these are for levels"
 
     def _range_of_one_setting(self) -> Iterator[str]:
         if self._has_range and not self.setting:
@@ -251,7 +253,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
             yield from self.distribution.problems_between(low, high)
 
     def _levels_without_range(self) -> Iterator[str]:
-        if self._has_levels and getattr(self, "distribution", UNREAD) is not None:
+        if self._has_levels and is_stated(self, lambda it: it.distribution):
             yield "distribution: this is for low and high; levels have weights"
 
     def _levels_apart(self) -> Iterator[str]:
@@ -276,6 +278,11 @@ class Factor(Frozen, frozen=True, kw_only=True):
             return
         if len(given) != len(self.ends):
             yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
+
+
+def is_stated(table: T, field: Callable[[T], object]) -> bool:
+    """Whether a field of a table has a value; one that could not be read has one."""
+    return not is_read(table, field) or field(table) is not None
 
 
 def _word(value: object) -> str:

@@ -19,6 +19,7 @@ from hilcell.cell.settings import (
     SettingsError,
     convert,
     did_you_mean,
+    is_read,
     read_text,
     refuse,
     unreadable,
@@ -26,7 +27,7 @@ from hilcell.cell.settings import (
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
 from hilcell.study.case import IDW, RESULTS
-from hilcell.study.factor import UNREAD, Factor
+from hilcell.study.factor import Factor, is_stated
 from hilcell.typed import typed
 
 
@@ -152,23 +153,24 @@ class Study(Frozen, frozen=True, kw_only=True):
         if self.design == "sobol":
             return
         for n, each in enumerate(self.factor):
-            for key in ("distribution", "weights"):
-                if getattr(each, key, UNREAD) is not None:
-                    yield f'factor[{n}].{key}: this is for design = "sobol"'
+            if is_stated(each, lambda it: it.distribution):
+                yield f'factor[{n}].distribution: this is for design = "sobol"'
+            if is_stated(each, lambda it: it.weights):
+                yield f'factor[{n}].weights: this is for design = "sobol"'
 
     def _count_of_factors(self) -> Iterator[str]:
         if not 1 <= len(self.factor) <= MOST_FACTORS:
             yield f"factor: 1 to {MOST_FACTORS} are wanted, found {len(self.factor)}"
 
     def _names_apart(self) -> Iterator[str]:
-        names = [each.name for each in self.factor if hasattr(each, "name")]
+        names = [each.name for each in self.factor if is_read(each, lambda it: it.name)]
         yield from _twice("name", names)
         for name in names:
             if name in (*RESULTS, *COLUMNS):
                 yield f"factor: the name {name!r} is one of a result"
 
     def _settings_apart(self) -> Iterator[str]:
-        readable = [each for each in self.factor if hasattr(each, "settings_named")]
+        readable = [each for each in self.factor if is_read(each, lambda it: it.settings_named)]
         settings = [key for each in readable for key in each.settings_named]
         yield from _twice("setting", settings)
         for whole, part in sorted(set(itertools.permutations(settings, 2))):
@@ -194,7 +196,7 @@ def read_study(path: Path) -> Study:
     stated = parsed(text, source)
 
     def unlike_the_cell(found: Study) -> Iterator[str]:
-        if hasattr(found, "cell") and hasattr(found, "settings"):
+        if is_read(found, lambda it: (it.cell, it.settings)):
             yield from _unlike_the_cell(found, _place(found.cell, path.parent), stated)
 
     study = convert(stated, Study, source, unlike_the_cell)
@@ -222,19 +224,19 @@ def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> 
     finding of the study. Factors are tried without the settings of the base cell that are wrong.
     """
     base, sound = list[str](), dict(study.settings)
-    accuracy = getattr(study, "accuracy", "")
+    accuracy = study.accuracy if is_read(study, lambda it: it.accuracy) else ""
     while new := [line for line in _wrong_base(where, sound, accuracy) if line not in base]:
         base += new
         for key in [key for key in sound if any(_names(each, key) for each in new)]:
             del sound[key]
     yield from (f"cell {where}: {line}" for line in base)
     known = {_without_line(line) for line in base}
-    tables = typed(stated.get("factor", []), list[dict[str, object]])
-    for n, factor in enumerate(getattr(study, "factor", ())):
-        place = "setting" if getattr(factor, "setting", "") else "levels"
-        if not hasattr(factor, "setting"):
+    for n, factor in enumerate(study.factor if is_read(study, lambda it: it.factor) else ()):
+        if not is_read(factor, lambda it: it.setting):
             continue
-        values = factor.ends if hasattr(factor, "ends") else _finite_levels(tables[n])
+        place = "setting" if factor.setting else "levels"
+        whole = is_read(factor, lambda it: it.ends)
+        values = factor.ends if whole else _finite_levels(stated, n)
         for line in dict.fromkeys(_never(where, sound, factor, values, accuracy)):
             if line not in known:
                 yield f"factor[{n}].{place}: {line}"
@@ -253,9 +255,10 @@ def _wrong_base(where: str, settings: Mapping[str, object], accuracy: str) -> It
     yield from _no_accuracy(cell, accuracy)
 
 
-def _finite_levels(stated: Mapping[str, object]) -> Sequence[object]:
-    """Return the levels of a factor whose others are not finite."""
-    levels = stated.get("levels")
+def _finite_levels(stated: Mapping[str, object], n: int) -> Sequence[object]:
+    """Return the levels of the factor of a number whose others are not finite."""
+    factor = typed(stated["factor"], list[object])[n]
+    levels = factor.get("levels") if isinstance(factor, Mapping) else None
     some = levels if isinstance(levels, list) else []
     return [each for each in some if not (isinstance(each, float) and not math.isfinite(each))]
 

@@ -6,14 +6,16 @@ import json
 import re
 import tomllib
 from datetime import date
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, convert
 from hilcell.study.design import points
+from hilcell.study.factor import Factor, is_stated
 from hilcell.study.study_file import cell_of, read_study, toml_value
 from tests.hilcell.study.studies import study, written
 
@@ -263,6 +265,24 @@ def test_a_cell_without_a_simulation_or_a_file_is_refused(tmp_path: Path) -> Non
     for name in ("real.toml", "papr"):
         (problem,) = refused(tmp_path, factor(levels=[2, 5]), f'cell = "{name}"')
         assert problem == f"cell {tmp_path / name}"
+
+
+@pytest.mark.parametrize(
+    "stated", ["factor = 3", "factor = [3]", "factor = [{ levels = [nan] }, 3]"]
+)
+def test_factors_that_are_no_tables_are_refused(tmp_path: Path, stated: str) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(f'name = "trial"\n{stated}\n')
+    with pytest.raises(SettingsError) as found:
+        read_study(path)
+    assert all(key.startswith("factor") for key in keys(found.value.problems))
+
+
+def test_a_typo_in_a_check_is_never_skipped() -> None:
+    """Of a table that could not be read, either."""
+    for values in ({"name": "f", "levels": [1, 2]}, {"name": 3}):
+        with pytest.raises(AttributeError, match="hihg"):
+            convert(values, Factor, "file", lambda it: [str(is_stated(it, attrgetter("hihg")))])
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
