@@ -253,6 +253,7 @@ def _wrong_base(where: str, settings: Mapping[str, object], accuracy: str) -> It
     else:
         yield from _no_machine(cell)
     yield from _no_accuracy(cell, accuracy)
+    yield from _by_hand(cell)
 
 
 def _finite_levels(stated: Mapping[str, object], n: int) -> Sequence[object]:
@@ -284,6 +285,7 @@ def _never(
         if any(key.startswith(MACHINE) for key in given):
             yield from _no_machine(cell)
         yield from _no_accuracy(cell, accuracy)
+        yield from _by_hand(cell)
 
 
 def _names(problem: str, key: str) -> bool:
@@ -315,6 +317,15 @@ def _no_accuracy(cell: Cell, accuracy: str) -> Iterator[str]:
         yield (
             f"plan.quick: a quick plan sends no targets by the paper's method, so it has no {IDW}; "
             'leave plan.quick out, or state another accuracy, such as "mean_mm"'
+        )
+
+
+def _by_hand(cell: Cell) -> Iterator[str]:
+    """Yield why nobody can measure this cell in a study."""
+    if cell.layout.by_hand:
+        yield (
+            "layout.reflectors: by_hand: somebody must be there to carry the reflector, and cases "
+            'run unattended; set layout.reflectors = "mounted"'
         )
 
 

@@ -218,6 +218,19 @@ def test_an_accuracy_that_no_quick_plan_has_is_refused(tmp_path: Path) -> None:
     )
 
 
+def test_a_reflector_that_somebody_carries_is_refused(tmp_path: Path) -> None:
+    """Nobody is there: all its cases failed."""
+    carried = factor(setting="layout.reflectors", levels=["mounted", "by_hand"])
+    assert refused(tmp_path, carried) == [f"{SETTING} layout.reflectors"]
+    path = written(tmp_path)
+    by_hand = '[settings]\n"layout.reflectors" = "by_hand"'
+    path.write_text(path.read_text().replace("[settings]", by_hand))
+    with pytest.raises(SettingsError) as found:
+        read_study(path)
+    assert keys(found.value.problems) == ["cell paper layout.reflectors"]
+    assert '"mounted"' in found.value.problems[0]
+
+
 def test_a_quick_plan_may_be_a_factor(tmp_path: Path) -> None:
     assert study(tmp_path, QUICK).factor[0].ends == [False, True]
 
