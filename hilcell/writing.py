@@ -147,9 +147,17 @@ def is_stream(path: Path) -> bool:
 
 @contextmanager
 def as_not_written(path: Path) -> Iterator[None]:
-    """Raise `NotWritten` for an error of the system while a file is written."""
+    """Raise `NotWritten` for an error of the system while a file is written.
+
+    A pipe that nobody reads any more is no fault of the name: `NotPrinted`.
+    """
     try:
         yield
+    except BrokenPipeError as error:
+        raise NotPrinted(
+            f"{_name(path)}: cannot be written: {error.strerror}; the output is not complete; give "
+            "it to a program that reads it to its end"
+        ) from error
     except OSError as error:
         failed = DiskFailed if error.errno in STORAGE else NotWritten
         reason = error.strerror or str(error)

@@ -47,6 +47,26 @@ EXITS = (  # by their number
 AFTER = (
     "Where `run` or `resume` ends with 3, 4, 5 or 7 and the run can go on, the last line says how."
 )
+OTHERS = """\
+These are of a run. Any other command ends with 0 where it did its work, 2 where it refuses its
+arguments, a name or a file, 4 where ctrl-C ended it, 5 after a defect of hilcell, and 7 where a
+journal, a disk or a pipe failed: also where the reader of stdout went away, as in `| head`."""
+OWN_EXITS = {  # of commands, beyond these
+    "check": "2 where the cell file or its plan has a problem",
+    "compare": "0 whatever has changed: `verdict` of `--json` says it",
+    "doctor": "2 where something is WRONG; notes alone are 0",
+    "plant": "[Records of a plant](plant.md) lists them",
+    "revoke": "6 while another run holds the cell",
+    "runs": "0 with unreadable runs as well: `state` of `--json` says it",
+    "show": "0 whatever the run's outcome: `exit` of `--json` has its code; with `--check` 1 where "
+    "an invariant is broken",
+    "sim": "0 after ctrl-C, which ends it",
+    "study": "[Design studies](study.md) lists them",
+    "tui": "0 however a run ended; 5 where the screen failed",
+    "watch": "0 where the run has ended or its engine is gone, whatever its outcome: `exit` of the "
+    "`end` event of `--json` has its code; 2 before the first record; 4 after ctrl-C, which "
+    "changes nothing of the run",
+}
 SAFETY = "hilcell is not a safety function: keep the E-stop in reach."
 FIRST = """\
 `hilcell run` calibrates a simulated cell in about a minute; nothing real moves

@@ -8,7 +8,16 @@ from collections.abc import Iterator
 from typing import Literal, get_args, get_origin
 
 from hilcell.arguments import MISSING, Argument, Field, Signature, Switches, fields_of
-from hilcell.commands.cli import AFTER, EXITS, GROUPS, PLANT, SAFETY, Commands
+from hilcell.commands.cli import (
+    AFTER,
+    EXITS,
+    GROUPS,
+    OTHERS,
+    OWN_EXITS,
+    PLANT,
+    SAFETY,
+    Commands,
+)
 
 HEAD = """# The command line
 
@@ -29,6 +38,8 @@ def page() -> str:
         parts += _sections("hilcell", commands)
     codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(EXITS))
     parts.append(f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{AFTER} {SAFETY}\n")
+    own = "\n".join(f"| `{command}` | {words} |" for command, words in OWN_EXITS.items())
+    parts.append(f"{OTHERS}\n\n| command | its exit codes |\n|---|---|\n{own}\n")
     return "\n".join(parts)
 
 

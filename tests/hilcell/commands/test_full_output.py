@@ -99,6 +99,19 @@ def test_a_command_into_a_closed_pipe_is_exit_7(
     assert lost(capsys.readouterr().err)
 
 
+def test_a_file_that_is_a_closed_pipe_is_exit_7(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`hilcell export RUN --json -o /dev/stdout | true` was exit 2, as if its name were wrong."""
+    with closed_pipe() as stdout:
+        out = f"/dev/fd/{stdout.fileno()}"
+        words = ["export", "r", "--json", "-o", out, "--runs", str(run.parent)]
+        assert main(words) == 7
+    err = capsys.readouterr().err
+    assert f"hilcell: {out}: cannot be written: {os.strerror(errno.EPIPE)}; " in err
+    assert "reads it to its end" in err
+
+
 def test_a_closed_stdout_is_exit_7(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

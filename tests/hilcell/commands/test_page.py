@@ -11,7 +11,7 @@ import pytest
 from hilcell import errors
 from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
 from hilcell.commands import page as module
-from hilcell.commands.cli import EXITS, GROUPS, PLANT
+from hilcell.commands.cli import EXITS, GROUPS, OWN_EXITS, PLANT
 from hilcell.commands.page import page
 
 ROOT = Path(__file__).parents[3]
@@ -74,6 +74,11 @@ def test_a_default_in_words_is_the_one_that_counts() -> None:
     }
     assert len(stated) > 5
     assert {key: pair for key, pair in stated.items() if pair[0] != pair[1]} == {}
+
+
+def test_exit_codes_of_other_commands_are_of_commands_that_exist() -> None:
+    commands = {name for group in GROUPS.values() for name in group}
+    assert OWN_EXITS.keys() <= commands - {"run", "resume"}
 
 
 def test_exit_codes_are_those_of_runs() -> None:
