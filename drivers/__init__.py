@@ -1,1 +1,1 @@
-"""Drivers: one plain class a device, one file a protocol; found through entry points."""
+"""Drivers: one plain class a device, its protocol with it; found through entry points."""

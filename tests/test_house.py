@@ -37,10 +37,9 @@ TRAPS = {  # a motion or a result that would be wrong without notice; all else i
     "drivers/canopen/process_image.py": "a stop is undone",
     "drivers/kuka/program_krl/data.py": "a target is relative in disguise",
     "drivers/kuka/program_krl/program.py": "an axis turns by 360 deg",
-    "drivers/spatialanalyzer/t2sa.py": "a late result passes for the next point",
     "drivers/leica/tracker_emscon.py": "a late result passes for the next point",
     "drivers/leica/tracker_geocom.py": "an old distance or a late answer passes for the next point",
-    "drivers/spatialanalyzer/tracker_t2sa.py": "a simulated or an old result passes for a reading",
+    "drivers/spatialanalyzer/tracker_t2sa.py": "a late or simulated result passes for a reading",
     "hilcell/run/mover.py": "a station is missed by the backlash",
 }
 

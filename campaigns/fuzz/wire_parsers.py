@@ -14,7 +14,7 @@ from typing import Any, cast
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
-from drivers.spatialanalyzer.t2sa import MEASURE, T2saBridge
+from drivers.spatialanalyzer.tracker_t2sa import MEASURE, T2saBridge
 from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
