@@ -18,7 +18,7 @@ from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, of_rail, pose_of, set_up_of
-from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.journal import FETCH, Record, StorageError
 from hilcell.journal.log import other_assets
 from hilcell.journal.states import OVER, WAITING
 from hilcell.model.events import (
@@ -126,7 +126,8 @@ def judge(records: Iterable[Record]) -> dict[str, Proof]:
             scene.take(record)
         except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
             raise StorageError(
-                f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}",
+                f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}; "
+                f"{FETCH}",
                 code="HC-J02",
             ) from error
     return tally.verdicts

@@ -422,11 +422,13 @@ def _check_kinds(path: Path) -> None:
                 continue
             raise
         if not stat.S_ISREG(found.st_mode):
-            raise StorageError(f"journal {path}: {file.name} is no regular file", code="HC-J02")
+            raise StorageError(
+                f"journal {path}: {file.name} is no regular file; {FETCH}", code="HC-J02"
+            )
         size += found.st_size
     if size > LARGEST:
         found_bytes = f"it has {size} bytes, expected at most {LARGEST}"
-        raise StorageError(f"journal {path}: {found_bytes}", code="HC-J02")
+        raise StorageError(f"journal {path}: {found_bytes}; {FETCH}", code="HC-J02")
 
 
 def _bound(base: sqlite3.Connection) -> None:

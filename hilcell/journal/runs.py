@@ -109,7 +109,7 @@ def read_log(folder: Path) -> Log:
     except Exception as error:
         raise StorageError(
             f"journal {folder / JOURNAL}: its records are no run's: {one_line(error)}; another "
-            "version of hilcell wrote it, or somebody has changed it",
+            f"version of hilcell wrote it, or somebody has changed it; {FETCH}",
             code="HC-J02",
         ) from error
 

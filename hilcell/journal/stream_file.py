@@ -26,7 +26,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.journal.journal import StorageError, is_there
+from hilcell.journal.journal import FETCH, StorageError, is_there
 from hilcell.model.events import StreamRecorded
 from hilcell.ports import Array, JointSample, NoReading, StreamBlock
 
@@ -180,7 +180,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
     if hashlib.sha256(data).hexdigest() != record.sha256:
         raise StorageError(
             f"stream {path}: it is not the one that was written; the file was changed or damaged, "
-            "and its results cannot be trusted",
+            f"and its results cannot be trusted; {FETCH}",
             code="HC-J02",
         )
     found: dict[object, list[Rows]] = {kind: [np.zeros(0, kind)] for kind in (SAMPLES, JOINTS)}

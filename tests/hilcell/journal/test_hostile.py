@@ -95,6 +95,7 @@ def test_a_harmful_run_is_listed_with_its_reason_and_stops_nobody(
     with pytest.raises(StorageError) as caught:
         read_log(runs / "bad")
     assert caught.value.code == "HC-J02"
+    assert str(caught.value).endswith(journal.FETCH)
     assert str(runs / "bad" / JOURNAL) in str(caught.value)
     assert find_run(runs, "last").name in ("good", "bad")
     assert read_log(runs / "good").state == "finished"
