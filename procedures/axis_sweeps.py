@@ -22,7 +22,7 @@ from hilcell.model.results import ActResult
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.collision import check_sweep
+from hilcell.run.collision import below, check_sweep
 from hilcell.run.mover import SweepOrder
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
@@ -96,7 +96,7 @@ class AxisSweeps:
             return Step(self.name, 0, 0.0, note=reason)
         station = cell.reference
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
-        approach_rad, cube = np.radians(cell.robot.approach_deg), cube_joints(cell)
+        cube = cube_joints(cell)
         for axis in axes_of(cell):
             for way in WAYS:
                 start_rad, end_rad = ends_rad(cell, cube, axis, way)
@@ -107,7 +107,7 @@ class AxisSweeps:
                 check_range(cell, world_mm, f"A{axis} swept {way}")
                 turn_deg = float(np.degrees(np.abs(end_rad - start_rad).max()))
                 percent = first_pass_percent(cell, start_rad[None])[0]
-                below_rad = start_rad - approach_rad
+                below_rad = below(cell, start_rad)
                 seconds += float(robot_moves_s(cell, here_rad, below_rad, percent))
                 seconds += float(robot_moves_s(cell, below_rad, start_rad, percent))
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s

@@ -18,7 +18,7 @@ from hilcell.geometry.inverse import ReachError
 from hilcell.geometry.kinematics import Bools
 from hilcell.model.plan import Span, Step
 from hilcell.ports import Array, HilcellError
-from hilcell.run.collision import check_poses, clear_poses, leaves_cube
+from hilcell.run.collision import below, check_poses, clear_poses, leaves_cube
 
 # -- targets --------------------------------------------------------------------------------------
 
@@ -158,12 +158,11 @@ def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span
     With all ``seats``, the other reflectors on the flange are measured at each as well.
     """
     each = len(cell.robot.seats_mm) if seats else 1
-    approach_rad = np.radians(cell.robot.approach_deg)
-    safe_rad = np.radians(cell.robot.safe_deg)
-    before_rad = np.vstack([safe_rad, joints_rad[:-1]])
+    below_rad = below(cell, joints_rad)
+    before_rad = np.vstack([np.radians(cell.robot.safe_deg), joints_rad[:-1]])
     percent = first_pass_percent(cell, joints_rad)
-    there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad, percent)
-    landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad, percent)
+    there_s = robot_moves_s(cell, before_rad, below_rad, percent)
+    landing_s = robot_moves_s(cell, below_rad, joints_rad, percent)
     at_each_s = cell.settle.robot_s + each * measure_s(cell, cell.tracker.samples)
     seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
     return Span("flange", each * len(joints_rad), seconds)

@@ -121,9 +121,8 @@ class Watch:
 
     def frame_world(self) -> None:
         """Frame {W} at the tracker's present set-up; where that is done, prove it."""
-        cell, log = self._run.cell, self._run.log
-        number = log.set_ups.number
-        if world_key(number) in log.frames:
+        cell, number = self._run.cell, self._run.log.set_ups.number
+        if self._framed:
             self.prove()
             return
         self._discard_begun(number)
@@ -169,9 +168,8 @@ class Watch:
 
         Where the reflector is carried by hand to the nests, only if ``carried``.
         """
-        log = self._run.log
-        framed = world_key(log.set_ups.number) in log.frames
-        if log.set_ups.open and framed and (carried or not self._run.cell.layout.by_hand):
+        by_hand = self._run.cell.layout.by_hand
+        if self._run.log.set_ups.open and self._framed and (carried or not by_hand):
             self.prove()
 
     def prove_where_doubtful(self) -> None:
@@ -181,11 +179,15 @@ class Watch:
         block to be lost. A reflector that is carried by hand stays where it is; every seat of it
         is a pause.
         """
-        cell, log = self._run.cell, self._run.log
-        done = log.set_ups
+        cell, done = self._run.cell, self._run.log.set_ups
         doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
-        if doubtful and not cell.layout.by_hand and world_key(done.number) in log.frames:
+        if doubtful and not cell.layout.by_hand and self._framed:
             self.prove()
+
+    @property
+    def _framed(self) -> bool:
+        """Whether {W} is framed at the tracker's present set-up."""
+        return world_key(self._run.log.set_ups.number) in self._run.log.frames
 
     def _measured(self, ids: list[PointId]) -> list[Point]:
         nests = self._run.cell.layout.floor
@@ -294,9 +296,8 @@ class Watch:
         attended run; `DeviceError` where the slide is still beside its place afterwards.
         """
         self._mover.hold_station(station, again=again)
-        log = self._run.log
-        framed = world_key(log.set_ups.number) in log.frames
-        if again or not (framed and self._run.cell.has_rail) or self._run.cell.layout.by_hand:
+        cell, log = self._run.cell, self._run.log
+        if again or not (self._framed and cell.has_rail) or cell.layout.by_hand:
             return
         if self._proven == (station.name, log.visit):
             return
