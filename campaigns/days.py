@@ -74,7 +74,7 @@ class Month:
         session.home_rail()
         session.reach("reference")
         session.frame_world()
-        station = cell.station_named(cell.grid.station)
+        station = cell.reference
         session.hold_station(station)
         vertices_mm = grid_of(cell).serpentine_mm()
         poses = matrix(cell.grid.centre.matrix()[:3, :3], vertices_mm)

@@ -149,7 +149,7 @@ def misplaced_base(log: Log) -> Suspicion | None:
     cell = log.cell
     if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
-    station = cell.station_named(cell.grid.station)
+    station = cell.reference
     stated_mm = cell.layout.nominal_base(station.rail_mm)[:3, 3]
     off_mm = log.matrix("base")[:3, 3] - stated_mm
     size_mm = float(np.linalg.norm(off_mm))

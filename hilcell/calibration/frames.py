@@ -65,7 +65,7 @@ class Frames:
 
     def base_in_world(self, station: Station) -> Array:
         """Return T_W_B (4, 4) at ``station``, by eq 17 where the stations are framed."""
-        reference = self.cell.station_named(self.cell.grid.station)
+        reference = self.cell.reference
         if not self.based():
             return self.cell.layout.nominal_base(station.rail_mm)
         base = self._log.matrix("base")

@@ -23,7 +23,7 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     found = []
     useful_ppm = 30.0  # of a certified length that is of use
     layout, centre = cell.layout, cell.grid.centre.matrix()
-    T_W_B = layout.nominal_base(cell.station_named(cell.grid.station).rail_mm)
+    T_W_B = layout.nominal_base(cell.reference.rail_mm)
     centre_mm = apply(T_W_B, centre[None, :3, 3])[0]  # of the cube, in {W}
     range_mm = np.linalg.norm(centre_mm - cell.tracker.pose.matrix()[:3, 3])
     scaled_mm = 1e-6 * SCALE_PPM * np.linalg.norm(centre_mm - layout.floor[0].xyz_mm)

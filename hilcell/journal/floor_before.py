@@ -105,7 +105,7 @@ class _Measured:
     def _base(self) -> Frame | None:
         """Return the base as circles gave it; None where the grid has another station now."""
         then, frame = self.log.cell, self.log.frames.get("base")
-        station = then.station_named(then.grid.station)
+        station = then.reference
         same = station == self.cell.station_named(self.cell.grid.station)
         if not isinstance(frame, MeasuredBase) or not same:
             return None

@@ -127,7 +127,7 @@ class _Plan:
             room_mm = self._room_mm(right + 0.8)
             name = shortened(station.name, room_mm)
             yield text(right + 0.8, y, name, "start", AFTER, own, room_mm)
-        middle_mm = self._volume_mm(self._cell.station_named(self._cell.grid.station)).mean(axis=0)
+        middle_mm = self._volume_mm(self._cell.reference).mean(axis=0)
         yield self._line(
             self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'
         )
@@ -187,7 +187,7 @@ def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
     """
     along = along_of(cell)
     across = np.array([along[1], -along[0], 0.0])
-    station = cell.station_named(cell.grid.station)
+    station = cell.reference
     T = cell.layout.nominal_base(station.rail_mm)
     half, centre = np.array(cell.grid.size_mm) / 2, cell.grid.centre.matrix()[:3, 3]
     corners = [centre - half * (1, 0, 1), centre + half * (1, 0, 1)]

@@ -211,7 +211,7 @@ def site_of(view: RunView, prompt: PromptStatus) -> Site | None:
     rail_mm = log.points[last[0]].rail_mm if last else None
     if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
         held = log.happened(StationHeld)
-        grid = log.cell.station_named(log.cell.grid.station)
+        grid = log.cell.reference
         rail_mm = held[-1].rail_mm if held else grid.rail_mm
     T_W_B = layout.nominal_base(rail_mm)
     slide = {nest.name: _above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}

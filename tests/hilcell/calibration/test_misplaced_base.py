@@ -18,7 +18,7 @@ class Based(Log):
     def __init__(self, cell: Cell, off_mm: list[float]) -> None:
         super().__init__()
         self._cell = cell
-        matrix = cell.layout.nominal_base(cell.station_named(cell.grid.station).rail_mm)
+        matrix = cell.layout.nominal_base(cell.reference.rail_mm)
         matrix[:3, 3] += off_mm
         self.frames["base"] = replace(BASE, matrix=matrix.tolist())
 

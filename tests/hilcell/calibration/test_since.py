@@ -138,7 +138,7 @@ def test_the_noise_of_readings_makes_no_robot_worse(log: Log, before: FloorBefor
 
 def test_another_station_of_the_grid_is_not_compared(golden: GoldenRuns, log: Log) -> None:
     cell, runs = log.cell, golden["small"].runs
-    at = cell.station_named(cell.grid.station)
+    at = cell.reference
     others = [
         each if each != at else msgspec.structs.replace(each, strip_mm=each.strip_mm + 1.0)
         for each in cell.station
