@@ -699,7 +699,7 @@ def paper_table(result: Result) -> Table:
         [
             Column("row", attrgetter("row")),
             Column("paper", attrgetter("paper"), form="g"),
-            Column("here", attrgetter("here"), form=".4g"),
+            Column("here", attrgetter("shown"), form=".4g"),
             Column("chosen", attrgetter("chosen"), form=".4g"),
             Column("unit", attrgetter("unit")),
             Column("criterion", attrgetter("criterion")),

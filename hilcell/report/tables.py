@@ -222,7 +222,7 @@ class Tables:
             Column("figure of the paper", attrgetter("row")),
             Column("fails when", attrgetter("fails")),
             Column("paper", attrgetter("paper"), form=".4g"),
-            Column("here", attrgetter("here"), form=".4g"),
+            Column("here", attrgetter("shown"), form=".4g"),
             Column("chosen", attrgetter("chosen"), form=".4g"),
             Column("unit", attrgetter("unit")),
             Column("holds if", attrgetter("criterion")),

@@ -86,6 +86,13 @@ def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: P
     assert {name for name, word in shown.items() if word == "set"} == SET
 
 
+def test_round_off_is_shown_without_its_digits_which_differ_between_pcs(paper: PaperRun) -> None:
+    shown = {cells[0]: cells[2] for cells in paper_table(paper.result).rows}
+    assert {name for name, here in shown.items() if here == "< 1e-09"} == {
+        "eq1-7.jacobian", "eq9.weights",
+    }  # fmt: skip
+
+
 def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
     """A row that the simulated machine sets is judged where the machine is real."""
     real = copy.copy(paper.log)
