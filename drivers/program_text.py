@@ -7,6 +7,7 @@ that two names stay two.
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from dataclasses import dataclass
 from decimal import Decimal
@@ -104,3 +105,12 @@ def _plain(letter: str, below: int) -> str:
     if known is None:
         return f"U+{ord(letter):04X}"
     return known.capitalize() if letter.isupper() else known
+
+
+def module_name(station: str) -> str:
+    """Return a station's name of letters, digits and underscores, a letter first.
+
+    It has 24 characters at most, as a module of KRL.
+    """
+    name = re.sub(r"\W", "_", station, flags=re.ASCII)
+    return (name if name[0].isalpha() else f"S_{name}")[:24]

@@ -7,14 +7,13 @@ refuses to correct the program once more.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers.kuka.program_krl.data import POSE
 from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
-from drivers.program_text import ENCODING, plain
+from drivers.program_text import ENCODING, module_name, plain
 from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
@@ -22,7 +21,6 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
-LONGEST_NAME = 24  # of a module
 CLEAR_RAD = 1e-4
 ACCELERATION_PERCENT = 50
 STRAIGHT_M_S = 0.1  # in to a hole and out of it
@@ -39,12 +37,6 @@ def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
         file: "".join(f"{line}\r\n" for line in lines).encode(ENCODING)
         for file, lines in texts.items()
     }
-
-
-def module_name(station: str) -> str:
-    """Return a station's name as KRL allows it: letters, digits, underscores; a letter first."""
-    plain = re.sub(r"\W", "_", station, flags=re.ASCII)
-    return (plain if plain[0].isalpha() else f"S_{plain}")[:LONGEST_NAME]
 
 
 def comment(text: str) -> str:

@@ -12,8 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.kuka.program_krl.writer import module_name
-from drivers.program_text import ASCII, ENCODING, plain
+from drivers.program_text import ASCII, ENCODING, module_name, plain
 from drivers.universal_robots.program_urscript.files import SUFFIX
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
