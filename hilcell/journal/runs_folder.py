@@ -51,7 +51,7 @@ def runs_option(runs: Path) -> str:
 
 
 def command_on(run: Path, command: str, *words: str) -> str:
-    """Return a command of hilcell on the run of a folder, as a shell takes it from anywhere."""
+    """Return a command of hilcell on the run of a folder, as a shell takes it."""
     line = shlex.join(["hilcell", command, run.name, *words])
     return line + runs_option(run.parent)
 

@@ -175,7 +175,7 @@ NEAREST = [
     ("compensate --stationn x", '"--station"'),
     ("run --oprator=Ann", '"--operator"'),
     ("run home --dry", '"--dry-run"'),
-    ("show last --cel", '"--check"'),
+    ("show last --chek", '"--check"'),
     ("completion --sel", "--sel"),
     ("show", "RUN"),
     ("run calibrat", '"calibrate"'),
