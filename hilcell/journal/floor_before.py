@@ -106,7 +106,7 @@ class _Measured:
         """Return the base as circles gave it; None where the grid has another station now."""
         then, frame = self.log.cell, self.log.frames.get("base")
         station = then.reference
-        same = station == self.cell.station_named(self.cell.grid.station)
+        same = station == self.cell.reference
         if not isinstance(frame, MeasuredBase) or not same:
             return None
         return Frame(matrix=frame.matrix, covariance=frame.covariance)
