@@ -58,7 +58,7 @@ types: $(VENV)/more  ## types once more, by mypy
 
 docs: $(VENV)/ready  ## the manual's pages that are written from the code
 	$(BIN)/python -m hilcell.alarms.page > docs/alarms.md
-	$(BIN)/python -m hilcell.commands.page > docs/cli.md
+	$(BIN)/python -m hilcell.commands.manual > docs/cli.md
 
 gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
 	@$(PYTHON) benchmarks/gauges.py

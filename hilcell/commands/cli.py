@@ -94,14 +94,14 @@ GROUPS: Mapping[str, Commands] = {
         "report": (orders.Report, "past:report"),
         "export": (orders.Export, "past:export"),
         "compare": (orders.Compare, "past:compare"),
-        "explain": (orders.Explain, "past:explain"),
+        "explain": (orders.Explain, "manual:explain"),
         "revoke": (orders.Revoke, "past:revoke"),
     },
     "set up": {
         "check": (orders.Check, "cell:check"),
         "doctor": (orders.Doctor, "doctor:doctor"),
         "sim": (orders.Sim, "cell:sim"),
-        "completion": (orders.Completion, "completion:completion"),
+        "completion": (orders.Completion, "manual:completion"),
     },
     "for engineers": {
         "fit": (orders.Fit, "targets:fit"),

@@ -1,9 +1,8 @@
-"""The commands that look back: recorded runs, read from their journals, and alarms explained."""
+"""The commands that look back: recorded runs, read from their journals."""
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
@@ -12,14 +11,11 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.alarms.catalogue import catalogue
 from hilcell.calibration.in_use import standing_of, standings_in
 from hilcell.cell.devices import load_entry
-from hilcell.cell.settings import near_misses
 from hilcell.clean import encodable, harmless
-from hilcell.commands.orders import Compare, Explain, Export, ListRuns, Report, Revoke, Show
+from hilcell.commands.orders import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.commands.output import (
-    print_data,
     print_json,
     print_message,
     print_table,
@@ -352,27 +348,6 @@ def _say_written(what: str, facts: Facts, folder: Path, output: str) -> None:
 def _files(folder: Path) -> list[Path]:
     """Return what a run is made of: none of it can be made again from the others."""
     return [*folder.glob(f"{JOURNAL}*"), folder / CALIBRATION]
-
-
-# -- explain --------------------------------------------------------------------------------------
-
-
-def explain(args: Explain) -> int:
-    """Print one entry of the catalogue; an unknown code with those that are most like it."""
-    known = catalogue()
-    named = re.sub(r"^HC(?=[A-Z])", "HC-", args.code.upper())
-    if named not in known:
-        nearest = ", ".join(near_misses(args.code.upper(), known, most=3))
-        hint = f"the nearest known: {nearest}" if nearest else "codes are like HC-T10"
-        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
-    entry = known[named]
-    facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
-    if args.json:
-        print_json(facts)
-    else:
-        steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
-        print_data("\n".join([f"{entry.code} {entry.title}", entry.means, *steps]))
-    return 0
 
 
 # -- revoke ---------------------------------------------------------------------------------------

@@ -10,9 +10,9 @@ import pytest
 
 from hilcell import errors
 from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
-from hilcell.commands import page as module
+from hilcell.commands import manual as module
 from hilcell.commands.cli import EXITS, GROUPS, OWN_EXITS, PLANT
-from hilcell.commands.page import page
+from hilcell.commands.manual import page
 
 ROOT = Path(__file__).parents[3]
 

@@ -1,0 +1,200 @@
+"""The manual at the prompt: alarms explained, commands completed, the page of all commands.
+
+By ``completion`` bash, zsh, fish or tcsh complete commands, options and names. Files are completed
+where an argument's name is that of a file; cells, procedures and runs by name, alarms by code. The
+page is the manual's: ``python -m hilcell.commands.manual``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from copy import deepcopy
+from importlib.metadata import entry_points
+from typing import Literal, get_args, get_origin
+
+import shtab
+
+from hilcell.alarms.catalogue import catalogue
+from hilcell.arguments import MISSING, Argument, Field, Signature, Switches, fields_of
+from hilcell.cell.settings import near_misses
+from hilcell.cell.source import built_in_cells
+from hilcell.commands.cli import (
+    AFTER,
+    EXITS,
+    GROUPS,
+    OTHERS,
+    OWN_EXITS,
+    PLANT,
+    SAFETY,
+    Commands,
+    whole_parser,
+)
+from hilcell.commands.orders import Completion, Explain
+from hilcell.commands.output import print_data, print_json
+from hilcell.commands.parser import Parser
+from hilcell.errors import HilcellError
+
+
+def explain(args: Explain) -> int:
+    """Print one entry of the catalogue; an unknown code with those that are most like it."""
+    known = catalogue()
+    named = re.sub(r"^HC(?=[A-Z])", "HC-", args.code.upper())
+    if named not in known:
+        nearest = ", ".join(near_misses(args.code.upper(), known, most=3))
+        hint = f"the nearest known: {nearest}" if nearest else "codes are like HC-T10"
+        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
+    entry = known[named]
+    facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
+    if args.json:
+        print_json(facts)
+    else:
+        steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
+        print_data("\n".join([f"{entry.code} {entry.title}", entry.means, *steps]))
+    return 0
+
+
+# -- completion -----------------------------------------------------------------------------------
+
+Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
+# The lines of the table of runs are bars in ASCII, or box characters; three of it are its head.
+_LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
+_NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
+_CELLS = " ".join(sorted(built_in_cells()))
+PREAMBLE = {
+    "bash": f"""
+_hilcell_run() {{ compgen -W "last $({_NAMES})" -- "$1"; }}
+_hilcell_cell() {{ compgen -W "{_CELLS}" -- "$1"; compgen -f -X '!*.toml' -- "$1"; }}
+_hilcell_cell_of_runs() {{ compgen -W "$({_CELLS_OF_RUNS})" -- "$1"; }}
+""",
+    "zsh": f"""
+_hilcell_run() {{ compadd last $({_NAMES}) }}
+_hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
+_hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
+""",
+}
+_NAMED = {"RUN": "run", "CALIBRATION": "run", "CELL": "cell"}  # the functions of the preamble
+
+
+def completion(args: Completion) -> int:
+    """Print the script of one shell."""
+    parser = deepcopy(whole_parser())  # it is written into
+    for action in _actions(parser):
+        if action.dest == "procedure":
+            action.choices = sorted(entry_points(group="hilcell.procedures").names)
+        elif action.metavar == "CODE":
+            action.choices = sorted(catalogue())
+        elif (by := _completed_by(action)) is not None:
+            action.complete = by  # type: ignore[attr-defined] # the attribute that shtab reads
+    print_data(shtab.complete(parser, args.shell, preamble=PREAMBLE.get(args.shell, "")))
+    return 0
+
+
+def _actions(parser: Parser) -> Iterator[argparse.Action]:
+    """Yield the arguments of all commands."""
+    for action in parser.fill()._actions:  # noqa: SLF001 - argparse offers no list of them
+        yield action
+        for command in action.choices.values() if isinstance(action.choices, dict) else ():
+            yield from _actions(command)
+
+
+def _completed_by(action: argparse.Action) -> Completer | None:
+    """Return what completes an argument; None for words of no list."""
+    name = str(action.metavar or "")
+    of_runs = (action.dest, name) == ("cell", "NAME")
+    if function := "cell_of_runs" if of_runs else _NAMED.get(name):
+        return dict.fromkeys(PREAMBLE, f"_hilcell_{function}")
+    if re.search(r"DIR|FOLDER", name):
+        return shtab.DIRECTORY
+    return shtab.FILE if re.search(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml", name) else None
+
+
+# -- the page of the commands ---------------------------------------------------------------------
+
+HEAD = """# The command line
+
+All commands, with their options and defaults. This page is written from the signatures of the
+commands by `make docs`; `hilcell COMMAND --help` prints the same.
+
+Options stand after their command, in any order. `--help` is an option of each; `hilcell --version`
+prints the version.
+"""
+STATED = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    parts = [HEAD]
+    for title, commands in GROUPS.items():
+        parts.append(f"## {title.capitalize()}\n")
+        parts += _sections("hilcell", commands)
+    codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(EXITS))
+    parts.append(f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{AFTER} {SAFETY}\n")
+    own = "\n".join(f"| `{command}` | {words} |" for command, words in OWN_EXITS.items())
+    parts.append(f"{OTHERS}\n\n| command | its exit codes |\n|---|---|\n{own}\n")
+    return "\n".join(parts)
+
+
+def _sections(program: str, commands: Commands) -> Iterator[str]:
+    for name, (takes, act) in commands.items():
+        yield f"### {program} {name}\n\n{takes.__doc__}\n"
+        if not act:  # what it does is done by commands of its own
+            yield from _sections(f"{program} {name}", PLANT)
+            continue
+        yield f"```\n{_usage(f'{program} {name}', takes)}\n```\n"
+        if rows := [row for field in fields_of(takes) for row in _rows(field)]:
+            yield "\n".join(["| argument | meaning | default |", "|---|---|---|", *rows, ""])
+
+
+def _usage(command: str, takes: type[Signature]) -> str:
+    """Return the words that must be given, and those that may be."""
+    fields = list(fields_of(takes))
+    words = [_given(each) for each in fields if each.is_word or each.needed]
+    optional = any(not (each.needed or each.is_word) for each in fields)
+    return " ".join([command, *words, *["[OPTIONS]"] * optional])
+
+
+def _given(field: Field) -> str:
+    """Return how an argument is given."""
+    if isinstance(field.argument, Switches):
+        return f"({' | '.join(field.names)})"
+    if field.is_word:
+        return _value(field) if field.needed else f"[{_value(field)}]"
+    return f"{field.names[0]} {_value(field)}"
+
+
+def _value(field: Field) -> str:
+    """Return the name of a value, or its choices."""
+    if get_origin(field.kind) is Literal:
+        return f"{{{','.join(get_args(field.kind))}}}"
+    return (isinstance(field.argument, Argument) and field.argument.metavar) or field.name.upper()
+
+
+def _rows(field: Field) -> Iterator[str]:
+    """Yield the rows of an argument: one, or one for each switch of a choice."""
+    argument = field.argument
+    if isinstance(argument, Switches):
+        for word, text in argument.help.items():
+            yield _row(f"--{word}", text, "one of these")
+        return
+    value = "" if field.kind is bool else f" {_value(field)}"
+    given = value.strip() if argument.word else f"{', '.join(field.names)}{value}"
+    meaning, default = argument.help, ""
+    if field.needed:
+        default = "must be given"
+    elif len(stated := STATED.findall(meaning)) == 1:
+        meaning, default = STATED.sub("", meaning), stated[0]
+    elif field.default not in (MISSING, None, "", False, ()):
+        default = str(field.default)
+    yield _row(given, meaning, default)
+
+
+def _row(given: str, meaning: str, default: str) -> str:
+    cells = (f"`{given}`", meaning, default)
+    return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
