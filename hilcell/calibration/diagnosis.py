@@ -65,6 +65,7 @@ from hilcell.journal.log import (
     Log,
     commanded_rad,
     covariances_mm2,
+    of_measured,
     positions_mm,
     repeated_visits,
     variances_mm2,
@@ -279,12 +280,9 @@ def _before(log: Log, point: Point) -> Point:
     return log.point(replace(point.id, kind="base" if point.id.axis else "grid"))
 
 
+@of_measured
 def revisits(log: Log, kind: str) -> Change:
     """Return whether the poses that were visited again are where they were."""
-    return log.once_measured(_revisits, kind)
-
-
-def _revisits(log: Log, kind: str) -> Change:
     names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
     return changed(_differences(log, kind), log.cell.robot.arm(), names[kind])
 

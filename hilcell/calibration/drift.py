@@ -33,7 +33,7 @@ from hilcell.calibration.influence import no_less_than_nought
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import Log, commanded_rad, noise_at, positions_mm, run_noise
+from hilcell.journal.log import Log, commanded_rad, noise_at, of_measured, positions_mm, run_noise
 from hilcell.journal.set_ups import PROOFS
 from hilcell.model.events import URAD
 from hilcell.model.point import Point
@@ -43,12 +43,9 @@ from hilcell.ports import Array, HilcellError
 # -- the tracker -----------------------------------------------------------------------------------
 
 
+@of_measured
 def tracker_drift(log: Log) -> Suspicion | None:
     """Return a slow motion of the tracker beyond the drift that the cell states, if there is."""
-    return log.once_measured(_tracker_drift)
-
-
-def _tracker_drift(log: Log) -> Suspicion | None:
     nests = [nest.name for nest in log.cell.layout.floor]
     points = [p for kind in PROOFS for p in log.measured(kind) if p.id.nest in nests]
     least_readings = 4  # of each nest
@@ -130,12 +127,9 @@ class Series:
     floor_mm: float
 
 
+@of_measured
 def robot_drift(log: Log) -> Suspicion | None:
     """Return the cause that changes the robot slowly, if one does."""
-    return log.once_measured(_robot_drift)
-
-
-def _robot_drift(log: Log) -> Suspicion | None:
     series = series_of(log)
     return None if series is None else slope_of(series, log.cell.robot.arm())
 

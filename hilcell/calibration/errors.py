@@ -20,7 +20,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
-from hilcell.journal.log import Log, noise_at, positions_mm, repeated_visits, run_noise
+from hilcell.journal.log import Log, noise_at, of_measured, positions_mm, repeated_visits, run_noise
 from hilcell.model.point import Point, Sent
 from hilcell.ports import Array
 
@@ -146,12 +146,9 @@ class VisitNoise:
         return R @ (self.robot_mm2 + noise_at(self.beam, points)) @ R.T
 
 
+@of_measured
 def visit_noise(log: Log) -> VisitNoise:
     """Return what a run's readings and its repeated visits show."""
-    return log.once_measured(_visit_noise)
-
-
-def _visit_noise(log: Log) -> VisitNoise:
     beam, visits = run_noise(log), repeated_visits(log)
     noise_mm2 = np.array([noise_at(beam, each).mean(axis=0) for each in visits])
     return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)

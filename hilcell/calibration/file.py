@@ -272,10 +272,7 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
 # A damaged number still reads as a number; a frame that stretches, or a pitch that does
 # not fit its grid, moves every target and looks sound.
 
-MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
-MOST_TURN_DEG = 180.0
-MOST_C = 100.0
 
 
 def problems_of(calibration: Calibration) -> list[str]:
@@ -299,6 +296,10 @@ def problems_of(calibration: Calibration) -> list[str]:
 class _Checks:
     """Checks of a calibration, each of which yields its problems."""
 
+    MOST_ERROR_MM = 100.0  # beyond is no robot's error
+    MOST_TURN_DEG = 180.0
+    MOST_C = 100.0
+
     calibration: Calibration
 
     def name(self) -> Iterator[str]:
@@ -321,14 +322,14 @@ class _Checks:
         for number, R in enumerate(validity.orientations):
             yield from _rotation(f"validity.orientations.{number}", _array(R))
         tolerance_deg = validity.orientation_tolerance_deg
-        if not 0 < tolerance_deg <= MOST_TURN_DEG:
+        if not 0 < tolerance_deg <= self.MOST_TURN_DEG:
             yield (
                 f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
-                f"<= {MOST_TURN_DEG:g}"
+                f"<= {self.MOST_TURN_DEG:g}"
             )
         if validity.temperature_c is None:
             return
-        yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
+        yield from _within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
         low_c, high_c = validity.temperature_c
         if not low_c <= high_c:
             yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
@@ -338,7 +339,7 @@ class _Checks:
         if errors.ndim != 4 or min(errors.shape[:3]) < 2:
             yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
             return
-        yield from _within("grid_errors_mm", errors, MOST_ERROR_MM, "mm")
+        yield from _within("grid_errors_mm", errors, self.MOST_ERROR_MM, "mm")
         pitch_mm = self.calibration.pitch_mm
         size_mm = np.subtract(self.calibration.validity.high_mm, self.calibration.validity.low_mm)
         wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
@@ -362,10 +363,10 @@ class _Checks:
             covariance = _array(station.covariance)
             if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
                 yield f"{at}.covariance: wanted 6 x 6 finite numbers"
-            if not 0 <= station.tool_uncertainty_mm <= MOST_ERROR_MM:
+            if not 0 <= station.tool_uncertainty_mm <= self.MOST_ERROR_MM:
                 yield (
                     f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
-                    f"{MOST_ERROR_MM:g}"
+                    f"{self.MOST_ERROR_MM:g}"
                 )
             yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
@@ -382,8 +383,8 @@ class _Checks:
             ("growth_per_k", stated.growth_per_k),
             ("air_range_k", stated.air_range_k),
         ):
-            if not 0 <= value <= MOST_C:
-                yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"
+            if not 0 <= value <= self.MOST_C:
+                yield f"uncertainty.{name}: {value:g}, wanted 0 .. {self.MOST_C:g}"
         for each in (
             *stated.lines,
             *(line for lines in stated.stations.values() for line in lines),
@@ -414,20 +415,20 @@ class _Checks:
             if _array(update.motion).shape != wanted:
                 yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
             elif update.motion:
-                yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
+                yield from _within(f"{at}: motion", update.motion, self.MOST_ERROR_MM, "mm")
 
     def targets(self) -> Iterator[str]:
         if self.calibration.targets is None:
             return
         variance_mm2 = self.calibration.targets.variance_mm2
-        if not 0 < variance_mm2 <= MOST_ERROR_MM**2:
+        if not 0 < variance_mm2 <= self.MOST_ERROR_MM**2:
             yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
         for each in self.calibration.targets.passes:
             at, count = f"targets of run {each.run[:40]}", len(each.names)
             for name, values, shape, most in (
                 ("poses", each.poses, (count, 6), MOST_MM),
-                ("remainders_mm", each.remainders_mm, (count, 3), MOST_ERROR_MM),
-                ("own_mm2", each.own_mm2, (count, 3, 3), MOST_ERROR_MM**2),
+                ("remainders_mm", each.remainders_mm, (count, 3), self.MOST_ERROR_MM),
+                ("own_mm2", each.own_mm2, (count, 3, 3), self.MOST_ERROR_MM**2),
             ):
                 found = _array(values)
                 if found.shape != shape or not np.abs(found).max() <= most:
@@ -444,8 +445,8 @@ class _Checks:
             if not all(0 <= figure <= MOST_MM for figure in figures):
                 shown = ", ".join(f"{each:g}" for each in figures)
                 yield f"{at}: {shown}, wanted 0 .. {MOST_MM:g} mm"
-            elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):
-                yield f"{at}: orientation {each.turn}, wanted 0 .. {MOST_TURN_DEG:g} deg"
+            elif not all(0 <= deg <= self.MOST_TURN_DEG for deg in each.turn or ()):
+                yield f"{at}: orientation {each.turn}, wanted 0 .. {self.MOST_TURN_DEG:g} deg"
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:

@@ -124,20 +124,18 @@ def grid_pairs(log: Log) -> Pairs:
     return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
 
 
-FALSE_ALARMS = 0.01  # expected of a whole grid whose residuals are normal
-
-
 def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
     """Return which (nx, ny, nz) of the errors (nx, ny, nz, 3) stand out, by more than ``least_mm``.
 
-    The limit is the quantile that a sound grid exceeds with the probability `FALSE_ALARMS`, of
-    the distance of three normal coordinates, at the spread that the median shows. The worst is
-    taken out and the rest judged again, so that it neither hides nor accuses its neighbours.
+    The limit is the quantile that a sound grid exceeds once in a hundred, of the distance of three
+    normal coordinates, at the spread that the median shows. The worst is taken out and the rest
+    judged again, so that it neither hides nor accuses its neighbours.
     """
+    false_alarms = 0.01  # expected of a whole grid whose residuals are normal
     errors = np.asarray(errors_mm, dtype=float)
     values, A = errors.reshape(-1, 3), _terms(errors.shape[:3])
     kept: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
-    highest = _quantile(1.0 - FALSE_ALARMS / len(values))
+    highest = _quantile(1.0 - false_alarms / len(values))
     while 2 * np.count_nonzero(kept) > len(values):
         off_mm = _studentized_mm(A[kept], values[kept])
         sigma_mm = float(np.median(off_mm)) / _quantile(0.5)

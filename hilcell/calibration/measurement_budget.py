@@ -20,7 +20,7 @@ from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.cell.uncertainty import COVERAGE_FACTOR, UncertaintyTable
 from hilcell.geometry.frames import apply, motion_levers
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.journal.log import Log, of_measured, positions_mm, variances_mm2
 from hilcell.model.point import Point
 from hilcell.ports import Array
 
@@ -107,12 +107,9 @@ class Budget:
         return expanded_mm(combined_mm(lines))
 
 
+@of_measured
 def budget_of(log: Log) -> Budget | None:
     """Return the budget, or nothing where the run has framed no world and measured no points."""
-    return log.once_measured(_budget_of)
-
-
-def _budget_of(log: Log) -> Budget | None:
     if "world" not in log.frames or not log.points:
         return None
     stated = log.cell.uncertainty

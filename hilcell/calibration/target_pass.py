@@ -15,8 +15,9 @@ import numpy as np
 from hilcell.calibration.budget import target_bounds
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
-from hilcell.calibration.in_use import Visited, used, visited
+from hilcell.calibration.in_use import used, visited
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
+from hilcell.compensation.model import Prediction
 from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
@@ -184,11 +185,9 @@ def _errors_mm(log: Log) -> Array:
 def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
     """Return the pass, and its commanded poses (N, 4, 4) in {B}."""
     calibration, points = used(log), target_points(log)
-    found: Visited = visited(log, points, points[0].station)
+    found = visited(log, points, points[0].station)
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
-    at = poses.copy()
-    at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
-    model_mm = calibration.learnt_model().predict(at).error_mm
+    model_mm = _predicted(calibration, poses).error_mm
     remainders_mm = found.actual_mm - poses[:, :3, 3] - model_mm
     this = TargetPass(
         run,
@@ -201,9 +200,14 @@ def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
     return this, poses
 
 
-def _stated_mm2(calibration: Calibration, poses: Array) -> float:
-    """Return the mean variance of one coordinate that the model states at poses."""
+def _predicted(calibration: Calibration, poses: Array) -> Prediction:
+    """Return the learnt model's prediction at poses, for one outside at the volume's face."""
     at = poses.copy()
     at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
-    covariance_mm2 = calibration.learnt_model().predict(at).covariance_mm2
+    return calibration.learnt_model().predict(at)
+
+
+def _stated_mm2(calibration: Calibration, poses: Array) -> float:
+    """Return the mean variance of one coordinate that the model states at poses."""
+    covariance_mm2 = _predicted(calibration, poses).covariance_mm2
     return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3

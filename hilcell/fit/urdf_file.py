@@ -36,8 +36,6 @@ from hilcell.geometry.statistics import lengths_mm
 # recurse. It stays bytes: whatever is not replaced is written back byte for byte, meshes,
 # inertias, comments and layout.
 
-SPACE = re.compile(rb"\s*")
-
 
 class NotUrdf(ValueError):
     """Bytes that are no URDF, or one that is not taken."""
@@ -101,6 +99,8 @@ class JointText:
 class UrdfText:
     """The bytes of a URDF, the robot's name, where its tag ends, its links and joints."""
 
+    SPACE = re.compile(rb"\s*")
+
     content: bytes
     name: str = ""
     tag_end: int = 0
@@ -119,7 +119,7 @@ class UrdfText:
                 edits.append((start, end, (tag + ("/>" if closed else ">")).encode()))
             else:
                 at = joint.tag_end
-                indent = _matched(SPACE, self.content, at)
+                indent = _matched(self.SPACE, self.content, at)
                 edits.append((at, at, self.content[at:indent] + f"{tag}/>".encode()))
         content = self.content
         for start, end, text in sorted(edits, reverse=True):

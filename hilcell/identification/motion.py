@@ -19,7 +19,6 @@ from hilcell.ports import HilcellError
 
 LEAST_SAMPLES, LEAST_READINGS = 100, 12
 JUMP_RAD = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
-RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
 
 
 class BadStream(HilcellError):
@@ -31,6 +30,8 @@ class BadStream(HilcellError):
 @dataclass(frozen=True, slots=True)
 class SweepStream:
     """One sweep of one axis: N samples of the tracker, M readings of the joints; times in s."""
+
+    RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
 
     device_s: Array  # (N,) the tracker's own clock
     xyz_mm: Array  # (N, 3) in {B}
@@ -111,10 +112,10 @@ class SweepStream:
             np.linalg.norm(nominal_mm),
             np.median(np.linalg.norm(lever_mm, axis=1)),
         )
-        if not abs(found_mm - radius_mm) <= RADIUS_MM:
+        if not abs(found_mm - radius_mm) <= self.RADIUS_MM:
             raise BadStream(
                 f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted "
-                f"{radius_mm:.1f} +-{RADIUS_MM:g} mm: "
+                f"{radius_mm:.1f} +-{self.RADIUS_MM:g} mm: "
                 "units are not mm and rad, or another axis or reflector moved"
             )
         ahead = nominal_mm / radius_mm

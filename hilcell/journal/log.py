@@ -16,6 +16,7 @@ from collections.abc import (
     MutableMapping,
     Sequence,
 )
+from functools import wraps
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, TypeVarTuple
@@ -520,12 +521,19 @@ def covariances_mm2(points: Sequence[Point], R: Array) -> Array:
     return turned
 
 
+def of_measured(compute: Callable[[Log, *Args], T]) -> Callable[[Log, *Args], T]:
+    """Compute what a log's points show once until more is measured, as `Log.once_measured` does."""
+
+    @wraps(compute)
+    def kept(log: Log, *args: *Args) -> T:
+        return log.once_measured(compute, *args)
+
+    return kept
+
+
+@of_measured
 def run_noise(log: Log) -> BeamNoise:
     """Return the noise of readings, from the scatter that all points of a run state."""
-    return log.once_measured(_run_noise)
-
-
-def _run_noise(log: Log) -> BeamNoise:
     points = list(log.points.values())
     std_mm = [point.std_mm for point in points]
     return beam_noise(positions_mm(points), std_mm, [point.samples for point in points])
