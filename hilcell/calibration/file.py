@@ -28,6 +28,7 @@ from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.tip import AT_REFLECTOR, Tip
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
+from hilcell.clean import counted
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import (
@@ -228,8 +229,8 @@ def compensate_targets(
     if len(far):
         named = ", ".join(names[n] for n in far[:NAMED])
         raise HilcellError(
-            f"{len(far)} targets are not in the cell, wanted within +-{MOST_MM:g} mm and deg: "
-            f"{named}"
+            f"{counted(len(far), 'target')} not in the cell, expected within +-{MOST_MM:g} mm and "
+            f"deg; correct the numbers: {named}"
         )
     T_W_B = calibration.base(station)
     poses = poses_from_zyx(targets)
@@ -255,15 +256,16 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
     if len(inward):
         named = ", ".join(names[n] for n in inward[:NAMED])
         raise HilcellError(
-            f"{len(inward)} of {len(names)} targets have the tool point out of the part: its z "
-            f"must point into the part, against the outward normal; turn them: {named}"
+            f"the tool's z points out of the part at {len(inward)} of "
+            f"{counted(len(names), 'target')}, expected into it, against the outward normal; turn "
+            f"them: {named}"
         )
     if len(far):
         named = ", ".join(f"{names[n]} by {found_deg[n]:.2f} deg" for n in far[:NAMED])
         raise HilcellError(
-            f"{len(far)} of {len(names)} targets turned away from the calibrated orientation, "
-            f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation, or for more "
-            "than one with plan.tilt_deg or plan.grid_orientations"
+            f"{len(far)} of {counted(len(names), 'target')} turned away from the calibrated "
+            f"orientation, expected <= {limit_deg} deg: {named}; calibrate with "
+            "their orientation, or for more than one with plan.tilt_deg or plan.grid_orientations"
         )
 
 

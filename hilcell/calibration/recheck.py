@@ -25,6 +25,7 @@ from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weight
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.in_use import used, visited
 from hilcell.calibration.influence import no_less_than_nought
+from hilcell.clean import counted
 from hilcell.geometry.frames import cross_matrix, from_rotvec, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm
@@ -81,7 +82,7 @@ class Rechecked:
         """Raise `NotJudged` where the poses are too few or their errors no numbers."""
         count = len(self.errors_mm)
         if not count >= FEWEST:
-            raise NotJudged(f"re-check: {count} poses, wanted at least {FEWEST}")
+            raise NotJudged(f"re-check: {counted(count, 'pose')}, expected at least {FEWEST}")
         if not np.isfinite(self.errors_mm).all():
             raise NotJudged("re-check: an error is not finite; measure again")
 

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from hilcell.clean import clean
+from hilcell.clean import clean, counted
 from hilcell.errors import HilcellError, bounded
 from hilcell.typed import Json, typed
 
@@ -66,7 +66,7 @@ class SettingsError(HilcellError):
 
     def __init__(self, source: str, problems: list[str]) -> None:
         self.source, self.problems = source, problems
-        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        count = counted(len(problems), "problem")
         super().__init__(
             f"{source}: {count}\n"
             + "\n".join(f"  {line}" for line in bounded(problems, most=self.MOST_SHOWN))

@@ -31,6 +31,7 @@ from hilcell.calibration.orientation import turn_bounds_deg
 from hilcell.calibration.tip import Tip
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
+from hilcell.clean import counted
 from hilcell.compensation.stamp import CorrectedBefore, Stamp
 from hilcell.compensation.targets import BOUND, csv_of
 from hilcell.errors import bounded
@@ -294,9 +295,10 @@ def refuse_known(
                 continue
             which = ", ".join(bounded([names[n] for n in np.flatnonzero(same)]))
             raise CorrectedBefore(
-                f"{source}: {int(same.sum())} of {len(places_mm)} targets are corrected ones "
-                f"({which}; {stamps[int(nearest[int(np.argmax(same))])]}), whose stamp was lost; a "
-                "second correction would move them by the error once more: give the nominal targets"
+                f"{source}: {int(same.sum())} of {counted(len(places_mm), 'target')} corrected "
+                f"before ({which}; {stamps[int(nearest[int(np.argmax(same))])]}), whose stamp was "
+                "lost; a second correction would move them by the error once more: give "
+                "the nominal targets"
             )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, Station
+from hilcell.clean import counted
 from hilcell.compensation.grid import ROUNDING_MM
 from hilcell.compensation.targets import unit_hint
 from hilcell.errors import MOST_LISTED, indented
@@ -271,7 +272,7 @@ def _refuse_unreached(
             for n in bad[:MOST_LISTED].tolist()
         )
         named = indented(why, len(bad))
-        count = f"{len(ok)} hole{'s' * (len(ok) != 1)}"
+        count = counted(len(ok), "hole")
         places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
         hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
         raise UnreachableHoles(

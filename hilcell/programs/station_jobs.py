@@ -28,7 +28,7 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import harmless
+from hilcell.clean import counted, harmless
 from hilcell.compensation.programs import Stroke
 from hilcell.compensation.station_program import writer_of
 from hilcell.compensation.targets import HEADER, as_listed, target_rows
@@ -194,7 +194,7 @@ class StationJobs:
         lost = straight_way(calibration.lost_motion, drilling.arm, T_W_B, straight_rad)
         sent = as_listed(targets.command - np.pad(lost.shift_mm, ((0, 0), (0, 3))))
         count = len(plan.holes)
-        place = f"{count} hole{'s' * (count != 1)} at station {name}"
+        place = f"{counted(count, 'hole')} at station {name}"
         if cell.has_rail:
             place += f": the strip must read {plan.station.strip_mm:.2f} mm, the slide held"
         remarks = [
@@ -312,7 +312,7 @@ class StationJobs:
         unknown = [
             each for job in jobs for each in released.remember(job.targets.stamp, *job.points)
         ]
-        stations = f"{len(jobs)} station{'s' * (len(jobs) != 1)}"
+        stations = counted(len(jobs), "station")
         programs = f"no programs: no writer is installed for robots of {self.cell.robot.driver}"
         if any(job.program for job in jobs):
             programs = (
@@ -334,8 +334,7 @@ class StationJobs:
         count, places = sum(len(each.plan.holes) for each in self.stations), len(self.stations)
         bounds = [each.targets.bounds for each in self.stations]
         return Sheet(
-            title=f"Drilling sheet: {count} hole{'s' * (count != 1)} at {places} "
-            f"station{'s' * (places != 1)}",
+            title=f"Drilling sheet: {counted(count, 'hole')} at {counted(places, 'station')}",
             simulated=made.simulated,
             has_rail=self.cell.has_rail,
             facts=self._facts(),

@@ -18,6 +18,7 @@ from hilcell.calibration.tip import AT_REFLECTOR, Tip, tip_named, tip_of_program
 from hilcell.cell.devices import rides_on_robot
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.settings import SettingsError
+from hilcell.clean import counted
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
     Program,
@@ -202,7 +203,7 @@ class StationTargets(TargetFiles):
         return [
             *notes,
             *self.released.remember(stamp, *self.points),
-            f"{count} target{'s' * (count != 1)} corrected for {stamp.station} into {written}",
+            f"{counted(count, 'target')} corrected for {stamp.station} into {written}",
             self.targets.summary,
             *self.remarks,
             *self.released.notes(),
@@ -365,7 +366,7 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
     other = [f"{where}: S {s}" for where, s in stated if s & POSTURE_BITS != status & POSTURE_BITS]
     if other:
         raise ProgramError(
-            f"{len(other)} of {len(stated)} targets are reached in another posture than the "
+            f"{len(other)} of {counted(len(stated), 'target')} in another posture than the "
             f"calibrated one, S {status}: no correction is known there; state them in that posture,"
             f" or measure theirs (robot.status of a cell)\n{indented(other)}"
         )

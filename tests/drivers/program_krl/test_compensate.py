@@ -63,7 +63,7 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
         (SRC.replace("lin xp2", "LIN_REL {Z 1}"), DAT, "drill.src line 32"),
         (SRC, DAT.replace("Z +1000.5", "Z 9000"), "XP1 (drill.dat line 8)"),
         (SRC, DAT.replace("50.0,Z 1200.0,A 0.0,B 75.0", "50.0,Z 1200.0,A 0.0,B 85.0"), "9.90 deg"),
-        (SRC, DAT.replace("Z +1000.5", "Z 1E308"), "1 targets"),
+        (SRC, DAT.replace("Z +1000.5", "Z 1E308"), "1 target "),
     ],
 )
 def test_refused_and_nothing_written(desk: Workplace, src: str, dat: str, token: str) -> None:
