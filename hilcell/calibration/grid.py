@@ -20,7 +20,7 @@ from itertools import combinations_with_replacement
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hilcell.cell.file import Cell, coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
@@ -30,7 +30,7 @@ from hilcell.geometry.frames import (
     inverse,
     matrix,
 )
-from hilcell.geometry.kinematics import Array, forward
+from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.readings import Readings
 from hilcell.identification.sweeps import curve_of
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
@@ -124,7 +124,7 @@ def grid_pairs(log: Log) -> Pairs:
     return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
 
 
-def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
+def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
     """Return which (nx, ny, nz) of the errors (nx, ny, nz, 3) stand out, by more than ``least_mm``.
 
     The limit is the quantile that a sound grid exceeds once in a hundred, of the distance of three
@@ -134,7 +134,7 @@ def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
     false_alarms = 0.01  # expected of a whole grid whose residuals are normal
     errors = np.asarray(errors_mm, dtype=float)
     values, A = errors.reshape(-1, 3), _terms(errors.shape[:3])
-    kept: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
+    kept: Bools = np.asarray(np.isfinite(values).all(axis=1))
     highest = _quantile(1.0 - false_alarms / len(values))
     while 2 * np.count_nonzero(kept) > len(values):
         off_mm = _studentized_mm(A[kept], values[kept])
@@ -204,7 +204,7 @@ class Binned:
 
     centre: Array
     difference_mm: Array
-    count: NDArray[np.int_]
+    count: Ints
 
     @property
     def similarity(self) -> Array:

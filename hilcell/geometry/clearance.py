@@ -253,7 +253,7 @@ class Body:
         return Tightest(float(found[at]), int(at[1]), int(at[2]), float(shares[at[0]]))
 
     def clearances_mm(self, postures: Array, enough_mm: Array) -> Array:
-        """Return `clearance.clearance_mm` (N, C, V) at postures (N, 7)."""
+        """Return `clearance_mm` (N, C, V) at postures (N, 7)."""
         ends_mm = placed_mm(self.arm, self.capsules, postures[:, 1:])
         boxes, along = self._boxes
         shift_mm = postures[:, :1, None] * along

@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.geometry.kinematics import Arm, Array, Bools, forward, link_transforms
 from hilcell.ports import HilcellError
 
 LEAST_SAMPLES, LEAST_READINGS = 100, 12
@@ -201,13 +200,13 @@ def _between_ends(angle_rad: Array) -> slice:
     return slice(int(inner[0]), int(inner[-1]) + 1)
 
 
-def _without_spikes(angle_rad: Array) -> NDArray[np.bool_]:
+def _without_spikes(angle_rad: Array) -> Bools:
     """Return which samples (N,) lie between their neighbours; many that do not are no spikes."""
     near = np.lib.stride_tricks.sliding_window_view(angle_rad, 5)
     off_rad = np.zeros(len(angle_rad))
     off_rad[2:-2] = np.abs(near[:, 2] - np.median(near[:, [0, 1, 3, 4]], axis=1))
     spike_sigma, spikes_share, least_spike_rad = 8.0, 0.02, 2e-5
-    kept: NDArray[np.bool_] = off_rad <= spike_sigma * 1.48 * np.median(off_rad) + least_spike_rad
+    kept: Bools = off_rad <= spike_sigma * 1.48 * np.median(off_rad) + least_spike_rad
     if not np.mean(~kept) <= spikes_share:
         raise BadStream(
             f"{np.sum(~kept)} of {len(kept)} samples stand out from their neighbours, wanted <= "
@@ -244,7 +243,7 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
         )
 
 
-def _read_times(stream: SweepStream) -> tuple[Array, NDArray[np.bool_], float]:
+def _read_times(stream: SweepStream) -> tuple[Array, Bools, float]:
     """Return when joints were read (M,), in the cell's time, and which were answered promptly;
     with the standard uncertainty of all.
     """

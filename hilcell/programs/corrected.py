@@ -323,20 +323,17 @@ def _noted(file: Path) -> tuple[list[str], Array]:
 
     Lines that a crash has cut count for none.
     """
-    if not file.is_file():
-        return [], np.empty((0, 4))
-    found = list(_points(file))
-    return [stamp for stamp, _ in found], np.array([row for _, row in found]).reshape(-1, 4)
-
-
-def _points(file: Path) -> Iterator[tuple[str, list[float]]]:
-    with file.open(encoding="utf-8", errors="replace", newline="") as lines:
-        for row in csv.reader(lines):
-            if len(row) != 5:
-                continue
-            try:
-                numbers = [float(value) for value in row[1:]]
-            except ValueError:
-                continue
-            if np.isfinite(numbers).all():
-                yield row[0], numbers
+    stamps, points = list[str](), list[list[float]]()
+    if file.is_file():
+        with file.open(encoding="utf-8", errors="replace", newline="") as lines:
+            for row in csv.reader(lines):
+                if len(row) != 5:
+                    continue
+                try:
+                    numbers = [float(value) for value in row[1:]]
+                except ValueError:
+                    continue
+                if np.isfinite(numbers).all():
+                    stamps.append(row[0])
+                    points.append(numbers)
+    return stamps, np.array(points).reshape(-1, 4)
