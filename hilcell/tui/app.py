@@ -31,7 +31,7 @@ from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import GarbageCollector, run_in_thread
-from hilcell.tui.engine.session import OpenRuns
+from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.keys import ACTIONS, BY_NAME, Action, shown, wait_until_built, wait_until_processed
 from hilcell.tui.screens.base import Application, BaseScreen, Confirm, Options
 from hilcell.tui.terminal.driver import LATE_S, StopDriver

@@ -52,4 +52,4 @@ def test_nothing_else_has_msgspec_learn_a_type() -> None:
     files = {file for room in rooms for file in (ROOT / room).rglob("*.py")}
     files.remove(ROOT / "hilcell" / "typed.py")
     found = [str(file) for file in files if DIRECT.search(file.read_text("utf-8"))]
-    assert found == [str(ROOT / "hilcell" / "journal" / "packed.py")]  # which learns it first
+    assert found == [str(ROOT / "hilcell" / "journal" / "log.py")]  # which learns it first

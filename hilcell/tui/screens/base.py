@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
     from hilcell.alarms import Latch
+    from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
-    from hilcell.tui.engine.session import OpenRuns, Session
+    from hilcell.tui.engine.session import Session
     from hilcell.tui.text.alarms import AlarmContext
 
 

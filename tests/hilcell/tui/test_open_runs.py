@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hilcell.tui.engine.feed import RunUpdate, utc_now
+from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import OpenRuns
 from tests.hilcell.tui.recording_app import RecordingSession
 
 
