@@ -31,7 +31,7 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms
 from hilcell.journal.log import Log, variances_mm2
-from hilcell.model.outcome import Outcome
+from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point
 from hilcell.model.verdicts import (
     AD,
@@ -61,9 +61,9 @@ class Worst(NamedTuple):
     limit: float | None
 
     @property
-    def holds(self) -> bool:
-        """Whether value and U together keep the limit; a value that is no number does not."""
-        return self.limit is None or self.value + self.U <= self.limit
+    def outcome(self) -> Outcome | None:
+        """Return the decision, by the rule that judges all results; None without a limit."""
+        return None if self.limit is None else outcome_of(self.value, self.limit, self.U)
 
 
 # -- results, with the names that they have in JSON; lengths in mm, U at 95 % (k = 2) --------------

@@ -15,7 +15,7 @@ from hilcell.calibration.iso9283 import (
     PoseTest,
     Worst,
 )
-from hilcell.model.outcome import RULE, Outcome
+from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
@@ -127,18 +127,13 @@ class PoseReport:
 def _columns(
     facts: Facts, unit: str, form: str, name: Callable[[Worst], str]
 ) -> tuple[Column[Worst], ...]:
-    def verdict(row: Worst) -> str:
-        if row.limit is None:
-            return "not judged"
-        return facts.outcome_words(Outcome.ACCEPTED if row.holds else Outcome.REJECTED)
-
     return (
         Column("characteristic", name),
         Column("at", attrgetter("where")),
         Column("value", attrgetter("value"), unit, form),
         Column("U", attrgetter("U"), unit, form),
         Column("limit", attrgetter("limit"), unit, form),
-        Column("verdict", verdict, form="s"),
+        Column("verdict", lambda row: facts.outcome_words(row.outcome, "not judged"), form="s"),
     )
 
 

@@ -34,8 +34,9 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
-from hilcell.model.verdicts import ISO
+from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.report.journals import Writer
@@ -193,6 +194,12 @@ def test_a_limit_is_kept_with_the_uncertainty(limits: dict[str, float], holds: b
     assert judged is not None
     assert judged.holds is holds
     assert limits.items() <= plain(judged).items()
+
+
+def test_a_report_s_row_is_judged_by_the_same_rule() -> None:
+    outcomes = {each.of: each.outcome for each in result(ap_limit_mm=1.05).figures()}
+    assert outcomes[AP] is Outcome.UNDECIDED  # AP keeps it, AP + U does not
+    assert outcomes[RP] is None
 
 
 ANGLES = {

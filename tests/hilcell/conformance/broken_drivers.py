@@ -292,7 +292,7 @@ class ClientKilled(Robot):
         number = super().begin(start)
         controller: Any = self._controller
         controller._line.write("$TIMER[10]", "-600000")
-        controller._life.give = lambda line: None
+        controller._life.give = lambda: None
         return number
 
 
