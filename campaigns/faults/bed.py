@@ -146,8 +146,8 @@ class Bed:
 
 APART = """
 import sys
-from hilcell.commands.cli import main
+from hilcell.__main__ import entry
 from campaigns.faults.bed import hasten
 hasten()
-sys.exit(main(sys.argv[1:]))
+sys.exit(entry())
 """
