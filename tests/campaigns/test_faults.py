@@ -10,9 +10,10 @@ from campaigns.__main__ import main
 from campaigns.faults.bed import hasten
 from campaigns.faults.campaign import cases, judge_case
 from campaigns.faults.injections import Injection, Knob
+from campaigns.faults.judging import judged
 from campaigns.faults.page import PAGE
-from campaigns.faults.phases import Phase
-from campaigns.faults.script import Case
+from campaigns.faults.phases import Event, Phase
+from campaigns.faults.script import Case, Ran
 from campaigns.faults.table import FAULTS
 from tests.whole.bench import sweep
 
@@ -41,6 +42,34 @@ def test_a_fault_in_a_phase(
     verdict = judge_case(Case(number, injection, phase))
     assert verdict.problems == ()
     assert verdict.reaction == reaction
+
+
+def ran_to(exit_code: int, *events: Event) -> Ran:
+    return Ran([*events], [exit_code], "", [], struck=True, session=1, T_W_B=[])
+
+
+END: Event = {"kind": "end", "exit": 3, "error": {"code": "HC-C32"}}
+NO_READING: Event = {"kind": "event", "what": "no reading"}
+
+
+@pytest.mark.parametrize(
+    ("number", "phase", "ran", "reaction", "holds"),
+    [
+        (32, Phase.ROBOT, ran_to(1, NO_READING), "finished, exit 1", True),  # and not "went on"
+        (32, Phase.ROBOT, ran_to(0, NO_READING), "tried again, went on", False),
+        (6, Phase.ROBOT, ran_to(3, END), "safe stop HC-C32", True),
+        (6, Phase.MEASURING, ran_to(3, END), "safe stop HC-C32", False),
+        (6, Phase.RAIL, ran_to(3, END), "safe stop HC-C32", False),  # it is asked before
+        (46, Phase.ROBOT, ran_to(3, END), "safe stop HC-C32", False),  # a robot's fault
+    ],
+)
+def test_the_end_of_a_run_is_judged(
+    number: int, phase: Phase, ran: Ran, reaction: str, holds: bool
+) -> None:
+    fault = next(each for each in FAULTS if each.number == number)
+    found = judged(fault, Case(number, Knob("robot.e_stop", lasts=True), phase), ran, ran_to(0))
+    assert found.reaction == reaction
+    assert (found.problems == ()) is holds
 
 
 def test_the_table_is_in_order_and_its_cases_are_distinct() -> None:
