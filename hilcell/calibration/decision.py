@@ -21,7 +21,7 @@ from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
-from hilcell.model.outcome import Figure, Outcome, gravest
+from hilcell.model.outcome import Outcome, gravest
 from hilcell.model.verdicts import Judged, Limits, Turn
 from hilcell.ports import Array, HilcellError
 
@@ -126,28 +126,27 @@ def judged(
     a limit of it. ``also`` is the outcome of another test that must accept as well, ``words`` what
     it says.
     """
-    figures = [
-        Figure("mean", mean_mm, "mm", limits.mean_mm, guard.mean_mm),
-        Figure("largest", max_mm, "mm", limits.max_mm, guard.max_mm),
-    ]
-    if turn is not None and limits.max_deg is not None:
-        figures.append(Figure("orientation", turn.max_deg, "deg", limits.max_deg, turn.U_deg))
-    outcome = gravest([also, *(each.outcome for each in figures)])
-    found = Judged(
-        holds=outcome is Outcome.ACCEPTED,
+    stated = Judged(
+        holds=False,
         mean_mm=mean_mm,
         mean_tolerance_mm=limits.mean_mm,
         max_mm=max_mm,
         max_tolerance_mm=limits.max_mm,
         mean_U_mm=guard.mean_mm,
         max_U_mm=guard.max_mm,
+        decided=Outcome.REJECTED,
+        decision="",
+    )
+    if turn is not None and limits.max_deg is not None:
+        stated = replace(
+            stated, max_deg=turn.max_deg, max_tolerance_deg=limits.max_deg, max_U_deg=turn.U_deg
+        )
+    outcome = gravest([also, *(each.outcome for each in stated.figures)])
+    return replace(
+        stated,
+        holds=outcome is Outcome.ACCEPTED,
         decided=outcome,
         decision=words if words and outcome is also else outcome.decision,
-    )
-    if turn is None or limits.max_deg is None:
-        return found
-    return replace(
-        found, max_deg=turn.max_deg, max_tolerance_deg=limits.max_deg, max_U_deg=turn.U_deg
     )
 
 
