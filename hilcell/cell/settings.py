@@ -238,8 +238,13 @@ def near_misses(word: str, known: Iterable[str], most: int = 1) -> list[str]:
     """Return the known words of which this one may be a slip, the likeliest first."""
     one_slip = 0.75  # of characters in common, in words of five
     plain = {each.lstrip("-"): each for each in known}  # dashes are in common of all options
-    found = difflib.get_close_matches(word[:LONGEST_VALUE].lstrip("-"), plain, most, one_slip)
-    return [plain[each] for each in found]
+    matcher = difflib.SequenceMatcher(b=word[:LONGEST_VALUE].lstrip("-"))
+    alike = {}
+    for each in sorted(plain):
+        matcher.set_seq1(each)
+        alike[plain[each]] = matcher.ratio(), matcher.find_longest_match().size
+    likely = sorted(alike, key=alike.__getitem__, reverse=True)
+    return [each for each in likely if alike[each][0] >= one_slip][:most]
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

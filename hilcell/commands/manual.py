@@ -41,10 +41,10 @@ from hilcell.errors import HilcellError
 def explain(args: Explain) -> int:
     """Print one entry of the catalogue; an unknown code with those that are most like it."""
     known = catalogue()
-    named = re.sub(r"^HC(?=[A-Z])", "HC-", args.code.upper())
+    named = re.sub("^(HC[- ]?)?", "HC-", args.code.upper(), count=1)
     if named not in known:
-        nearest = ", ".join(near_misses(args.code.upper(), known, most=3))
-        hint = f"the nearest known: {nearest}" if nearest else "codes are like HC-T10"
+        near = near_misses(named, known, most=3)
+        hint = f"did you mean {' or '.join(near)}?" if near else "codes are like HC-T10"
         raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
     entry = known[named]
     facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}

@@ -10,7 +10,7 @@ from hilcell.alarms import catalogue
 from hilcell.commands.cli import main
 
 
-@pytest.mark.parametrize("typed", ["hc-r31", "hcr31"])
+@pytest.mark.parametrize("typed", ["hc-r31", "hcr31", "r31", "HC R31"])
 def test_a_code_is_explained_in_words(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", typed]) == 0
     said = capsys.readouterr().out
@@ -26,12 +26,27 @@ def test_a_code_is_explained_to_a_program(capsys: pytest.CaptureFixture[str]) ->
     assert found["code"] == "HC-T10"
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("HC-R311", "HC-R31 "),
+        ("HC-T1O", "HC-T10 "),
+        ("HC-T1", "HC-T10 "),
+        ("T1", "HC-T10 "),
+        ("R311", "HC-R31 "),
+    ],
+)
 def test_an_unknown_code_is_refused_with_those_most_like_it(
-    capsys: pytest.CaptureFixture[str],
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["explain", "HC-R311"]) == 2
+    assert main(["explain", typed]) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert "HC-R31," in said.err
+    assert f"did you mean {meant}" in said.err
+
+
+def test_codes_are_described_where_none_is_like_an_unknown_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["explain", "bogus"]) == 2
-    assert "the nearest" not in capsys.readouterr().err
+    assert "; codes are like HC-T10" in capsys.readouterr().err

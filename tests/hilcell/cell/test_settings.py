@@ -75,6 +75,7 @@ def test_what_is_nested_too_deeply_is_refused() -> None:
         ("rial", ["rail", "tracker"], "rail"),
         ("calbirate", ["calibrate", "recheck"], "calibrate"),
         ("--jsn", ["--json", "--set"], "--json"),
+        ("rail_1O", ["rail_61", "rail_71", "rail_10"], "rail_10"),
         ("nosuch", ["touch", "calibrate"], ""),
         ("--bogus", ["--runs", "--bounds"], ""),
         ("rail.interface", ["rail", "tracker"], ""),
