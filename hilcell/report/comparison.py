@@ -333,12 +333,16 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Changes between two runs. ``moved_mm`` is the change of the error at each vertex."""
+    """Changes between two runs. ``moved_mm`` is the change of the error at each vertex.
+
+    ``unfinished``: a run had not measured all of its plan, so that more may come to light.
+    """
 
     settings: list[Setting]
     changes: list[Change]
     moved_mm: dict[str, float]
     notes: list[str]
+    unfinished: bool
 
     @property
     def drifted(self) -> list[Change]:
@@ -352,7 +356,10 @@ class Comparison:
         if not judged:
             return "no uncertainty is stated for the figures of both runs: nothing is judged"
         if not self.drifted:
-            return f"no drift: all {len(judged)} judged changes are within their uncertainty"
+            so_far = " so far" if self.unfinished else ""
+            return (
+                f"no drift{so_far}: all {len(judged)} judged changes are within their uncertainty"
+            )
         return f"drift: {len(self.drifted)} of {len(judged)} judged changes are beyond it"
 
 
@@ -385,14 +392,14 @@ def compare_runs(
             f"nothing to compare: {_has(first)} and {_has(second)} have no frame, grid or "
             "validation in common; compare two calibrations"
         )
+    runs = _Runs(first, second)
+    unfinished = list(runs.unfinished(live))
     return Comparison(
-        _Runs(first, second).settings(),
-        [*changes, *_Runs(first, second).air()],
+        runs.settings(),
+        [*changes, *runs.air()],
         drift.moved_mm if drift is not None else {},
-        [
-            *_Runs(first, second).unfinished(live),
-            *_Runs(first, second).notes(grids=drift is not None),
-        ],
+        [*unfinished, *runs.notes(grids=drift is not None)],
+        bool(unfinished),
     )
 
 

@@ -132,6 +132,13 @@ def test_a_run_is_as_itself(first: Log, records: list[Record]) -> None:
     assert len(found.notes) == 1
 
 
+def test_a_run_under_way_has_not_drifted_so_far(first: Log, records: list[Record]) -> None:
+    assert compare_runs(first, Log(records)).verdict.startswith("no drift: all ")
+    under_way = compare_runs(first, Log(records[: -len(records) // 10]), live=(False, True))
+    assert under_way.unfinished
+    assert under_way.verdict.startswith("no drift so far: all ")
+
+
 def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
     log = Log(read_journal(golden["seats"].folder / JOURNAL))
     found = compare_runs(log, log)
@@ -402,7 +409,7 @@ def compared(pair: tuple[Path, Path], *words: str) -> subprocess.CompletedProces
 def test_the_command(pair: tuple[Path, Path], seeds: Comparison) -> None:
     found = json.loads(compared(pair, "--json").stdout)
     assert list(found) == [
-        "first", "second", "verdict", "settings", "changes", "moved_mm", "notes",
+        "first", "second", "verdict", "settings", "changes", "moved_mm", "notes", "unfinished",
     ]  # fmt: skip
     assert (found["first"], found["second"]) == (pair[0].name, pair[1].name)
     assert len(found["changes"]) == len(seeds.changes)
