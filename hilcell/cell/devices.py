@@ -282,14 +282,16 @@ def check_options(cell: Cell) -> None:
     Raises `SettingsError` with all problems.
     """
     problems: list[str] = []
+    unknown = False
     anywhere = {} if cell.simulation is None else stand_ins(cell)
     for table, group in TABLES:
         try:
             driver_options(cell, table, group, anywhere.get(table, {}))
         except SettingsError as error:
             key = "driver" if error.source == group else "options"
+            unknown = unknown or key == "driver"
             problems += [f"{table}.{key}: {line}" for line in error.problems]
-    if cell.simulation is not None:
+    if cell.simulation is not None and not unknown:
         try:
             load_entry("simulators", cell.simulation.simulator).check(cell)
         except SettingsError as error:

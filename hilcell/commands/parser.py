@@ -79,7 +79,11 @@ class Parser(argparse.ArgumentParser):
         """Refuse unknown words first: argparse would name missing arguments in their place."""
         self.fill()
         self._refuse_unknown(sys.argv[1:] if args is None else args)
-        return super().parse_known_args(args, namespace)
+        taken, rest = super().parse_known_args(args, namespace)
+        if rest:
+            kind = "unknown option" if rest[0].startswith("-") else "unexpected argument"
+            self.error(f"{kind} {rest[0][:80]}")
+        return taken, rest
 
     def _refuse_unknown(self, words: Sequence[str]) -> None:
         for word in words:

@@ -113,11 +113,11 @@ class Order(Signature):
             cell, accepted, used = with_calibration(cell, uses, self.runs, accepts, machine)
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
             machine = run_plan.calibrated_or_asked(machine, calibrated_machine(cell, uses))
-        steps = procedure.plan(cell, self.seed)
         try:
             check_options(cell)
         except SettingsError as error:
             raise located(self.cell, error.problems, dict(self.settings)) from None
+        steps = procedure.plan(cell, self.seed)
         check_repeated(cell, self.procedure, self.seed)
         if not self.dry_run:
             check_space(self.runs, steps.points)

@@ -47,6 +47,14 @@ def test_an_unknown_driver_is_named_beside_the_other_problems(cell: Path, text: 
         assert ("grid.pitch: " in found) is (changed is not text)
 
 
+@pytest.mark.parametrize("words", [["check"], ["run", "calibrate"]])
+def test_an_unknown_driver_is_one_problem(words: list[str]) -> None:
+    """`run` gave it for each act that plans with a robot, `check` for the simulator as well."""
+    done = command(*words, "--set", "robot.driver=nope")
+    assert done.returncode == 2
+    assert done.stderr.count("'nope' is not installed") == 1
+
+
 @pytest.mark.parametrize("words", [["check"], ["run", "home", "--cell"]])
 def test_options_of_a_driver_that_was_exchanged_are_not_the_files(
     words: list[str], cell: Path, text: str

@@ -34,6 +34,9 @@ def test_every_command_stands_in_one_group_of_the_help() -> None:
         ("--verson", "--version"),
         ("show last --bogus", "unknown option --bogus"),
         ("shwo last", "unknown command 'shwo'"),
+        ("show last more", "hilcell show: unexpected argument more"),
+        ("show last more", "`hilcell show --help`"),
+        ("plant show -x", "hilcell plant show: unknown option -x"),
     ],
 )
 def test_a_word_at_the_wrong_place_is_named_with_the_right_one(
