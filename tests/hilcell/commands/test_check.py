@@ -47,7 +47,7 @@ def test_an_unknown_driver_is_named_beside_the_other_problems(cell: Path, text: 
         assert ("grid.pitch: " in found) is (changed is not text)
 
 
-@pytest.mark.parametrize("words", [["check"], ["run", "calibrate"]])
+@pytest.mark.parametrize("words", [["check", "paper"], ["run", "calibrate"]])
 def test_an_unknown_driver_is_one_problem(words: list[str]) -> None:
     """`run` gave it for each act that plans with a robot, `check` for the simulator as well."""
     done = command(*words, "--set", "robot.driver=nope")
