@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 
+from msgspec.structs import replace
+
 from hilcell.journal.log import Log
 from hilcell.model.events import Event, OtherEvent, StepBegun
 from hilcell.model.point import HOLDS, KINDS, SEAT, SIDES, PointId
@@ -104,7 +106,7 @@ def happened_words(event: Event | OtherEvent, log: Log) -> str:
     """Return an event in words, its points by name; "" where there is nothing to say."""
     if isinstance(event, StepBegun):
         has_rail = log.plan is None or log.cell.has_rail
-        return event.begins(step_words(event.name, has_rail=has_rail))
+        return replace(event, name=step_words(event.name, has_rail=has_rail)).text
     return in_words(event.text, log)
 
 

@@ -26,14 +26,17 @@ HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is
 LOSSY = 0.005  # share of the frames on the rail's wire
 NOT_KNOWN = "devices were not all connected, and how they stand is not known"
 SUBJECTS = ("key", "station", "run")  # fields that say what an event is about
-ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 URAD = 1e6
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
-    """Something worth knowing. ``title`` is its name where the tag is no words for people."""
+    """Something worth knowing. ``title`` is its name where the tag is no words for people.
+
+    ``says`` is all of its text where a format of its fields can say it.
+    """
 
     title: ClassVar[str] = ""
+    says: ClassVar[str] = ""
 
     @property
     def what(self) -> str:
@@ -55,6 +58,11 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
     @property
     def text(self) -> str:
         """Return it in words, points by their keys; "" where there is nothing to say."""
+        return self._text()
+
+    def _text(self) -> str:
+        if self.says:
+            return self.says.format(self)
         words = " ".join(filter(None, (self.title or self.what, self.subject)))
         return words + after(self.why)
 
@@ -143,12 +151,8 @@ class DeviceLost(Reasoned, frozen=True, kw_only=True, tag="device lost"):
 class DeviceBack(Event, frozen=True, kw_only=True, tag="device back"):
     """It answers again."""
 
+    says: ClassVar[str] = "device back: {0.device} answers again"
     device: str
-
-    @property
-    def why(self) -> str:
-        """Return which device it is."""
-        return f"{self.device} answers again"
 
 
 class Closing(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -157,9 +161,7 @@ class Closing(Event, frozen=True, kw_only=True, omit_defaults=True):
     problems: dict[str, str]
     errors: dict[str, Json] = field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        """Return it in words."""
+    def _text(self) -> str:
         left = f", but look at {' and '.join(self.problems)}" if self.problems else ""
         return self.title + left
 
@@ -177,11 +179,9 @@ class Closed(Closing, frozen=True, kw_only=True, omit_defaults=True, tag="closed
     title: ClassVar[str] = "devices closed"
     took_s: float = nan
 
-    @property
-    def text(self) -> str:
-        """Return it in words."""
+    def _text(self) -> str:
         moves = not {"Rail", "Robot"}.isdisjoint(self.problems)
-        return super().text + (": not seen at rest" if moves else "")
+        return super()._text() + (": not seen at rest" if moves else "")
 
 
 class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
@@ -195,13 +195,9 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
     def followed_by(self, later: LinkCounted) -> LinkCounted:
         """Return the counts of both; how the slide was held is of the later end."""
-        return LinkCounted(
-            frames=self.frames + later.frames,
-            bad_lines=self.bad_lines + later.bad_lines,
-            refused=self.refused + later.refused,
-            malformed=self.malformed + later.malformed,
-            held_by_sdo=later.held_by_sdo,
-        )
+        counts = ("frames", "bad_lines", "refused", "malformed")
+        sums = {name: getattr(self, name) + getattr(later, name) for name in counts}
+        return msgspec.structs.replace(later, **sums)
 
     @property
     def lost(self) -> int:
@@ -233,9 +229,7 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
             f"{f'; {HELD_BY_SDO}' if self.held_by_sdo else ''}"
         )
 
-    @property
-    def text(self) -> str:
-        """Return the losses in words; "" where all was well."""
+    def _text(self) -> str:
         found = [f"{self.lost} of {self.frames} frames lost"] if self.lost else []
         found += [HELD_BY_SDO] if self.held_by_sdo else []
         return f"rail's wire: {'; '.join(found)}" if found else ""
@@ -253,42 +247,26 @@ class FactoryLinks(Event, frozen=True, kw_only=True, tag="factory links"):
 class StepBegun(Event, frozen=True, kw_only=True, tag="step"):
     """A step of the procedure begins: number ``number`` of ``of``."""
 
+    says: ClassVar[str] = "step {0.number} of {0.of} begins: {0.name}"
     name: str
     number: int = 0
     of: int = 0
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return self.begins(self.name)
-
-    def begins(self, name: str) -> str:
-        """Return that the step of this name begins."""
-        return f"step {self.number} of {self.of} begins: {name}"
 
 
 class SessionOrdered(Event, frozen=True, kw_only=True, tag="order"):
     """A session goes on: which one of its folder of runs it is, as `FolderOrder` says it."""
 
+    says: ClassVar[str] = "goes on as session {0.number}"
     number: int
     folder: str = ""
     after: str = ""
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"goes on as session {self.number}"
 
 
 class Announced(Event, frozen=True, kw_only=True, tag="announced"):
     """A motion that a person is asked to agree to."""
 
+    says: ClassVar[str] = "announced: {0.motion}"
     motion: str
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"announced: {self.motion}"
 
 
 class ScreenLost(Event, frozen=True, tag="screen lost"):
@@ -348,9 +326,7 @@ class ChangesAccepted(Event, frozen=True, kw_only=True, tag="changes accepted"):
     changes: list[str]
     by: str
 
-    @property
-    def text(self) -> str:
-        """Return it in words."""
+    def _text(self) -> str:
         return f"{self.what} by {self.by}: {'; '.join(self.changes)}"
 
 
@@ -390,10 +366,8 @@ class StationHeld(Event, frozen=True, kw_only=True, tag="station held"):
     rail_mm: float = nan
     began: ReadingTime | None = None
 
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        which = ORDINALS.get(self.tries, f"{self.tries}th")
+    def _text(self) -> str:
+        which = {1: "1st", 2: "2nd", 3: "3rd"}.get(self.tries, f"{self.tries}th")
         at = f"{self.strip_mm:.2f} mm by the strip, {which} approach"
         return f"rail held at {self.station}: {at}"
 
@@ -408,13 +382,9 @@ class StationFoundHeld(Event, frozen=True, kw_only=True, tag="station found held
 class SlideProven(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
     """A nest on the slide was seen where it should be, off by ``off_mm``."""
 
+    says: ClassVar[str] = "slide checked by a nest: off {0.off_mm:.3f} mm"
     off_mm: float
     limit_mm: float
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"slide checked by a nest: off {self.off_mm:.3f} mm"
 
 
 class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
@@ -422,9 +392,7 @@ class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
 
     off_mm: list[float] = field(default_factory=list)
 
-    @property
-    def text(self) -> str:
-        """Return it in words."""
+    def _text(self) -> str:
         moved_mm = max(map(abs, self.off_mm), default=0.0)
         return f"floor nests checked: tracker moved {moved_mm:.3f} mm"
 
@@ -442,9 +410,7 @@ class TrackerMoved(Invalidating, frozen=True, kw_only=True, tag="tracker moved")
     moved_mm: float = nan
     limit_mm: float = nan
 
-    @property
-    def text(self) -> str:
-        """Return by how much it has moved, and what that costs."""
+    def _text(self) -> str:
         lost = len(self.invalid)
         again = f"{lost} point{'s are' if lost != 1 else ' is'} measured again"
         return f"tracker moved by {self.moved_mm:.3f} mm: {again}"
@@ -509,14 +475,10 @@ class VisitedOnceMore(OfPoint, frozen=True, kw_only=True, tag="visited once more
 class Seated(Event, frozen=True, kw_only=True, tag="seated"):
     """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
 
+    says: ClassVar[str] = "reflector seated in {0.place}"
     place: str
     xyz_mm: Three
     strip_mm: float = nan
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"reflector seated in {self.place}"
 
 
 class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
@@ -552,6 +514,7 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
     in deg, short-wave error as measured and by the curve in urad; ``spectrum`` cycles and urad.
     """
 
+    says: ClassVar[str] = "curve of {0.words}"
     axis: int
     reason: str
     cycles: list[float]
@@ -589,11 +552,6 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
         sizes = sorted(zip(self.amplitudes_urad, self.cycles, strict=True), reverse=True)
         lines = ", ".join(f"{size:.1f} urad at {cycles:.1f}" for size, cycles in sizes)
         return f"A{self.axis}: {lines or 'no line'}; lag {self.lag_s * 1e3:.1f} ms"
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"curve of {self.words}"
 
 
 class AxesNotSwept(Reasoned, frozen=True, kw_only=True, tag="axes not swept"):
@@ -650,13 +608,9 @@ class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration r
 class PromiseJudged(Event, frozen=True, kw_only=True, tag="promise"):
     """Whether a driver has kept a promise of its port."""
 
+    says: ClassVar[str] = "promise {0.port} {0.promise} {0.verdict}"
     port: str
     promise: str
     verdict: str
     why: str
     took_s: float = nan
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return f"promise {self.port} {self.promise} {self.verdict}"

@@ -60,6 +60,9 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """Return it in words: its figures, where a type says no more."""
+        return self._words()
+
+    def _words(self) -> str:
         return self.figure_words
 
     @property
@@ -82,9 +85,7 @@ class OtherVerdict(Verdict, frozen=True, kw_only=True):
         """Return its fact of that name."""
         return [str(each) for each in self.facts.get("suspected", ())]
 
-    @property
-    def words(self) -> str:
-        """Return the plain facts: names without underscores, values with their unit."""
+    def _words(self) -> str:
         return ", ".join(
             _plain(name, value)
             for name, value in self.facts.items()
@@ -162,9 +163,7 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
         """Return the outcome that was decided."""
         return self.decided
 
-    @property
-    def words(self) -> str:
-        """Return the figures and the decision."""
+    def _words(self) -> str:
         return f"{self.figure_words}: {self.decision}"
 
     @property
@@ -185,9 +184,8 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
         """
         if self.max_tolerance_deg is None:
             return None
-        return Turn(
-            *(math.nan if each is None else each for each in (self.max_deg, self.max_U_deg))
-        )
+        both = (self.max_deg, self.max_U_deg)
+        return Turn(*(math.nan if each is None else each for each in both))
 
 
 class Characteristic(NamedTuple):
@@ -247,10 +245,8 @@ class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
         """Return those that have a limit."""
         found = []
         for of in CHARACTERISTICS:
-            value, U, limit = (
-                getattr(self, name)
-                for name in (f"{of.key}_{of.unit}", f"{of.key}_u95_{of.unit}", of.limit)
-            )
+            names = (f"{of.key}_{of.unit}", of.limit, f"{of.key}_u95_{of.unit}")
+            value, limit, U = (getattr(self, name) for name in names)
             if limit is not None:
                 found.append(Figure(of.key.upper(), value, of.unit, limit, U, ".3f"))
         return found
@@ -264,9 +260,7 @@ class Oriented(Verdict, frozen=True, kw_only=True):
     mean_deg: float
     reflectors_moved_mm: float
 
-    @property
-    def words(self) -> str:
-        """Return the errors before and corrected."""
+    def _words(self) -> str:
         return (
             f"mean error of orientation {self.before_mean_deg:.4f} deg before, "
             f"{self.mean_deg:.4f} deg corrected; reflectors moved "
@@ -302,9 +296,7 @@ class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     outliers: list[PointId]
     orientation: str = ""
 
-    @property
-    def words(self) -> str:
-        """Return the model and the reason."""
+    def _words(self) -> str:
         chosen = f"{self.method}, {self.reason}"
         return "; orientation ".join(filter(None, (chosen, self.orientation)))
 
@@ -319,9 +311,7 @@ class SignChecked(Verdict, frozen=True, kw_only=True):
     corrected_mm: float
     ratio: float
 
-    @property
-    def words(self) -> str:
-        """Return both errors and their ratio."""
+    def _words(self) -> str:
         return (
             f"error of one target {self.before_mm:.3f} mm as sent, {self.corrected_mm:.3f} mm "
             f"corrected: {100 * self.ratio:.0f} % of it, limit {100 * self.limit:.0f} %"
@@ -340,9 +330,7 @@ class Rechecked(Verdict, frozen=True, kw_only=True):
     drift_u_mm: float
     doubt: str
 
-    @property
-    def words(self) -> str:
-        """Return the verdict, the drift and the doubt."""
+    def _words(self) -> str:
         words = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
         drift = f"drift {self.drift_mm:.3f} mm, u {self.drift_u_mm:.3f} mm"
         return "; ".join(filter(None, (f"{words[self.verdict]}: {drift}", self.doubt)))
@@ -355,9 +343,7 @@ class Touched(Verdict, frozen=True, kw_only=True):
     title: ClassVar[str] = "touch poses"
     station: str
 
-    @property
-    def words(self) -> str:
-        """Return where."""
+    def _words(self) -> str:
         return f"touched at {self.station}"
 
 
@@ -376,9 +362,7 @@ class Revisited(Verdict, frozen=True, kw_only=True):
     suspicion: Suspicion | None
     suspected: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return the ratio, its limit, and what is suspected."""
+    def _words(self) -> str:
         suspected = "".join(f"; suspected: {each}" for each in self.suspected)
         return (
             "differences from the first visits: of the tests of all poses together and of each "
@@ -400,9 +384,7 @@ class LostMotionJudged(Verdict, frozen=True, kw_only=True):
     U_urad: list[float]
     limit_urad: float
 
-    @property
-    def words(self) -> str:
-        """Return the distances of both sides and the lost motion of each axis."""
+    def _words(self) -> str:
         both = zip(self.lost_urad, self.U_urad, strict=True)
         lost = ", ".join(f"A{axis} {lost:.0f} +- {U:.0f}" for axis, (lost, U) in enumerate(both, 1))
         return (
@@ -419,9 +401,7 @@ class Suspected(Verdict, frozen=True, kw_only=True):
     title: ClassVar[str] = "suspected causes"
     suspected: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return them."""
+    def _words(self) -> str:
         return "; ".join(self.suspected) or "nothing is suspected"
 
 
@@ -460,9 +440,7 @@ class ChangedSince(Verdict, frozen=True, kw_only=True):
     beyond: list[Parameter]
     compared: int
 
-    @property
-    def words(self) -> str:
-        """Return the parameters beyond their limits."""
+    def _words(self) -> str:
         beyond = "; ".join(each.words for each in self.beyond)
         kept = f"all {self.compared} parameters are within their limits"
         return f"against the calibration of run {self.before}: {beyond or kept}"
@@ -510,9 +488,7 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
     lengths: list[LengthFound]
     wrong: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return the lengths."""
+    def _words(self) -> str:
         return "; ".join(each.text for each in self.lengths)
 
 
@@ -544,9 +520,7 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
     found: str = field(name="words")
     wrong: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return the nest that differs most, and the axis that explains all best."""
+    def _words(self) -> str:
         return self.found
 
 
@@ -581,9 +555,7 @@ class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
     reflectors: list[ReflectorSeen]
     wrong: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return those that differ."""
+    def _words(self) -> str:
         return "; ".join(self.wrong) or "none differs from the others"
 
 
@@ -626,9 +598,7 @@ class DriverConforms(Verdict, frozen=True, kw_only=True):
     driver: str
     broken: list[str]
 
-    @property
-    def words(self) -> str:
-        """Return the driver and what it breaks."""
+    def _words(self) -> str:
         broken = f": breaks {', '.join(self.broken)}" if self.broken else ""
         return f"driver {self.driver}{broken}"
 
@@ -636,12 +606,9 @@ class DriverConforms(Verdict, frozen=True, kw_only=True):
 # -- by key ----------------------------------------------------------------------------------------
 
 
-def _types() -> dict[str, type[Verdict]]:
-    kinds = [*Verdict.__subclasses__(), *Within.__subclasses__()]
-    return {key: kind for kind in kinds for key in kind.keys}
-
-
-VERDICTS = _types()
+VERDICTS: dict[str, type[Verdict]] = {
+    key: kind for kind in Verdict.__subclasses__() + Within.__subclasses__() for key in kind.keys
+}
 
 
 def verdict_type(key: str) -> type[Verdict] | None:
