@@ -12,16 +12,11 @@ import math
 import re
 import unicodedata
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import (
-    Annotated,
-    NamedTuple,
-    Self,
-    dataclass_transform,
-    get_args,
-    get_type_hints,
-)
+from typing import Annotated, NamedTuple, Self, dataclass_transform, get_args, get_type_hints
 
 from hilcell.clean import clean
 
@@ -92,6 +87,10 @@ class Argument(NamedTuple):
     required: bool = True
 
 
+Word = partial(Argument, word=True)
+Output = partial(Argument, names=("-o", "--output"))
+
+
 class Switches(NamedTuple):
     """A choice by one switch of several: their help by name."""
 
@@ -142,9 +141,6 @@ def is_signature(hint: object) -> bool:
     return isinstance(hint, type) and issubclass(hint, Signature)
 
 
-LEAST_SPEED, MOST_SPEED = 1.0, 1e6
-MOST_PORT = 65535
-MOST_DAYS = 36_500.0
 STROKE_MM = 20.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
@@ -159,36 +155,48 @@ def written(value: object) -> str:
     return "max" if value == math.inf else str(value)
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+def _reader(fits: Callable[[float], bool], expected: str) -> Callable[[str], float]:
+    """Return the reader of a number that fits; any other text is refused."""
+
+    def read(text: str) -> float:
+        with suppress(ValueError):
+            if fits(value := float(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {text[:80]!r}")
+
+    return read
+
+
+def _length(name: str, most_mm: float) -> Callable[[str], float]:
+    return _reader(lambda mm: 0.0 < mm <= most_mm, f"{name} above 0 up to {most_mm:g} mm")
+
+
+finite = _reader(math.isfinite, "a finite number")
+days = _reader(lambda value: 0 <= value <= 36_500, "days of 0 .. 36500")
+stroke, stroke_tolerance_of = _length("a length", 200.0), _length("a tolerance", 5.0)
+standoff_of = _length("a stand-off", 1000.0)  # as in hilcell.cell.robot
+_factor = _reader(
+    lambda value: 1 <= value <= 1e6,
+    "a factor of 1 .. 1e+06, or max (not slower than real time, in which the devices' watchdogs "
+    "run)",
+)
 
 
 def speed_of(text: str) -> float:
     """Return a factor of real time, infinite for ``max``."""
-    value = math.inf if text == "max" else _number(text)
-    if not (text == "max" or LEAST_SPEED <= value <= MOST_SPEED):
-        raise argparse.ArgumentTypeError(
-            f"expected a factor of {LEAST_SPEED:g} .. {MOST_SPEED:g}, or max (not slower than "
-            f"real time, in which the devices' watchdogs run), got {text[:80]!r}"
-        )
-    return value
+    return math.inf if text == "max" else _factor(text)
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
     """Return the reader of a whole number."""
 
     def read(text: str) -> int:
-        """Return a whole number."""
         short = len(text) <= len(str(most))
         value = int(text) if text.isascii() and text.isdecimal() and short else -1
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(
-                f"expected a whole number of {least} .. {most}, got {text[:80]!r}"
-            )
-        return value
+        if least <= value <= most:
+            return value
+        expected = f"a whole number of {least} .. {most}"
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {text[:80]!r}")
 
     return read
 
@@ -204,10 +212,10 @@ def ports_of(text: str) -> dict[str, int]:
         number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
         if number and number in found.values():
             raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
-        if name not in SIMULATED or name in found or not 1 <= number <= MOST_PORT:
+        if name not in SIMULATED or name in found or not 1 <= number <= 65535:
             raise argparse.ArgumentTypeError(
                 f"expected rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with "
-                f"ports of 1 .. {MOST_PORT}, got {word[:80]!r}"
+                f"ports of 1 .. 65535, got {word[:80]!r}"
             )
         found[name] = number
     return found
@@ -243,41 +251,6 @@ def name(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("expected a name, got ''")
     return text
-
-
-def finite(text: str) -> float:
-    """Return a finite number."""
-    value = _number(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a finite number, got {text[:80]!r}")
-    return value
-
-
-def days(text: str) -> float:
-    """Return a number of days."""
-    value = _number(text)
-    if not 0 <= value <= MOST_DAYS:
-        raise argparse.ArgumentTypeError(f"expected days of 0 .. {MOST_DAYS:g}, got {text[:80]!r}")
-    return value
-
-
-def _length(name: str, most_mm: float) -> Callable[[str], float]:
-    """Return the reader of a length, mm."""
-
-    def read(text: str) -> float:
-        """Return a length, mm."""
-        value = _number(text)
-        if not 0.0 < value <= most_mm:
-            raise argparse.ArgumentTypeError(
-                f"expected {name} above 0 up to {most_mm:g} mm, got {text[:80]!r}"
-            )
-        return value
-
-    return read
-
-
-stroke, stroke_tolerance_of = _length("a length", 200.0), _length("a tolerance", 5.0)
-standoff_of = _length("a stand-off", 1000.0)  # as in hilcell.cell.robot
 
 
 def moment(text: str) -> datetime:
@@ -325,16 +298,9 @@ MachineSeed = Annotated[
     ),
 ]
 Noted = Annotated[str, Argument("kept in the journal", "NAME", clean)]
-Runs = Annotated[
-    Path,
-    Argument(
-        "folder of runs (default: HILCELL_RUNS, or one for each user)",
-        "DIR",
-        folder,
-        required=False,
-    ),
-]
-RunName = Annotated[str, Argument("a run's name, its beginning, or `last`", "RUN", word=True)]
+RUNS = "folder of runs (default: HILCELL_RUNS, or one for each user)"
+Runs = Annotated[Path, Argument(RUNS, "DIR", folder, required=False)]
+RunName = Annotated[str, Word("a run's name, its beginning, or `last`", "RUN")]
 Json = Annotated[bool, Argument("print JSON: one object")]
 JsonLines = Annotated[bool, Argument("print JSON: one event a line, as journalled")]
 OutOfTolerance = Annotated[

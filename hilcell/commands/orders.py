@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from hilcell.arguments import (
     HOLES,
+    RUNS,
     STROKE_MM,
     TARGETS,
     Argument,
@@ -20,12 +21,14 @@ from hilcell.arguments import (
     JsonLines,
     MachineSeed,
     Noted,
+    Output,
     RunName,
     Runs,
     Settings,
     Signature,
     Switches,
     ToolName,
+    Word,
     days,
     folder,
     moment,
@@ -43,7 +46,7 @@ from hilcell.arguments import (
 from hilcell.run.order import Release
 
 CalibrationName = Annotated[str, Argument("a run or calibration.json", "CALIBRATION")]
-HolesFile = Annotated[str, Argument(HOLES, "HOLES.csv", word=True)]
+HolesFile = Annotated[str, Word(HOLES, "HOLES.csv")]
 
 
 class Pause(Signature):
@@ -71,10 +74,8 @@ class Tui(Signature):
 
     run: Annotated[
         str,
-        Argument(
-            "a run's name, its beginning, or `last` (default: the live one, else the form)",
-            "RUN",
-            word=True,
+        Word(
+            "a run's name, its beginning, or `last` (default: the live one, else the form)", "RUN"
         ),
     ] = ""
     runs: Runs
@@ -107,9 +108,7 @@ class Plan(Signature):
     settings: Settings = ()
     tool: ToolName = ""
     free: Annotated[bool, Argument("stations anywhere along the rail, too")] = False
-    output: Annotated[str, Argument("CSV: station,order,name", "OUT", names=("-o", "--output"))] = (
-        ""
-    )
+    output: Annotated[str, Output("CSV: station,order,name", "OUT")] = ""
     calibration: Annotated[
         str,
         Argument(
@@ -137,9 +136,7 @@ class Prepare(Signature):
         ),
     ] = None
     calibration: CalibrationName
-    output: Annotated[
-        str, Argument("a new folder, or an empty one", "FOLDER", names=("-o", "--output"))
-    ]
+    output: Annotated[str, Output("a new folder, or an empty one", "FOLDER")]
     release: Release
     json: Json = False
 
@@ -147,14 +144,13 @@ class Prepare(Signature):
 class Compensate(Signature):
     """Correct targets by a calibration."""
 
-    calibration: Annotated[str, Argument("a run or calibration.json", "CALIBRATION", word=True)]
+    calibration: Annotated[str, Word("a run or calibration.json", "CALIBRATION")]
     targets: Annotated[
         str,
-        Argument(
+        Word(
             f"nominal targets in {{W}}, header {TARGETS}; or a robot program of an installed "
             "format",
             "TARGETS.csv|PROGRAM",
-            word=True,
         ),
     ]
     allow_stroke: Annotated[
@@ -176,9 +172,7 @@ class Compensate(Signature):
         ),
     ] = None
     station: Annotated[str, Argument("where they are reached", "S")]
-    output: Annotated[
-        str, Argument("corrected targets, or program", "OUT", names=("-o", "--output"))
-    ]
+    output: Annotated[str, Output("corrected targets, or program", "OUT")]
     cell: Annotated[
         str,
         Argument(
@@ -227,11 +221,7 @@ class Report(Signature):
     runs: Runs
     output: Annotated[
         str,
-        Argument(
-            "one file; FILE.pdf is printed by a browser of this machine",
-            "FILE.html",
-            names=("-o", "--output"),
-        ),
+        Output("one file; FILE.pdf is printed by a browser of this machine", "FILE.html"),
     ]
 
 
@@ -251,14 +241,14 @@ class Export(Signature):
             }
         ),
     ]
-    output: Annotated[str, Argument("where to write", "FILE", names=("-o", "--output"))]
+    output: Annotated[str, Output("where to write", "FILE")]
 
 
 class Compare(Signature):
     """Compare two runs of a cell: the drift between them."""
 
-    first: Annotated[str, Argument("the earlier run", "RUN", word=True)]
-    second: Annotated[str, Argument("the later run", "RUN", word=True)]
+    first: Annotated[str, Word("the earlier run", "RUN")]
+    second: Annotated[str, Word("the later run", "RUN")]
     runs: Runs
     json: Json = False
 
@@ -266,7 +256,7 @@ class Compare(Signature):
 class Explain(Signature):
     """Say what an alarm means, and what to do."""
 
-    code: Annotated[str, Argument("as shown beside the alarm: HC-R31", "CODE", word=True)]
+    code: Annotated[str, Word("as shown beside the alarm: HC-R31", "CODE")]
     json: Json = False
 
 
@@ -283,7 +273,7 @@ class Revoke(Signature):
 class Check(Signature):
     """Check a cell file and its plan."""
 
-    cell: Annotated[str, Argument("a built-in name or a TOML path", "CELL", word=True)]
+    cell: Annotated[str, Word("a built-in name or a TOML path", "CELL")]
     settings: Settings = ()
     json: Json = False
 
@@ -332,7 +322,7 @@ class Sim(Signature):
 class Completion(Signature):
     """Print the script that completes commands in a shell: bash, zsh, .."""
 
-    shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], Argument("the shell", word=True)]
+    shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], Word("the shell")]
 
 
 class Fit(Signature):
@@ -348,9 +338,7 @@ class Fit(Signature):
     ] = ""
     correct: Annotated[str, Argument("correct poses or joints", "TARGETS.csv|PROGRAM")] = ""
     tool: Annotated[str, Argument("the reflector that targets are meant for", "TARGET")] = ""
-    output: Annotated[
-        str, Argument("corrected targets, or program", "OUT", names=("-o", "--output"))
-    ] = ""
+    output: Annotated[str, Output("corrected targets, or program", "OUT")] = ""
     bounds: Bounds = ""
     json: Json = False
 
@@ -358,10 +346,8 @@ class Fit(Signature):
 class RunStudy(Signature):
     """Simulate many cells before any exists: accuracy against minutes and money."""
 
-    file: Annotated[
-        str, Argument("a study file (docs/study.md), or `report`", "FILE|report", word=True)
-    ]
-    folder: Annotated[str, Argument("results to report", "DIR", word=True)] = ""
+    file: Annotated[str, Word("a study file (docs/study.md), or `report`", "FILE|report")]
+    folder: Annotated[str, Word("results to report", "DIR")] = ""
     workers: Annotated[
         int | None,
         Argument("processes on this PC (default: one for each processor)", "N", workers_of),
@@ -374,11 +360,10 @@ class RunStudy(Signature):
     ] = None
     output: Annotated[
         str,
-        Argument(
+        Output(
             "folder of results (default: FILE-results); of a report its file "
             "(default: DIR/report.html)",
             "OUT",
-            names=("-o", "--output"),
         ),
     ] = ""
     dry_run: Annotated[bool, Argument("list the cases only")] = False
@@ -412,16 +397,7 @@ class PlantShip(Signature):
     """Ship the runs that are over and not there yet."""
 
     plant: ToPlant = None
-    runs: Annotated[
-        Path,
-        Argument(
-            "folder of runs (default: HILCELL_RUNS, or one for each user)",
-            "DIR",
-            folder,
-            word=True,
-            required=False,
-        ),
-    ]
+    runs: Annotated[Path, Word(RUNS, "DIR", folder, required=False)]
     json: Json = False
 
 
@@ -443,7 +419,7 @@ class PlantExport(Signature):
     """Write the record of one cell for an auditor, signed."""
 
     plant: FromPlant = None
-    cell: Annotated[str, Argument("name of the cell", "CELL", word=True)]
+    cell: Annotated[str, Word("name of the cell", "CELL")]
     serial: Annotated[str | None, Argument("of the cell with this serial number", "SERIAL")] = None
     out: Annotated[Path, Argument("a new place", "FOLDER|FILE.zip", Path, names=("-o",))]
     key: Annotated[Path, Argument("private key, Ed25519 in PEM", "KEYFILE", Path)]
@@ -453,6 +429,6 @@ class PlantExport(Signature):
 class PlantVerify(Signature):
     """Verify an exported record: each file that differs, is missing or is extra."""
 
-    record: Annotated[Path, Argument("what was exported", "FOLDER|FILE.zip", Path, word=True)]
+    record: Annotated[Path, Word("what was exported", "FOLDER|FILE.zip", Path)]
     public_key: Annotated[Path, Argument("the plant's, in PEM", "FILE", Path)]
     json: Json = False

@@ -184,11 +184,9 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     def short(self) -> str:
         """Return it in few letters, without its station: *corrected 50*."""
         how = Sent(self.how).short if self.how in list(Sent) else self.how
-        if self.kind == "validate":
-            return f"{how} {self._counted}"
-        return (
-            f"sign {how}" if self.kind == "sign" else f"{self._kind.short} {self._which}".rstrip()
-        )
+        if self.kind in ("validate", "sign"):
+            return f"sign {how}" if self.kind == "sign" else f"{how} {self._counted}"
+        return f"{self._kind.short} {self._which}".rstrip()
 
     @property
     def counted_with(self) -> str:
@@ -293,12 +291,10 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def air(self) -> Air | None:
         """Return the air at the tracker, or None where no weather station measured it."""
-        if (
-            self.temperature_c is None
-            or self.pressure_mbar is None
-            or self.humidity_percent is None
-        ):
+        measured = (self.temperature_c, self.pressure_mbar, self.humidity_percent)
+        known = [each for each in measured if each is not None]
+        if len(known) < len(measured):
             return None
         from hilcell.ports import Air  # loads arrays, which most readers do without
 
-        return Air(self.temperature_c, self.pressure_mbar, self.humidity_percent)
+        return Air(*known)

@@ -6,7 +6,6 @@ asked for: most readers look at a few kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -94,19 +93,11 @@ class Ended(msgspec.Struct, frozen=True, kw_only=True):
     error: Json = field(default_factory=dict)
 
 
-def _leaves(kind: type[Event]) -> Iterator[type[Event]]:
-    for each in kind.__subclasses__():
-        if each.__subclasses__():
-            yield from _leaves(each)
-        else:
-            yield each
-
-
 EVENTS: dict[str, type[Event]] = {
-    str(each.__struct_config__.tag): each for each in _leaves(events.Event)
+    str(each.__struct_config__.tag): each
+    for each in vars(events).values()
+    if isinstance(each, type) and issubclass(each, Event) and not each.__subclasses__()
 }
-
-
 Fact: TypeAlias = (
     PlanRecord | Event | OtherEvent | StateChanged | Intended | Point | Frame | Verdict | Ended
 )
