@@ -23,13 +23,7 @@ from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.unseen import unseen
 from hilcell.commands.orders import Check, Diagram, Sim
-from hilcell.commands.output import (
-    flush_data,
-    print_answer,
-    print_data,
-    print_json,
-    print_message,
-)
+from hilcell.commands.output import flush_data, print_answer, print_data, print_json, print_message
 from hilcell.ports import Exercise, HilcellError, Training
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import machine_seed

@@ -15,8 +15,8 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, requires, version
+from collections.abc import Mapping
+from importlib.metadata import Distribution, requires
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -37,7 +37,6 @@ from hilcell.tui.keys import default_file, load_keys
 from hilcell.tui.terminal.capabilities import has_colours, has_unicode, is_coerced
 from hilcell.writing import NotWritten
 
-CONNECT_S = 2.0
 PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 
@@ -45,7 +44,6 @@ SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 class Finding(NamedTuple):
     """``state`` of what was checked, ``found`` in words, and ``do``: the act, where one is due."""
 
-    check: str
     state: Literal["ok", "warning", "wrong"]
     found: str
     do: str = ""
@@ -53,20 +51,30 @@ class Finding(NamedTuple):
 
 def doctor(args: Doctor) -> int:
     """Print what was checked; exit code 2 where something has to be mended before a run."""
-    found = [
-        python(), terminal(os.environ, *shutil.get_terminal_size()), can(), serial_ports(),
-        loopback(), disk(args.runs), clock(args.runs), locks(), pace(), browser(), _keys(),
-        _drivers(),
-    ]  # fmt: skip
+    found = {
+        "python": python(),
+        "terminal": terminal(os.environ, *shutil.get_terminal_size()),
+        "CAN": can(),
+        "serial ports": serial_ports(),
+        "ports": loopback(),
+        "disk": disk(args.runs),
+        "clock": clock(args.runs),
+        "locks": locks(),
+        "pace": pace(),
+        "browser": browser(),
+        "keys": _keys(),
+        "drivers": _drivers(),
+    }
     if args.cell:
-        found += _of_cell(args.cell, dict(args.settings))
-    sound = all(each.state != "wrong" for each in found)
+        found |= _of_cell(args.cell, dict(args.settings))
+    sound = all(each.state != "wrong" for each in found.values())
     if args.json:
-        print_json({"ok": sound, "checks": [each._asdict() for each in found]})
+        checks = [{"check": check} | each._asdict() for check, each in found.items()]
+        print_json({"ok": sound, "checks": checks})
     else:
         lines = list[str]()
-        for each in found:
-            lines.append(f"{SHOWN[each.state]:6} {each.check:13} {each.found}")
+        for check, each in found.items():
+            lines.append(f"{SHOWN[each.state]:6} {check:13} {each.found}")
             lines += [f"{'':20} -> {each.do}"] if each.do else []
         print_data(harmless_lines("\n".join(lines)))
     return 0 if sound else EXIT_REFUSED
@@ -75,39 +83,24 @@ def doctor(args: Doctor) -> int:
 # -- this PC --------------------------------------------------------------------------------------
 
 LEAST_PYTHON = (3, 11)
-LEAST_COLUMNS, LEAST_ROWS = 60, 15  # of the screen; 80 x 24 shows everything
-USUAL_COLUMNS, USUAL_ROWS = 80, 24
 USUAL_POINTS = 1_700  # no run of a cell that comes with hilcell has more
 PLENTY_GB = 1.0  # a run takes up to 10 MB: for a hundred of them
 SHARED = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks that SQLite trusts
-WAKES, WAKE_S, LATE_S = 200, 0.005, 0.05  # a stop takes 0.02 s
-ADAPTERS = ("ttyUSB*", "ttyACM*")
+WAKES, LATE_S = 200, 0.05  # a stop takes 0.02 s
 DIALOUT = "sudo usermod -a -G dialout $USER, then log in again"
-CAN_LINK = "280"  # ARPHRD_CAN of linux/if_arp.h
-NOT_SYNCHRONIZED = 5  # TIME_ERROR of adjtimex(2)
 
 
 def python() -> Finding:
     """Check the interpreter, and that every package it needs is there."""
     found = f"{platform.python_version()} at {sys.executable}"
     if sys.version_info < LEAST_PYTHON:
-        return Finding("python", "wrong", found, "install Python 3.11 or newer")
+        return Finding("wrong", found, "install Python 3.11 or newer")
     lines = [line for line in requires("hilcell") or [] if "extra ==" not in line]
     names = [name[0] for line in lines if (name := re.match(r"[\w.-]+", line))]
-    missing = [name for name in names if not _is_installed(name)]
+    missing = [name for name in names if not any(Distribution.discover(name=name))]
     if missing:
-        return Finding(
-            "python", "wrong", f"{found} lacks {', '.join(missing)}", "install hilcell again"
-        )
-    return Finding("python", "ok", found)
-
-
-def _is_installed(name: str) -> bool:
-    try:
-        version(name)
-    except PackageNotFoundError:
-        return False
-    return True
+        return Finding("wrong", f"{found} lacks {', '.join(missing)}", "install hilcell again")
+    return Finding("ok", found)
 
 
 def terminal(environment: Mapping[str, str], columns: int, rows: int) -> Finding:
@@ -115,16 +108,11 @@ def terminal(environment: Mapping[str, str], columns: int, rows: int) -> Finding
     shapes = "UTF-8" if has_unicode(environment, coerced=is_coerced()) else "ASCII shapes"
     colours = "colours" if has_colours(environment) else "no colours"
     found = f"TERM {environment.get('TERM') or 'not set'}, {columns} x {rows}, {shapes}, {colours}"
-    if columns < LEAST_COLUMNS or rows < LEAST_ROWS:
-        return Finding(
-            "terminal", "warning", found,
-            f"make the window {USUAL_COLUMNS} x {USUAL_ROWS} or larger before `hilcell tui`",
-        )  # fmt: skip
+    if columns < 60 or rows < 15:  # 80 x 24 shows everything
+        return Finding("warning", found, "make the window 80 x 24 or larger before `hilcell tui`")
     if shapes != "UTF-8":
-        return Finding(
-            "terminal", "warning", found, "set LANG=C.UTF-8 and TERM=xterm-256color for all shapes"
-        )
-    return Finding("terminal", "ok", found)
+        return Finding("warning", found, "set LANG=C.UTF-8 and TERM=xterm-256color for all shapes")
+    return Finding("ok", found)
 
 
 def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
@@ -132,31 +120,26 @@ def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
     found = {
         each.name: _first_line(each / "operstate")
         for each in sorted(interfaces.glob("*"))
-        if _first_line(each / "type") == CAN_LINK
+        if _first_line(each / "type") == "280"  # ARPHRD_CAN of linux/if_arp.h
     }
     if not found:
         return Finding(
-            "CAN", "ok", "no interface; a rail on SocketCAN needs one, an slcan gateway does not"
+            "ok", "no interface; a rail on SocketCAN needs one, an slcan gateway does not"
         )
     down = [name for name, state in found.items() if state not in {"up", "unknown"}]
     words = ", ".join(f"{name} {state}" for name, state in found.items())
     if down:
-        return Finding(
-            "CAN", "warning", words, f"sudo ip link set {down[0]} up type can bitrate 500000"
-        )
-    return Finding("CAN", "ok", words)
+        return Finding("warning", words, f"sudo ip link set {down[0]} up type can bitrate 500000")
+    return Finding("ok", words)
 
 
 def serial_ports(devices: Path = Path("/dev")) -> Finding:
     """Check that the adapters of serial lines may be opened."""
-    ports = sorted(str(each) for kind in ADAPTERS for each in devices.glob(kind))
+    ports = sorted(str(port) for kind in ("USB", "ACM") for port in devices.glob(f"tty{kind}*"))
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
-        return Finding(
-            "serial ports", "warning", f"{', '.join(closed)} may not be opened by this user",
-            DIALOUT,
-        )  # fmt: skip
-    return Finding("serial ports", "ok", ", ".join(ports) or "none")
+        return Finding("warning", f"{', '.join(closed)} may not be opened by this user", DIALOUT)
+    return Finding("ok", ", ".join(ports) or "none")
 
 
 def loopback() -> Finding:
@@ -167,10 +150,11 @@ def loopback() -> Finding:
             socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
     except OSError as error:
         return Finding(
-            "ports", "wrong", f"127.0.0.1 cannot be used: {error.strerror or error}",
+            "wrong",
+            f"127.0.0.1 cannot be used: {error.strerror or error}",
             "allow connections to 127.0.0.1 (sudo ip link set lo up; the firewall)",
-        )  # fmt: skip
-    return Finding("ports", "ok", "127.0.0.1 can be used")
+        )
+    return Finding("ok", "127.0.0.1 can be used")
 
 
 def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
@@ -183,38 +167,34 @@ def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
         free = bytes_free(folder)
     except OSError as error:
         return Finding(
-            "disk", "wrong", f"{where} cannot be written: {error.strerror}",
+            "wrong",
+            f"{where} cannot be written: {error.strerror}",
             "choose another folder with --runs",
-        )  # fmt: skip
+        )
     found = f"{where}, {free / 1e9:.2f} GB free"
     if free < (needed := bytes_needed(USUAL_POINTS)):
-        return Finding(
-            "disk", "wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it"
-        )
+        return Finding("wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it")
     if (kind := _file_system(folder, mounts)) in SHARED:
         return Finding(
-            "disk", "wrong", f"{found}, shared over a network ({kind})",
+            "wrong",
+            f"{found}, shared over a network ({kind})",
             "choose a folder of a local disk with --runs: journals need its locks",
-        )  # fmt: skip
+        )
     if free < PLENTY_GB * 1e9:
-        return Finding("disk", "warning", found, f"make {PLENTY_GB:g} GB of room for later runs")
-    return Finding("disk", "ok", found)
+        return Finding("warning", found, f"make {PLENTY_GB:g} GB of room for later runs")
+    return Finding("ok", found)
 
 
 def _file_system(folder: Path, mounts: Path) -> str:
     """Return the kind of file system that ``folder`` lies on; "" where it is not known."""
-    lines = [line.split() for line in mounts.read_text("utf-8", "replace").splitlines()] if (
-        mounts.exists()) else []  # fmt: skip
+    text = mounts.read_text("utf-8", "replace") if mounts.exists() else ""
     # The last mount counts; spaces in names are written as octal numbers (proc(5)).
     points = {
         re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), fields[1]): fields[2]
-        for fields in lines if len(fields) > 2
+        for fields in map(str.split, text.splitlines()) if len(fields) > 2
     }  # fmt: skip
     resolved = folder.resolve()
-    nearest = next(
-        (str(each) for each in (resolved, *resolved.parents) if str(each) in points), ""
-    )  # fmt: skip
-    return points.get(nearest, "")
+    return next((points[at] for at in map(str, (resolved, *resolved.parents)) if at in points), "")
 
 
 def clock(runs: Path) -> Finding:
@@ -223,21 +203,21 @@ def clock(runs: Path) -> Finding:
     found = time.strftime("%Y-%m-%d %H:%M:%S %Z", time.localtime(now_s))
     newest_s = max((each.stat().st_mtime for each in runs.glob("*")), default=0.0)
     if newest_s > now_s + 60.0:
-        return Finding(
-            "clock", "wrong", f"{found}, earlier than the newest run", "set the clock right"
-        )
+        return Finding("wrong", f"{found}, earlier than the newest run", "set the clock right")
     if not _is_synchronized():
         return Finding(
-            "clock", "warning", f"{found}, not synchronized",
+            "warning",
+            f"{found}, not synchronized",
             "sudo timedatectl set-ntp true, or set it by hand; calibrations age by it",
-        )  # fmt: skip
-    return Finding("clock", "ok", f"{found}, synchronized")
+        )
+    return Finding("ok", f"{found}, synchronized")
 
 
 def _is_synchronized() -> bool:
     """Whether the kernel counts its clock as synchronized (adjtimex(2), nothing is set)."""
     timex = ctypes.create_string_buffer(512)  # zeros: a question, in more room than it takes
-    return int(ctypes.CDLL(None).adjtimex(timex)) not in {-1, NOT_SYNCHRONIZED}
+    unsynchronized = 5  # TIME_ERROR
+    return int(ctypes.CDLL(None).adjtimex(timex)) not in {-1, unsynchronized}
 
 
 def locks() -> Finding:
@@ -246,36 +226,37 @@ def locks() -> Finding:
         folder, warning = locks_folder()
     except StorageError as error:
         found, _, do = str(error).rpartition("; ")
-        return Finding("locks", "wrong", found or do, do if found else "mend its permissions")
+        return Finding("wrong", found or do, do if found else "mend its permissions")
     if warning:
         found, _, do = warning.rpartition(": ")
-        return Finding("locks", "warning", found, do)
-    return Finding("locks", "ok", str(folder))
+        return Finding("warning", found, do)
+    return Finding("ok", str(folder))
 
 
 def pace() -> Finding:
     """Check how late this PC wakes a program that waits."""
-    late_s = []
+    wait_s, late_s = 0.005, list[float]()
     for _ in range(WAKES):
-        due_s = time.monotonic() + WAKE_S
-        time.sleep(WAKE_S)
+        due_s = time.monotonic() + wait_s
+        time.sleep(wait_s)
         late_s.append(time.monotonic() - due_s)
     worst_s = max(late_s)
     found = f"wakes at most {1e3 * worst_s:.1f} ms late ({WAKES} waits)"
     if not worst_s <= LATE_S:
-        return Finding("pace", "warning", found, "end other programs: stops come late on a busy PC")
-    return Finding("pace", "ok", found)
+        return Finding("warning", found, "end other programs: stops come late on a busy PC")
+    return Finding("ok", found)
 
 
 def browser() -> Finding:
     """Check for a browser, which only a report as PDF needs."""
     try:
-        return Finding("browser", "ok", f"{find_browser()} prints reports as PDF")
+        return Finding("ok", f"{find_browser()} prints reports as PDF")
     except NotWritten:
         return Finding(
-            "browser", "warning", "none; reports are written as HTML",
+            "warning",
+            "none; reports are written as HTML",
             "install chromium for `hilcell report -o FILE.pdf`",
-        )  # fmt: skip
+        )
 
 
 def _first_line(path: Path) -> str:
@@ -289,9 +270,9 @@ def _keys() -> Finding:
     try:
         load_keys(None)
     except SettingsError as error:
-        return Finding("keys", "wrong", str(error), f"mend {default_file()}")
+        return Finding("wrong", str(error), f"mend {default_file()}")
     file = default_file()
-    return Finding("keys", "ok", str(file) if file.exists() else "as delivered")
+    return Finding("ok", str(file) if file.exists() else "as delivered")
 
 
 def _drivers() -> Finding:
@@ -308,63 +289,63 @@ def _drivers() -> Finding:
     except CatalogueError as error:
         problems.append(str(error))
     if problems:
-        return Finding("drivers", "warning", "; ".join(problems), "mend or uninstall its package")
+        return Finding("warning", "; ".join(problems), "mend or uninstall its package")
     found = "; ".join(f"{group} {', '.join(installed(group))}" for group in (*PORTS, "programs"))
-    return Finding("drivers", "ok", found)
+    return Finding("ok", found)
 
 
 # -- the places of a cell's devices ---------------------------------------------------------------
 
 
-def _of_cell(where: str, overrides: dict[str, str]) -> Iterator[Finding]:
+def _of_cell(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
     """Check the places at which a cell's devices are reached; raises `SettingsError`."""
     cell = load_cell(where, overrides)
     check_options(cell)
     if cell.simulation is not None:
-        yield Finding("cell", "ok", f"{cell.name}: simulated; a run starts its devices")
-        return
+        return {"cell": Finding("ok", f"{cell.name}: simulated; a run starts its devices")}
+    checked: dict[str, Finding] = {}
     for place, tables in device_places(cell, {}).items():
         if tables == ["rail"] and not cell.has_rail:
             continue
         check = f"{' and '.join(tables)} at {place}"
         try:  # a connection could disturb a run that holds the place
             with locked(lock_of_device(place), check, "hilcell doctor"):
-                found = _place(check, place)
+                checked[check] = _place(place)
         except CellLocked as error:
-            found = Finding(check, "ok", f"in use: {error}")
-        yield found
+            checked[check] = Finding("ok", f"in use: {error}")
+    return checked
 
 
-def _place(check: str, place: str) -> Finding:
+def _place(place: str) -> Finding:
     if place.startswith("{"):  # all options of a driver that has other words for its place
-        return Finding(check, "ok", "not checked: its driver names no host, port or channel")
+        return Finding("ok", "not checked: its driver names no host, port or channel")
     host, sign, port = place.rpartition(":")
     if sign and port.isdecimal():
-        return _network(check, host, int(port))
+        return _network("127.0.0.1" if host == THIS_MACHINE else host, int(port))
     if place.startswith("/"):
-        return _file(check, Path(place))
+        return _file(Path(place))
     if Path("/sys/class/net", place).exists():
-        return Finding(check, "ok", "this PC has the interface")
+        return Finding("ok", "this PC has the interface")
     return Finding(
-        check, "wrong", "this PC has no such interface", "`ip link` lists them; correct the channel"
+        "wrong", "this PC has no such interface", "`ip link` lists them; correct the channel"
     )
 
 
-def _network(check: str, host: str, port: int) -> Finding:
-    address = "127.0.0.1" if host == THIS_MACHINE else host
+def _network(address: str, port: int) -> Finding:
     try:
-        socket.create_connection((address, port), timeout=CONNECT_S).close()
+        socket.create_connection((address, port), timeout=2.0).close()
     except OSError as error:
         return Finding(
-            check, "wrong", f"no connection: {error.strerror or error}",
+            "wrong",
+            f"no connection: {error.strerror or error}",
             "switch the device on, check its cable, its address and the port",
-        )  # fmt: skip
-    return Finding(check, "ok", "accepts a connection")
+        )
+    return Finding("ok", "accepts a connection")
 
 
-def _file(check: str, port: Path) -> Finding:
+def _file(port: Path) -> Finding:
     if not port.exists():
-        return Finding(check, "wrong", "no such port", "plug its adapter in, or correct channel")
+        return Finding("wrong", "no such port", "plug its adapter in, or correct channel")
     if not os.access(port, os.R_OK | os.W_OK):
-        return Finding(check, "wrong", "may not be opened by this user", DIALOUT)
-    return Finding(check, "ok", "can be opened")
+        return Finding("wrong", "may not be opened by this user", DIALOUT)
+    return Finding("ok", "can be opened")

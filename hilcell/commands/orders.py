@@ -220,8 +220,7 @@ class Report(Signature):
     run: RunName
     runs: Runs
     output: Annotated[
-        str,
-        Output("one file; FILE.pdf is printed by a browser of this machine", "FILE.html"),
+        str, Output("one file; FILE.pdf is printed by a browser of this machine", "FILE.html")
     ]
 
 

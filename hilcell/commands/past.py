@@ -15,12 +15,7 @@ from hilcell.calibration.in_use import standing_of, standings_in
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
 from hilcell.commands.orders import Compare, Export, ListRuns, Report, Revoke, Show
-from hilcell.commands.output import (
-    print_json,
-    print_message,
-    print_table,
-    terminal_columns,
-)
+from hilcell.commands.output import print_json, print_message, print_table, terminal_columns
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.invariants.judging import INVARIANTS, Break, Proof, judge
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
@@ -33,13 +28,7 @@ from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
 from hilcell.present.renderers import width_of
 from hilcell.present.table import Column, Table
-from hilcell.report.comparison import (
-    CHANGES,
-    Setting,
-    compare_runs,
-    figure_words,
-    where_words,
-)
+from hilcell.report.comparison import CHANGES, Setting, compare_runs, figure_words, where_words
 from hilcell.report.facts import Facts, read_facts
 from hilcell.run.cell_lock import lock_of_name, locked
 from hilcell.run.procedure import Procedure

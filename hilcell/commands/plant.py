@@ -21,13 +21,7 @@ import msgspec
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean, encodable, harmless, harmless_lines
 from hilcell.commands.orders import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
-from hilcell.commands.output import (
-    print_answer,
-    print_data,
-    print_json,
-    print_message,
-    print_table,
-)
+from hilcell.commands.output import print_answer, print_data, print_json, print_message, print_table
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, HilcellError
 from hilcell.present.table import Column, Table
 

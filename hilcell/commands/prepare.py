@@ -99,11 +99,7 @@ def _station_facts(each: StationPlan) -> dict[str, object]:
 
 
 def _travel(travel_mm: float, bound_mm: float) -> dict[str, object]:
-    return {
-        "travel_mm": travel_mm,
-        "bound_mm": bound_mm,
-        "ratio": ratio(travel_mm, bound_mm),
-    }
+    return {"travel_mm": travel_mm, "bound_mm": bound_mm, "ratio": ratio(travel_mm, bound_mm)}
 
 
 def _print(cell: Cell, found: HolePlan) -> None:

@@ -102,12 +102,7 @@ class JsonOutput(RunOutput):
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
         """Print the end where the journal could not store it."""
         if log.end is None and not self._closed:
-            end: Json = {
-                "run": self._run,
-                "kind": "end",
-                "state": log.state,
-                "exit": code,
-            }
+            end: Json = {"run": self._run, "kind": "end", "state": log.state, "exit": code}
             end |= {"result": {}, "reason": str(fault)}
             end |= {} if fault is None else {"error": facts_of(fault)}
             try:

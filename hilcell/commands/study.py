@@ -13,12 +13,7 @@ from typing import TYPE_CHECKING
 
 from hilcell.clean import clean, harmless_lines
 from hilcell.commands.orders import RunStudy
-from hilcell.commands.output import (
-    print_data,
-    print_json,
-    print_message,
-    print_table,
-)
+from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.signals import interrupted_once

@@ -71,8 +71,5 @@ def textual_environment(colours: str, environment: Mapping[str, str]) -> dict[st
     """
     if colours == "auto" and not has_colours(environment):
         colours = "none"
-    found = {
-        "TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours),
-        "TEXTUAL_ANIMATIONS": "none",
-    }
+    found = {"TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours), "TEXTUAL_ANIMATIONS": "none"}
     return found | ({"NO_COLOR": "1"} if colours == "none" else {})

@@ -126,12 +126,7 @@ def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path
 
 
 def write_urdf(
-    path: Path,
-    robot: Robot,
-    found: RigidArm,
-    remarks: Sequence[str],
-    *,
-    inputs: Iterable[Path],
+    path: Path, robot: Robot, found: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
 ) -> None:
     """Write the nominal file with the identified origins, or a new one where none was read.
 
