@@ -27,7 +27,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
 from hilcell.journal.words import in_zone, zone_of
-from hilcell.model.events import CalibrationRevoked
+from hilcell.model.events import Asset, CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.suspicion import suspected_in
@@ -55,6 +55,10 @@ class Facts:
     def part(self, key: str, kind: type[T]) -> T | None:
         """Return a part of the result as its type; None where the run has none."""
         return typed(self.result[key], kind) if key in self.result else None
+
+    def asset(self, kind: str) -> Asset | None:
+        """Return the device of a kind that answered; None where none did."""
+        return next((each for each in self.log.assets if each.kind == kind), None)
 
     @property
     def inputs(self) -> PlanRecord:

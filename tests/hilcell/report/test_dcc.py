@@ -17,7 +17,7 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.results import Turns
 from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
-from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
+from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, quantity
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
 from hilcell.writing import NotWritten
@@ -251,7 +251,7 @@ def test_a_run_without_a_judged_calibration_has_no_certificate(tmp_path: Path) -
 
 def test_no_figure_that_is_none_is_certified(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nan"):
-        real(float("nan"), MM)
+        quantity("mean", float("nan"), MM, "hilcell_mean")
 
 
 def test_a_devices_control_characters_are_no_xml_and_are_replaced(tmp_path: Path) -> None:
