@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple, Self, dataclass_transform, get_args, get_type_hints
 
-from hilcell.clean import clean
+from hilcell.clean import LONGEST, clean
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -234,9 +234,16 @@ def run_name(text: str) -> str:
     return text
 
 
+def noted(text: str) -> str:
+    """Return words as a journal keeps them."""
+    if len(text) > LONGEST:
+        raise argparse.ArgumentTypeError(f"expected at most {LONGEST} characters, got {len(text)}")
+    return clean(text)
+
+
 def reason(text: str) -> str:
-    """Return words."""
-    if not (found := clean(text)):
+    """Return words that say why."""
+    if not (found := noted(text)):
         raise argparse.ArgumentTypeError("expected words that say why, got none")
     return found
 
@@ -297,7 +304,7 @@ MachineSeed = Annotated[
         seed_of,
     ),
 ]
-Noted = Annotated[str, Argument("kept in the journal", "NAME", clean)]
+Noted = Annotated[str, Argument("kept in the journal", "NAME", noted)]
 RUNS = "folder of runs (default: HILCELL_RUNS, or one for each user)"
 Runs = Annotated[Path, Argument(RUNS, "DIR", folder, required=False)]
 RunName = Annotated[str, Word("a run's name, its beginning, or `last`", "RUN")]

@@ -33,6 +33,7 @@ from hilcell.arguments import (
     folder,
     moment,
     name,
+    noted,
     ports_of,
     reason,
     scheduler_of,
@@ -201,7 +202,7 @@ class ListRuns(Signature):
     """List the runs."""
 
     cell: Annotated[str | None, Argument("those of this cell, by its name", "NAME")] = None
-    operator: Annotated[str | None, Argument("those of this operator", "NAME")] = None
+    operator: Annotated[str | None, Argument("those of this operator", "NAME", noted)] = None
     since: Annotated[
         datetime | None,
         Argument(

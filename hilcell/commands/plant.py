@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from hilcell.cell.settings import did_you_mean
-from hilcell.clean import clean, encodable, harmless, harmless_lines
+from hilcell.clean import clean, counted, encodable, harmless, harmless_lines
 from hilcell.commands.orders import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
 from hilcell.commands.output import print_answer, print_data, print_json, print_message, print_table
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, HilcellError
@@ -85,7 +85,8 @@ def ship(args: PlantShip) -> int:
             "refused": {encodable(run): encodable(why) for run, why in done.refused.items()},
             "behind": {encodable(run): each._asdict() for run, each in done.behind.items()},
         },
-        f"{done.runs} runs shipped with {done.points} points, {done.before} were there, "
+        f"{counted(done.runs, 'run')} shipped with {counted(done.points, 'point')}, "
+        f"{done.before} there before, "
         f"{len(done.waiting)} not over yet, {len(done.refused)} refused",
         as_json=args.json,
     )
@@ -105,9 +106,9 @@ def _behind_words(behind: Mapping[str, Behind]) -> str:
         ]
     )
     return (
-        f"the plant has later records of {len(behind)} runs than this folder: {named}; it was "
-        "restored from an older backup, or is a copy: restore a newer one before these runs are "
-        "used or resumed"
+        f"the plant has later records of {counted(len(behind), 'run')} than this folder: {named}; "
+        "the folder was restored from an older backup, or is a copy; restore a newer one before "
+        "using or resuming them"
     )
 
 
@@ -300,8 +301,9 @@ def export(args: PlantExport) -> int:
     print_answer(
         {"cell": found.cell, "serials": found.serials, "runs": found.runs,
          "files": len(found.files), "key": found.key, "out": harmless(str(args.out))},
-        f"cell {harmless(found.cell)}: {found.runs} records of runs{simulated}, "
-        f"{len(found.files)} files written to {harmless(str(args.out))}, signed by {found.key}",
+        f"cell {harmless(found.cell)}: {counted(found.runs, 'run')}{simulated}, "
+        f"{counted(len(found.files), 'file')} written to {harmless(str(args.out))}, "
+        f"signed by {found.key}",
         as_json=args.json,
     )  # fmt: skip
     return EXIT_OK

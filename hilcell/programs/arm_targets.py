@@ -134,7 +134,7 @@ class ArmTargets(TargetFiles):
         count, tool = len(self.targets.names), f"{self.controller.target} (tool point {where} mm)"
         return [
             *notes,
-            f"{count} targets of {tool} corrected into {written}",
+            f"{counted(count, 'target')} of {tool} corrected into {written}",
             self.targets.summary,
             "keep the stamp in the file: corrected targets are known by it alone",
             *filter(None, [self.remark]),

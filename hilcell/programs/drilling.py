@@ -24,6 +24,7 @@ from hilcell.calibration.tip import Tip
 from hilcell.cell.file import Cell, KeepOut, Station
 from hilcell.cell.surroundings import LEAST_MM, LINKS, CapsuleTable, Surroundings
 from hilcell.cell.surroundings import posture as with_slide
+from hilcell.clean import counted
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
@@ -87,7 +88,7 @@ class Drilling:
         )
         raise WayError(
             f"the arm does not reach the stand-off of {self.standoff_mm:g} mm at {len(bad)} of "
-            f"{len(names)} holes:\n{indented(lines)}\n"
+            f"{counted(len(names), 'hole')}:\n{indented(lines)}\n"
             "shorten it (--standoff, or standoff_mm of the tool), or move the part"
         )
 

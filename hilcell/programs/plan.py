@@ -87,7 +87,7 @@ def plan(
             holes = holes.with_turn_near(calibrated.orientation(station.name))
     slow = len(holes.names) >= slow_holes
     if slow:
-        say(f"planning {len(holes.names)} holes: where they are reached")
+        say(f"planning {counted(len(holes.names), 'hole')}: where they are reached")
     reached = reach(cell, holes, candidates, calibrated)
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
@@ -99,7 +99,7 @@ def plan(
     for each in order:
         if slow:
             count = int((owner == each).sum())
-            say(f"{candidates[each].name}: the order of {count} holes")
+            say(f"{candidates[each].name}: the order of {counted(count, 'hole')}")
         stations.append(_at_station(holes, reached, candidates[each], each, owner))
     return HolePlan(stations)
 

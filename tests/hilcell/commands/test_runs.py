@@ -114,6 +114,13 @@ def test_those_that_were_asked_for(runs: Path, words: list[str], count: int) -> 
     assert len(listed(runs, *words)) == count
 
 
+@pytest.mark.parametrize("words", [("runs",), ("run", "home"), ("revoke", "last", "--reason=x")])
+def test_an_operators_name_is_refused_that_a_journal_would_cut(words: tuple[str, ...]) -> None:
+    refused = command(*words, "--operator", 201 * "x")
+    assert refused.returncode == 2
+    assert "--operator: expected at most 200 characters, got 201" in refused.stderr
+
+
 @pytest.mark.parametrize("text", ["soon", "22.11.2026", "0001-01-01", ""])
 def test_a_date_that_is_none_is_refused(text: str) -> None:
     assert command("runs", "--since", text).returncode == 2
