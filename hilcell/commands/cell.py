@@ -30,7 +30,6 @@ from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 from hilcell.typed import Json
 
-LOOK_S = 0.1
 HELP = (
     "A number strikes that fault, Enter one that is not named; m lists them, q ends the simulated "
     "cell."
@@ -78,18 +77,14 @@ class Trainer:
     def _explain(self, exercise: Exercise) -> None:
         """Say what it was, and put the cell right."""
         entry = entry_of(exercise.alarm)
-        steps = [f"  {number}. {step}" for number, step in enumerate(entry.do, start=1)]
-        print_message(
-            "\n".join(
-                [
-                    f"It was: {exercise.title}.",
-                    f"The alarm is {entry.code}, {entry.title}: {entry.means}",
-                    "The right reaction:",
-                    *steps,
-                    "The simulated cell is put right; resume the run.",
-                ]
-            )
-        )
+        lines = [
+            f"It was: {exercise.title}.",
+            f"The alarm is {entry.code}, {entry.title}: {entry.means}",
+            "The right reaction:",
+            *(f"  {number}. {step}" for number, step in enumerate(entry.do, start=1)),
+            "The simulated cell is put right; resume the run.",
+        ]
+        print_message("\n".join(lines))
         self._cell.heal()
         self._struck = None
         print_message(HELP)  # not the list: it would push the answer out of view
@@ -103,7 +98,7 @@ def train(cell: Training, ended: threading.Event) -> None:
     trainer.menu()
     while not ended.is_set():
         try:
-            line = lines.get(timeout=LOOK_S)
+            line = lines.get(timeout=0.1)
         except Empty:
             continue
         if line is None or not trainer.take(line):
@@ -145,11 +140,11 @@ def check(args: Check) -> int:
         "unseen": hidden,
         "ok": True,
     }
+    can = {name: "yes" if has else "no" for name, has in able.items()}
     words = (
         f"{args.cell}: cell {cell.name} is sound; calibrate measures {plan.points} points "
-        f"in {plan.duration_s / 60:.0f} min; "
-        f"this tracker streams: {_word(able['tracker_streams'])}, "
-        f"this robot sweeps an axis: {_word(able['robot_sweeps'])}; "
+        f"in {plan.duration_s / 60:.0f} min; this tracker streams: {can['tracker_streams']}, "
+        f"this robot sweeps an axis: {can['robot_sweeps']}; "
         f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
     warnings = [f"warning: {each}" for each in plan.warnings]
@@ -171,10 +166,6 @@ def _sound(where: str, overrides: dict[str, str]) -> Cell:
     except SettingsError as error:
         raise located(where, error.problems, overrides) from None
     return cell
-
-
-def _word(able: bool) -> str:
-    return "yes" if able else "no"
 
 
 def sim(args: Sim) -> int:

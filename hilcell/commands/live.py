@@ -25,8 +25,6 @@ from hilcell.journal.runs import JOURNAL, live_engine
 from hilcell.journal.runs_folder import command_on
 from hilcell.run.control import Command, order
 
-FOLLOW_S = 0.1
-
 
 def pause(args: Pause) -> int:
     """Ask a live run to pause after the point in flight."""
@@ -94,4 +92,4 @@ def _follow(folder: Path) -> Iterator[Record]:
         seen += len(fresh)
         if not alive and not fresh:
             return
-        time.sleep(FOLLOW_S)
+        time.sleep(0.1)

@@ -18,7 +18,7 @@ from typing import Literal, get_args, get_origin
 import shtab
 
 from hilcell.alarms.catalogue import catalogue
-from hilcell.arguments import MISSING, Argument, Field, Signature, Switches, fields_of
+from hilcell.arguments import MISSING, Argument, Field, Switches, fields_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
 from hilcell.commands.cli import (
@@ -58,7 +58,6 @@ def explain(args: Explain) -> int:
 
 # -- completion -----------------------------------------------------------------------------------
 
-Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
 # The lines of the table of runs are bars in ASCII, or box characters; three of it are its head.
 _LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
 _NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
@@ -75,7 +74,6 @@ _hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
 _hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 """,
 }
-_NAMED = {"RUN": "run", "CALIBRATION": "run", "CELL": "cell"}  # the functions of the preamble
 
 
 def completion(args: Completion) -> int:
@@ -93,18 +91,18 @@ def completion(args: Completion) -> int:
 
 
 def _actions(parser: Parser) -> Iterator[argparse.Action]:
-    """Yield the arguments of all commands."""
     for action in parser.fill()._actions:  # noqa: SLF001 - argparse offers no list of them
         yield action
         for command in action.choices.values() if isinstance(action.choices, dict) else ():
             yield from _actions(command)
 
 
-def _completed_by(action: argparse.Action) -> Completer | None:
-    """Return what completes an argument; None for words of no list."""
+def _completed_by(action: argparse.Action) -> dict[str, str | dict[str, str]] | None:
+    """Return what completes an argument, by shell as shtab has it; None for words of no list."""
     name = str(action.metavar or "")
     of_runs = (action.dest, name) == ("cell", "NAME")
-    if function := "cell_of_runs" if of_runs else _NAMED.get(name):
+    functions = {"RUN": "run", "CALIBRATION": "run", "CELL": "cell"}  # of the preamble
+    if function := "cell_of_runs" if of_runs else functions.get(name):
         return dict.fromkeys(PREAMBLE, f"_hilcell_{function}")
     if re.search(r"DIR|FOLDER", name):
         return shtab.DIRECTORY
@@ -143,21 +141,15 @@ def _sections(program: str, commands: Commands) -> Iterator[str]:
         if not act:  # what it does is done by commands of its own
             yield from _sections(f"{program} {name}", PLANT)
             continue
-        yield f"```\n{_usage(f'{program} {name}', takes)}\n```\n"
-        if rows := [row for field in fields_of(takes) for row in _rows(field)]:
+        fields = list(fields_of(takes))
+        words = [_given(each) for each in fields if each.is_word or each.needed]
+        words += ["[OPTIONS]"] * (len(words) < len(fields))
+        yield f"```\n{' '.join([program, name, *words])}\n```\n"
+        if rows := [row for field in fields for row in _rows(field)]:
             yield "\n".join(["| argument | meaning | default |", "|---|---|---|", *rows, ""])
 
 
-def _usage(command: str, takes: type[Signature]) -> str:
-    """Return the words that must be given, and those that may be."""
-    fields = list(fields_of(takes))
-    words = [_given(each) for each in fields if each.is_word or each.needed]
-    optional = any(not (each.needed or each.is_word) for each in fields)
-    return " ".join([command, *words, *["[OPTIONS]"] * optional])
-
-
 def _given(field: Field) -> str:
-    """Return how an argument is given."""
     if isinstance(field.argument, Switches):
         return f"({' | '.join(field.names)})"
     if field.is_word:
@@ -166,7 +158,6 @@ def _given(field: Field) -> str:
 
 
 def _value(field: Field) -> str:
-    """Return the name of a value, or its choices."""
     if get_origin(field.kind) is Literal:
         return f"{{{','.join(get_args(field.kind))}}}"
     return (isinstance(field.argument, Argument) and field.argument.metavar) or field.name.upper()

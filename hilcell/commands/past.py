@@ -17,7 +17,7 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.orders import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.commands.output import print_json, print_message, print_table, terminal_columns
 from hilcell.commands.run_output import left_moving, print_suspected
-from hilcell.invariants.judging import INVARIANTS, Break, Proof, judge
+from hilcell.invariants.judging import INVARIANTS, Proof, judge
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
@@ -63,14 +63,10 @@ def runs(args: ListRuns) -> int:
 
 def _asked_for(row: RunRow, args: ListRuns) -> bool:
     """Return whether a run is of the cell and operator, and as young, as was asked for."""
-    since: datetime | None = args.since
     begun = _time(row.begun)
-    young = since is None or (begun is not None and begun >= since)
-    return young and _same(args.cell, row.cell) and _same(args.operator, row.operator)
-
-
-def _same(asked: str | None, found: str) -> bool:
-    return asked is None or asked.casefold() == found.casefold()
+    young = args.since is None or (begun is not None and begun >= args.since)
+    asked = ((args.cell, row.cell), (args.operator, row.operator))
+    return young and all(word is None or word.casefold() == own.casefold() for word, own in asked)
 
 
 def _time(begun: str) -> datetime | None:
@@ -85,12 +81,6 @@ def _local(begun: str) -> str:
     return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
 
 
-def _kind(row: RunRow) -> str:
-    if not row.readable:
-        return ""
-    return "simulated" if row.simulated else "real"
-
-
 LIST: tuple[Column[RunRow], ...] = (
     Column("run", lambda row: encodable(row.name)),
     Column("procedure", attrgetter("procedure")),
@@ -101,9 +91,8 @@ LIST: tuple[Column[RunRow], ...] = (
     Column("points", lambda row: row.points if row.readable else None, form="d"),
     Column("exit", attrgetter("exit"), form="d"),
     Column("begun", lambda row: _local(row.begun) if row.readable else None),
-    Column("kind", _kind),
+    Column("kind", lambda row: ("simulated" if row.simulated else "real") if row.readable else ""),
 )
-FIRST_OUT = ("procedure", "exit", "points", "operator", "begun", "state", "calibration")
 
 
 def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
@@ -112,10 +101,10 @@ def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
     standing = Column[RunRow](
         "calibration", lambda row: texts.get(row.name) if row.readable else None
     )
-    room, columns, left_out = terminal_columns(), [*LIST, standing], [*FIRST_OUT]
-    while room is not None and left_out and width_of(Table(columns, rows)) > room:
-        name = left_out.pop(0)
-        columns = [column for column in columns if column.name != name]
+    room, columns = terminal_columns(), [*LIST, standing]
+    for name in ("procedure", "exit", "points", "operator", "begun", "state", "calibration"):
+        if room is not None and width_of(Table(columns, rows)) > room:
+            columns = [column for column in columns if column.name != name]
     print_table(Table(columns, rows))
     if len(columns) <= len(LIST):
         print_message("a wider terminal, or --json, shows more of each run")
@@ -203,8 +192,6 @@ def show(args: Show) -> int:
 
 # -- show --check: the invariants -----------------------------------------------------------------
 
-FIRST = 3  # violations of one invariant that are printed
-
 
 def _check(folder: Path, *, as_json: bool) -> int:
     """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
@@ -218,16 +205,11 @@ def _check(folder: Path, *, as_json: bool) -> int:
 
 
 def _proof_facts(verdict: Proof) -> dict[str, object]:
-    return {
-        "holds": verdict.holds,
-        "checked": verdict.checked,
-        "broken": [_place(each) for each in verdict.broken],
-        "unproven": [_place(each) for each in verdict.unproven],
+    lists = {"broken": verdict.broken, "unproven": verdict.unproven}
+    return {"holds": verdict.holds, "checked": verdict.checked} | {
+        name: [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
+        for name, breaks in lists.items()
     }
-
-
-def _place(found: Break) -> dict[str, object]:
-    return {"record": found.seq, "what": encodable(found.what)}
 
 
 def _print_proofs(verdicts: dict[str, Proof]) -> None:
@@ -238,12 +220,13 @@ def _print_proofs(verdicts: dict[str, Proof]) -> None:
         Column("checked", lambda row: row[1].checked, form="d"),
     ]
     print_table(Table(columns, verdicts.items()))
+    printed = 3  # violations of one invariant
     for name, verdict in verdicts.items():
         for word, found in (("broken", verdict.broken), ("not proven", verdict.unproven)):
-            for each in found[:FIRST]:
+            for each in found[:printed]:
                 print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
-            if len(found) > FIRST:
-                print_message(f"{name} {word} at {len(found) - FIRST} more records")
+            if len(found) > printed:
+                print_message(f"{name} {word} at {len(found) - printed} more records")
 
 
 def _held(verdict: Proof) -> str:
@@ -262,8 +245,8 @@ def compare(args: Compare) -> int:
     if folders[0].resolve() == folders[1].resolve():
         raise HilcellError(f"run {folders[0].name} is both; expected two runs")
     first, second = (read_log(folder) for folder in folders)
-    lives, other_lives = (live_engine(folder) is not None for folder in folders)
-    found = compare_runs(first, second, live=(lives, other_lives))
+    lives, lives_too = (live_engine(folder) is not None for folder in folders)
+    found = compare_runs(first, second, live=(lives, lives_too))
     names = [encodable(folder.resolve().name) for folder in folders]
     if args.json:
         changes = [
@@ -381,13 +364,12 @@ def revoke(args: Revoke) -> int:
 def _check_permission(folder: Path, again: str) -> None:
     """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
     for place in (folder / JOURNAL, folder, folder.resolve().parent):
+        why = ""
         if os.statvfs(place).f_flag & os.ST_RDONLY:
+            why = f"{place} lies on a read-only file system; mount it for writing"
+        elif not os.access(place, os.W_OK):
+            why = f"no permission to write {place}; ask its owner, or revoke as the owner"
+        if why:
             raise StorageError(
-                f"run {folder.name}: its calibration is not revoked: {place} lies on a read-only "
-                f"file system; mount it for writing, then `{again}`"
-            )
-        if not os.access(place, os.W_OK):
-            raise StorageError(
-                f"run {folder.name}: its calibration is not revoked: no permission to write "
-                f"{place}; ask the owner of that for it, or revoke as the owner, then `{again}`"
+                f"run {folder.name}: its calibration is not revoked: {why}, then `{again}`"
             )

@@ -9,7 +9,7 @@ import getpass
 import importlib.util
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -38,12 +38,9 @@ if TYPE_CHECKING:
         RobotCourse,
         StationCourse,
     )
-    from hilcell.plant.shipper import Behind
 
 
-URL = "HILCELL_PLANT"
 PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
-NAMED = 3  # runs, in a message
 
 
 def init(args: PlantInit) -> int:
@@ -72,7 +69,15 @@ def ship(args: PlantShip) -> int:
     if done.waiting:
         print_message(f"hilcell: not over yet, shipped after their end: {_names(done.waiting)}")
     if done.behind:
-        print_message(f"hilcell: {_behind_words(done.behind)}")
+        behind = [
+            f"{run} (here up to record {each.here}, there {each.plant})"
+            for run, each in done.behind.items()
+        ]
+        print_message(
+            f"hilcell: the plant has later records of {counted(len(behind), 'run')} than this "
+            f"folder: {_names(behind)}; the folder was restored from an older backup, or is a "
+            "copy; restore a newer one before using or resuming them"
+        )
     if not (done.runs or done.before or done.waiting or done.refused):
         print_message(f"hilcell: no runs in {clean(str(args.runs))}")
     print_answer(
@@ -94,22 +99,9 @@ def ship(args: PlantShip) -> int:
 
 
 def _names(every: Sequence[str]) -> str:
-    more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
-    return ", ".join(map(clean, every[:NAMED])) + more
-
-
-def _behind_words(behind: Mapping[str, Behind]) -> str:
-    named = _names(
-        [
-            f"{run} (here up to record {each.here}, there {each.plant})"
-            for run, each in behind.items()
-        ]
-    )
-    return (
-        f"the plant has later records of {counted(len(behind), 'run')} than this folder: {named}; "
-        "the folder was restored from an older backup, or is a copy; restore a newer one before "
-        "using or resuming them"
-    )
+    named = 3
+    more = f" and {len(every) - named} more" if len(every) > named else ""
+    return ", ".join(map(clean, every[:named])) + more
 
 
 def show(args: PlantShow) -> int:
@@ -147,10 +139,10 @@ def _require_packages(names: Sequence[str]) -> None:
 def _open_database(url: str | None) -> Database:
     """Return the database; raises `HilcellError` where the packages or the URL are missing."""
     _require_packages(PACKAGES)
-    url = url or os.environ.get(URL, "")
+    url = url or os.environ.get("HILCELL_PLANT", "")
     if not url:
         raise HilcellError(
-            f"plant: no database is named; say its URL by --to or --from, or set {URL}: "
+            "plant: no database is named; say its URL by --to or --from, or set HILCELL_PLANT: "
             "postgresql://USER@HOST/DATABASE or sqlite:///FILE"
         )
     from hilcell.plant.database import Database
@@ -283,12 +275,10 @@ def _print_robots(robots: list[RobotCourse]) -> None:
 
 # -- export and verify ----------------------------------------------------------------------------
 
-SIGNING = ("cryptography",)
-
 
 def export(args: PlantExport) -> int:
     """Write a cell's record with a signed manifest."""
-    _require_packages(SIGNING)
+    _require_packages(["cryptography"])
     from hilcell.plant.audit import read_private_key
     from hilcell.plant.export import export as export_cell
 
@@ -311,7 +301,7 @@ def export(args: PlantExport) -> int:
 
 def verify(args: PlantVerify) -> int:
     """Verify an exported record; exit code 1 where a file differs, is missing or is extra."""
-    _require_packages(SIGNING)
+    _require_packages(["cryptography"])
     from hilcell.plant.audit import read_public_key
     from hilcell.plant.audit import verify as verify_record
 
@@ -319,12 +309,10 @@ def verify(args: PlantVerify) -> int:
     for each in findings:
         print_message(f"{harmless(each.file)}: {harmless(each.what)}")
     count = len(manifest.files)
-    are = "1 file is not as it was" if len(findings) == 1 else (
-        f"{len(findings)} files are not as they were"
-    )  # fmt: skip
-    words = f"{are} signed" if findings else (
-        f"all {count} files are as they were signed"
-    )  # fmt: skip
+    words = f"all {count} files are as they were signed"
+    if findings:
+        words = f"{len(findings)} files are not as they were signed"
+        words = "1 file is not as it was signed" if len(findings) == 1 else words
     print_answer(
         {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
          "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,

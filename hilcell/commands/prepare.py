@@ -16,7 +16,7 @@ from hilcell.errors import bounded
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Released
 from hilcell.programs.holes import read_holes, twins
-from hilcell.programs.plan import HolePlan, StationPlan, Volume, ratio
+from hilcell.programs.plan import HolePlan, Volume, ratio
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.station_jobs import StationJobs
 from hilcell.writing import CSV, check_output
@@ -81,21 +81,19 @@ def _calibrated(args: Plan, cell: Cell) -> Volume | None:
 
 
 def _facts(found: HolePlan) -> dict[str, object]:
-    return {
-        "stations": [_station_facts(each) for each in found.stations],
-        **_travel(found.travel_mm, found.bound_mm),
-        "unreached": [],  # a plan that leaves holes out is refused
-    }
-
-
-def _station_facts(each: StationPlan) -> dict[str, object]:
-    return {
-        "name": each.station.name,
-        "rail_mm": each.station.rail_mm,
-        "holes": each.holes,
-        "targets": as_listed(each.poses).tolist(),  # x, y, z, a, b, c in {W}, in the same order
-        **_travel(each.travel_mm, each.bound_mm),
-    }
+    stations = [
+        {
+            "name": each.station.name,
+            "rail_mm": each.station.rail_mm,
+            "holes": each.holes,
+            "targets": as_listed(each.poses).tolist(),  # x, y, z, a, b, c in {W}, in the same order
+            **_travel(each.travel_mm, each.bound_mm),
+        }
+        for each in found.stations
+    ]
+    unreached: list[str] = []  # a plan that leaves holes out is refused
+    travel = _travel(found.travel_mm, found.bound_mm)
+    return {"stations": stations, **travel, "unreached": unreached}
 
 
 def _travel(travel_mm: float, bound_mm: float) -> dict[str, object]:

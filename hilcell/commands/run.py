@@ -31,6 +31,8 @@ from hilcell.run.engine import Engine, NewEngine, ResumedEngine
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.procedure import Procedure
 
+UNASKED = "nobody can be asked whether the robot may go on, for this is no terminal"
+
 
 def run(args: Order) -> int:
     """Perform a procedure on a cell."""
@@ -83,8 +85,14 @@ def _resume_live(folder: Path, args: Resume) -> int:
     somebody, status = asks(args.attendance), order(folder, "status")
     log, under_way = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
-    if not somebody:
-        check_word(folder, awaited_motion(log), log)
+    motion = awaited_motion(log)
+    if not somebody and motion and not log.inputs.simulated:
+        raise HilcellError(
+            f"run {folder.name}: {UNASKED}; it waits before a motion: {motion}; type "
+            f'"yes" at `{command_on(folder, "resume")}` in a terminal, or let it go on at '
+            "`hilcell tui`",
+            code="HC-C31",
+        )
     if somebody or not (status.unattended or status.screens):
         waits_for = log.life[-1].change.reason if log.life else ""
         if not somebody:
@@ -95,7 +103,12 @@ def _resume_live(folder: Path, args: Resume) -> int:
     for key in args.retake:
         order(folder, "retake", key=key)
     if under_way:
-        say_under_way(folder.name, log, procedure)
+        announced = log.happened(Announced)
+        moving = announced[-1].motion if announced else _moves(log, procedure)
+        print_message(
+            f"{kind_of(log)} {folder.name}: {log.state}; it waits for no answer, and nothing was "
+            f"asked of it. Under way: {moving}"
+        )
         return 0
     answer = order(folder, "proceed", until=seen)
     print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
@@ -120,9 +133,8 @@ def check_unasked(run: str, log: Log, procedure: Procedure, attendance: Attendan
         return
     if not log.inputs.simulated:
         raise HilcellError(
-            f"run {run}: nobody can be asked whether the robot may go on, for this is no terminal; "
-            "resume it at a terminal or from `hilcell tui`, or add --unattended where nobody is "
-            "in the cell",
+            f"run {run}: {UNASKED}; resume it at a terminal or from `hilcell tui`, or add "
+            "--unattended where nobody is in the cell",
             code="HC-C31",
         )
     moves = _moves(log, procedure)
@@ -134,18 +146,6 @@ def awaited_motion(log: Log) -> str:
     went_on = max((change.seq for change in log.life if change.to == "running"), default=0)
     since = (each.fact for each in reversed(log.events) if each.seq > went_on)
     return next((fact.motion for fact in since if isinstance(fact, Announced)), "")
-
-
-def check_word(folder: Path, motion: str, log: Log) -> None:
-    """Refuse a real motion that needs a typed word where nobody can type it."""
-    resume = command_on(folder, "resume")
-    if motion and not log.inputs.simulated:
-        raise HilcellError(
-            f"run {folder.name}: nobody can be asked whether the robot may go on, for this is no "
-            f'terminal; it waits before a motion: {motion}; type "yes" at `{resume}` in a '
-            "terminal, or let it go on at `hilcell tui`",
-            code="HC-C31",
-        )
 
 
 def agrees(
@@ -176,16 +176,6 @@ def agrees(
     short = real and answer.lower() == "y"
     print_message('nothing was moved: expected "yes" in full' if short else "nothing was moved")
     return False
-
-
-def say_under_way(run: str, log: Log, procedure: Procedure) -> None:
-    """Say what a run does that waits for nobody."""
-    announced = log.happened(Announced)
-    what = announced[-1].motion if announced else _moves(log, procedure)
-    print_message(
-        f"{kind_of(log)} {run}: {log.state}; it waits for no answer, and nothing was asked of it. "
-        f"Under way: {what}"
-    )
 
 
 def _moves(log: Log, procedure: Procedure) -> str:

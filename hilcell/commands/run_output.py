@@ -103,12 +103,11 @@ class JsonOutput(RunOutput):
         """Print the end where the journal could not store it."""
         if log.end is None and not self._closed:
             end: Json = {"run": self._run, "kind": "end", "state": log.state, "exit": code}
-            end |= {"result": {}, "reason": str(fault)}
-            end |= {} if fault is None else {"error": facts_of(fault)}
+            error = {} if fault is None else {"error": facts_of(fault)}
             try:
-                self._write(end)
-            except NotPrinted as error:
-                self.lost = error
+                self._write(end | {"result": {}, "reason": str(fault)} | error)
+            except NotPrinted as lost:
+                self.lost = lost
 
     def _write(self, event: Json) -> None:
         with stdout_checked():
@@ -118,21 +117,14 @@ class JsonOutput(RunOutput):
 
 def progress_bar() -> Progress:
     """Return a bar on stderr with counts and times, which nobody need read."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress
 
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+    return progress.Progress(
+        progress.TextColumn("{task.description}", markup=False),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
         console=_console(),
     )
 
@@ -236,6 +228,16 @@ def print_end(
     print_message(f"{kind_of(log)} {folder.name}: {ended_words(log)}; journal in {folder}")
 
 
+def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None:
+    try:
+        print_table(procedure.table(result))
+        flush_data()
+    except NotPrinted as error:
+        output.lost = error
+    if words := procedure.words(result):
+        print_message(words)
+
+
 def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
     """Return the line that says how a run which ended early goes on; "" where it cannot."""
     if code not in RESUMABLE:
@@ -291,16 +293,6 @@ def left_moving(log: Log) -> str:
     return "" if error is None or error.summary in log.fault else str(error)
 
 
-def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None:
-    try:
-        print_table(procedure.table(result))
-        flush_data()
-    except NotPrinted as error:
-        output.lost = error
-    if words := procedure.words(result):
-        print_message(words)
-
-
 def print_lost(folder: Path, output: RunOutput) -> None:
     """Print that stdout did not take the run's data, and that none of them are lost."""
     if output.lost is not None:
@@ -336,10 +328,9 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
             "points": plan.points,
             "duration_s": plan.duration_s,
         }
-        head = {"run": None, "seq": 1, "kind": "plan"}
-        end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0, "result": body}
-        for event in (head | body, end):
-            print_json(event)
+        print_json({"run": None, "seq": 1, "kind": "plan"} | body)
+        end = {"run": None, "seq": 2, "kind": "end", "state": "idle", "exit": 0}
+        print_json(end | {"result": body})
         return
     columns = (
         Column[Step]("step", attrgetter("name")),

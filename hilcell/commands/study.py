@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from hilcell.study.results import Results
 
 REPORT = "report"
-MOST_LISTED = 1000  # cases; a table of 65 536 takes half a minute
 
 
 def study(args: RunStudy) -> int:
@@ -43,27 +42,27 @@ def study(args: RunStudy) -> int:
 
 
 def _check_words(args: RunStudy) -> None:
-    if args.file == REPORT and not args.folder:
-        raise HilcellError("study report: name the folder of results", code="HC-C11")
-    if args.file != REPORT and args.folder:
-        raise HilcellError(
-            f"study: {clean(args.folder)!r} is one word too many; results go to -o DIR, a report "
-            "is `hilcell study report DIR`",
-            code="HC-C11",
-        )
-    performing = {
+    of_report = args.file == REPORT
+    options = {
         "--workers": args.workers,
         "--scheduler": args.scheduler,
         "--dry-run": args.dry_run,
     }
-    for option, given in performing.items():
-        if args.file == REPORT and given:
-            raise HilcellError(f"study report: {option} is for performing", code="HC-C11")
-    if args.workers and args.scheduler:
-        raise HilcellError(
-            "study: --workers are of this PC, --scheduler has workers of its own; name one",
-            code="HC-C11",
+    performing = [option for option, given in options.items() if given]
+    if of_report and not args.folder:
+        refusal = "study report: name the folder of results"
+    elif args.folder and not of_report:
+        refusal = (
+            f"study: {clean(args.folder)!r} is one word too many; results go to -o DIR, a report "
+            "is `hilcell study report DIR`"
         )
+    elif of_report and performing:
+        refusal = f"study report: {performing[0]} is for performing"
+    elif args.workers and args.scheduler:
+        refusal = "study: --workers are of this PC, --scheduler has workers of its own; name one"
+    else:
+        return
+    raise HilcellError(refusal, code="HC-C11")
 
 
 def _perform(args: RunStudy) -> int:
@@ -103,21 +102,17 @@ def _perform(args: RunStudy) -> int:
 def _dry_run(asked: Study, *, as_json: bool) -> int:
     found = cases(asked)
     if as_json:
-        print_json(
+        listed = [
             {
-                "study": asked.name,
-                "cases": [
-                    {
-                        "case": each.number,
-                        "point": each.point.number,
-                        "machine": each.machine,
-                        "seed": each.seed,
-                        "settings": each.point.values,
-                    }
-                    for each in found
-                ],
+                "case": each.number,
+                "point": each.point.number,
+                "machine": each.machine,
+                "seed": each.seed,
+                "settings": each.point.values,
             }
-        )
+            for each in found
+        ]
+        print_json({"study": asked.name, "cases": listed})
         return EXIT_OK
     from hilcell.study.tables import point_columns
 
@@ -129,7 +124,8 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
         Column("seed", attrgetter("seed"), form="d"),
         *factors,
     ]
-    print_table(Table(columns, itertools.islice(found, MOST_LISTED)))
+    most_listed = 1000  # a table of 65 536 takes half a minute
+    print_table(Table(columns, itertools.islice(found, most_listed)))
     if more := sum(1 for _ in found):
         print_message(f"{more} more cases; --json lists all")
     if asked.optimise is not None:

@@ -10,6 +10,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.orders import Compensate, Fit
 from hilcell.commands.output import print_data, print_json, print_message, print_table
+from hilcell.errors import bounded
 from hilcell.fit.methods import FitResult, Fitted, FittedArm, fitted, in_mm, methods_table
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
@@ -17,9 +18,7 @@ from hilcell.programs.arm_targets import ArmTargets
 from hilcell.programs.target_jobs import StationTargets, Strokes
 from hilcell.writing import CSV, check_output
 
-DRILL_KEY = "uncertainty.drill_offset_mm"
 URDF = ".urdf"
-NAMED = 10  # rows that are left out
 
 
 def compensate(args: Compensate) -> int:
@@ -47,15 +46,14 @@ def check_settings(cell: str | None, settings: dict[str, str]) -> None:
     """Refuse settings that would change nothing; raises `SettingsError`."""
     if settings and not cell:
         raise SettingsError("--set", ["it changes the cell of --cell CELL; none is given"])
-    unused = [key for key in settings if key.startswith("uncertainty.") and key != DRILL_KEY]
+    drill = "uncertainty.drill_offset_mm"
+    unused = [
+        f"{key}: the calibration states its own budget; only {drill} is the cell's"
+        for key in settings
+        if key.startswith("uncertainty.") and key != drill
+    ]
     if unused:
-        raise SettingsError(
-            "--set",
-            [
-                f"{key}: the calibration states its own budget; only {DRILL_KEY} is the cell's"
-                for key in unused
-            ],
-        )
+        raise SettingsError("--set", unused)
 
 
 def fit(args: Fit) -> int:
@@ -134,13 +132,13 @@ def _print(result: FitResult) -> None:
     print_data(result["reason"])
     for reason in sorted(set(result["refused"].values())):
         print_message(f"no robot is identified: {reason}")
-    for bad in result["outliers"][:NAMED]:
-        print_message(
-            f"pose {bad['pose']} target {bad['target']} contradicts the others by "
-            f"{bad['miss_mm']:.4g} mm and is left out"
-        )
-    if len(result["outliers"]) > NAMED:
-        print_message(f"and {len(result['outliers']) - NAMED} more")
+    left_out = (
+        f"pose {bad['pose']} target {bad['target']} contradicts the others by "
+        f"{bad['miss_mm']:.4g} mm and is left out"
+        for bad in result["outliers"]
+    )
+    for line in bounded(left_out):
+        print_message(line)
     inside = result["coverage"].get(result["chosen"])
     if inside:
         print_data(
