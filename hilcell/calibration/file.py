@@ -27,7 +27,7 @@ from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.tip import AT_REFLECTOR, Tip
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError, read_bytes, unreadable
+from hilcell.cell.settings import SettingsError, read_file
 from hilcell.clean import counted
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
@@ -170,8 +170,8 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
 
 def read_calibration(path: Path) -> Calibration:
     """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
+    data = read_file(path)
     try:
-        data = read_bytes(path)
         schema = decoded(data, _Head).schema
         if schema != SCHEMA:
             found = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"
@@ -179,8 +179,6 @@ def read_calibration(path: Path) -> Calibration:
         content = msgspec.json.decode(data)
         problems = seal_problems(content)
         calibration = typed(content, Calibration)
-    except OSError as error:
-        raise unreadable(str(path), error) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
     problems += problems_of(calibration)

@@ -16,8 +16,9 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -48,14 +49,55 @@ class NoCalibration(HilcellError):
     code = "HC-C25"
 
 
-class Accepts(NamedTuple):
-    """Whether a calibration is used although it is not in tolerance, or not the current one."""
+@dataclass(frozen=True)
+class CalibrationFile:
+    """A calibration as read from its file, and what the journal of the run that wrote it says.
 
-    out_of_tolerance: bool = False
-    not_current: bool = False
+    The run of a file that lies alone is looked for in ``runs``.
+    """
 
+    calibration: Calibration
+    path: Path
+    runs: Path
 
-NOTHING = Accepts()
+    @classmethod
+    def named(cls, name: str, runs: Path) -> Self:
+        """Read that of a run or a file; raises `NoCalibration`, `SettingsError`, `HilcellError`."""
+        is_file = os.path.isfile(name)  # noqa: PTH113 - Path.is_file raises for a name too long
+        path = Path(name) if is_file else written_by(find_run(runs, name))
+        return cls(read_calibration(path), path, runs)
+
+    @cached_property
+    def folder(self) -> Path | None:
+        """The folder of the run that wrote it, if it is there; a copied folder is no other run."""
+        here = self.path.resolve().parent
+        runs = here.parent if is_run(here) else self.runs
+        wrote = runs / self.calibration.provenance.latest
+        folder = here if is_run(here) and not is_run(wrote) else wrote
+        return folder.resolve() if is_run(folder) else None
+
+    @cached_property
+    def standing(self) -> Standing | None:
+        """How it stands; None where its run is not there.
+
+        Of a run in a copy of ``runs`` the one in ``runs`` counts, too: it may have been revoked
+        since.
+        """
+        folder = self.folder
+        if folder is None:
+            return None
+        found, here = standing_of(folder), (self.runs / folder.name).resolve()
+        if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
+            return found
+        there = standing_of(here)
+        return found if there.usable else there
+
+    @cached_property
+    def cell(self) -> Cell | None:
+        """The cell as it was when that run began."""
+        with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+            return read_log(self.folder).cell if self.folder else None
+        return None
 
 
 class Chosen(NamedTuple):
@@ -69,7 +111,13 @@ class Chosen(NamedTuple):
 
 
 def with_calibration(
-    cell: Cell, table: str, runs: Path, accepts: Accepts = NOTHING, machine: int | None = None
+    cell: Cell,
+    table: str,
+    runs: Path,
+    *,
+    machine: int | None = None,
+    accept_out_of_tolerance: bool = False,
+    accept_not_current: bool = False,
 ) -> Chosen:
     """Return the cell with the path of a usable calibration file in ``table``.
 
@@ -81,15 +129,26 @@ def with_calibration(
     chosen = getattr(cell, table)
     if chosen is None:
         return Chosen(cell, [])  # the plan says which keys it lacks
-    named = chosen.calibration
-    path = _named(runs, named) if named else _current(runs, cell, table, machine)
-    calibration = read_calibration(path)
-    standing = standing_by_name(calibration, path, runs)
-    accepted = _accepted(calibration, path, cell, standing, accepts)
-    changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
+    named = chosen.calibration or str(_current(runs, cell, table, machine))
+    used = CalibrationFile.named(named, runs)
+    calibration, standing = used.calibration, used.standing
+    if reasons := list(_foreign(used, cell)):  # first: nothing accepts that of another cell
+        raise Unfit(calibration, reasons)
+    accepted = check_fitness(
+        calibration,
+        datetime.now(UTC),
+        max_age_days=math.inf,  # its age and the temperature are why it is checked
+        limits=limits_of(cell),
+        accept_out_of_tolerance=accept_out_of_tolerance,
+        standing=standing,
+        accept_not_current=accept_not_current,
+    )
     words = f"the calibration of {calibration.provenance.named} is used"
     if standing is not None:
         words += f": {standing.text}"
+        if not standing.usable:
+            accepted.append(f"it is {standing.text}")
+    changed = msgspec.structs.replace(chosen, calibration=str(used.path.resolve()))
     return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
 
 
@@ -131,12 +190,6 @@ def calibration_in(log: Log) -> Calibration | None:
         if isinstance(record.fact, CalibrationUsed):
             return typed(record.fact.content, Calibration)
     return None
-
-
-def _named(runs: Path, named: str) -> Path:
-    if Path(named).is_file():
-        return Path(named)
-    return written_by(find_run(runs, named))
 
 
 def written_by(folder: Path) -> Path:
@@ -281,62 +334,9 @@ def _unproven(row: RunRow) -> Standing:
     return Standing("in doubt", "", f"its run {ended}")
 
 
-def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standing | None:
-    """Return how a calibration stands that was read from a file.
-
-    A file that lies alone is looked for in ``runs`` by its run; None where that is not there. Of a
-    run in a copy of ``runs`` the one in ``runs`` counts, too: it may have been revoked since.
-    """
-    folder = _folder(calibration, path, runs).resolve()
-    if not is_run(folder):
-        return None
-    found, here = standing_of(folder), (runs / folder.name).resolve()
-    if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
-        return found
-    there = standing_of(here)
-    return found if there.usable else there
-
-
-def cell_calibrated(calibration: Calibration, path: Path, runs: Path) -> Cell | None:
-    """Return the cell as it was when a run began that is found as by `standing_by_name`."""
-    folder = _folder(calibration, path, runs)
-    with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
-        return read_log(folder).cell if is_run(folder) else None
-    return None
-
-
-def _folder(calibration: Calibration, path: Path, runs: Path) -> Path:
-    """Return the folder of the run that wrote a calibration; a copied folder is no other run."""
-    here = path.resolve().parent
-    wrote = (here.parent if is_run(here) else runs) / calibration.provenance.latest
-    return here if is_run(here) and not is_run(wrote) else wrote
-
-
-def _accepted(
-    calibration: Calibration, path: Path, cell: Cell, standing: Standing | None, accepts: Accepts
-) -> list[str]:
-    """Return why a calibration should not be used, where that is accepted; else refuse it.
-
-    It must be of this cell. Its age and the temperature are no reasons: they are why it is checked.
-    """
-    reasons = list(_foreign(calibration, path, cell))
-    if reasons:  # first: nothing accepts the calibration of another cell
-        raise Unfit(calibration, reasons)
-    accepted = check_fitness(
-        calibration,
-        datetime.now(UTC),
-        max_age_days=math.inf,
-        limits=limits_of(cell),
-        accept_out_of_tolerance=accepts.out_of_tolerance,
-        standing=standing,
-        accept_not_current=accepts.not_current,
-    )
-    if standing is None or standing.usable:
-        return accepted
-    return [*accepted, f"it is {standing.text}"]
-
-
-def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:
+def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
+    """Yield why a calibration is not of this cell."""
+    calibration, folder = used.calibration, used.path.parent
     made = calibration.provenance
     if made.simulated != (cell.simulation is not None):
         kinds = ("a simulated", "a real") if made.simulated else ("a real", "a simulated")
@@ -347,13 +347,13 @@ def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:
         yield f"station {cell.grid.station} is not calibrated by it"
     if made.digest == cell.digest:
         return
-    if not is_run(path.parent):
+    if not is_run(folder):
         yield (
             f"it is of cell {made.cell} with digest {made.digest[:12]}, this one has "
             f"{cell.digest[:12]}; name the run that wrote it, or run with the cell file of then"
         )
         return
-    then, now = _fixed(read_log(path.parent).cell), _fixed(cell)
+    then, now = _fixed(read_log(folder).cell), _fixed(cell)
     for key, value in now.items():
         if then[key] != value:
             yield f"{key} differs from the cell that was calibrated; calibrate this cell"

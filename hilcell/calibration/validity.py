@@ -55,12 +55,7 @@ def check_fitness(
     the cell's calibrations; None leaves each unchecked. Returns why it is out of tolerance,
     where that was accepted.
     """
-    use = _Use(calibration)
-    reasons = [use.unproven(), use.age(now, max_age_days)]
-    if cell is not None:
-        reasons.append(use.other_cell(cell, calibrated))
-    if temperature_c is not None:
-        reasons.append(use.temperature(temperature_c))
+    use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
     settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
@@ -68,7 +63,7 @@ def check_fitness(
         "--accept-not-current": [] if accept_not_current else [*_not_current(standing)],
         "--accept-out-of-tolerance": [] if accept_out_of_tolerance else intolerant,
     }
-    found = [reason for reason in reasons if reason]
+    found = [each for each in (use.unproven, use.age, use.other_cell, use.temperature) if each]
     flags = [flag for flag, against in acceptable.items() if against and not found]
     found += itertools.chain.from_iterable(acceptable.values())
     if flags:
@@ -122,10 +117,16 @@ def _not_current(standing: Standing | None) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Use:
-    """A calibration that is to be used."""
+    """A calibration that is to be used, and why it must not be: "" where it may."""
 
     calibration: Calibration
+    now: datetime
+    max_age_days: float
+    cell: Cell | None
+    calibrated: Cell | None
+    temperature_c: float | None
 
+    @property
     def unproven(self) -> str:
         if self.calibration.provenance.sign_checked:
             return ""
@@ -134,10 +135,11 @@ class _Use:
             "the error; see `hilcell show`, then calibrate again"
         )
 
-    def age(self, now: datetime, max_age_days: float) -> str:
+    @property
+    def age(self) -> str:
         written = self.calibration.provenance.written
         try:
-            age = now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+            age = self.now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
         except ValueError:
             return f"it says {written!r} for when it was written, which is no UTC time"
         days = age / timedelta(days=1)
@@ -145,16 +147,19 @@ class _Use:
             return (
                 f"it was written {written}, {-days:.1f} days from now; check the computer's clock"
             )
-        if not days <= max_age_days:
+        if not days <= self.max_age_days:
             return (
-                f"it was written {written}, {days:.1f} days ago, wanted <= {max_age_days:g} days; "
-                "calibrate again, or say --max-age DAYS"
+                f"it was written {written}, {days:.1f} days ago, expected <= "
+                f"{self.max_age_days:g} days; calibrate again, or say --max-age DAYS"
             )
         return ""
 
-    def other_cell(self, cell: Cell, calibrated: Cell | None) -> str:
-        """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
-        found = self.calibration.provenance.digest
+    @property
+    def other_cell(self) -> str:
+        """In its tolerance alone is no other cell, and judged apart."""
+        cell, found = self.cell, self.calibration.provenance.digest
+        if cell is None:
+            return ""
         limits = {each.limits for each in self.calibration.verdicts.values()}
         possible = [each for each in limits if each.max_deg is None or cell.orients]
         if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
@@ -162,7 +167,7 @@ class _Use:
         name = self.calibration.provenance.cell
         if name != cell.name:
             return f"it is of cell {name}, not {cell.name}"
-        changed = differences(calibrated, cell) if calibrated is not None else ""
+        changed = differences(self.calibrated, cell) if self.calibrated is not None else ""
         return (
             f"it is of cell {name} with digest {found[:12]}, the cell given has "
             f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
@@ -170,7 +175,11 @@ class _Use:
             + (f"; its run's and the one given: {changed}" if changed else "")
         )
 
-    def temperature(self, temperature_c: float) -> str:
+    @property
+    def temperature(self) -> str:
+        temperature_c = self.temperature_c
+        if temperature_c is None:
+            return ""
         if self.calibration.validity.temperature_c is None:
             return (
                 f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no "

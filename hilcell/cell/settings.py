@@ -99,6 +99,14 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
+def read_file(path: Path) -> bytes:
+    """Return what a file holds, as `read_bytes` does; raises `SettingsError`."""
+    try:
+        return read_bytes(path)
+    except OSError as error:
+        raise unreadable(str(path), error) from error
+
+
 def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:
     """Return the error for a file that could not be opened or is no text; ``kind`` was expected."""
     match error:

@@ -15,7 +15,7 @@ from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.errors import bounded
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Released
-from hilcell.programs.holes import read_holes, twins
+from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, Volume, ratio
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.station_jobs import StationJobs
@@ -48,7 +48,7 @@ def plan(args: Plan) -> int:
     cell = load_cell(args.cell, dict(args.settings))
     calibrated = _calibrated(args, cell)
     holes = read_holes(Path(args.holes), tip_named(cell, args.tool).T_D_T)
-    for warning in bounded(twins(holes)):
+    for warning in bounded(holes.twins):
         print_message(warning)
     found = plan_holes(cell, holes, free=args.free, calibrated=calibrated, say=print_message)
     if args.output:

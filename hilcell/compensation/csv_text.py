@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilcell.cell.settings import SettingsError, read_bytes, unreadable
+from hilcell.cell.settings import SettingsError
 
 POINT, COMMA = ".", ","
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
@@ -45,12 +45,12 @@ class CsvText:
         return ""
 
 
-def read_csv(path: Path, labels: int) -> CsvText:
+def read_csv(path: Path, content: bytes, labels: int) -> CsvText:
     """Return a file whose first ``labels`` columns are words and whose others are numbers.
 
     Raises `SettingsError`, also where the decimal sign is not certain.
     """
-    text = _text(path)
+    text = _text(path, content)
     first, _, others = text.partition("\n")
     stated = STATED.fullmatch(first.strip())
     if stated:
@@ -60,7 +60,7 @@ def read_csv(path: Path, labels: int) -> CsvText:
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
         rows = [(reader.line_num + bool(stated), cells) for cells in reader]
     except csv.Error as error:
-        raise unreadable(str(path), error) from error
+        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
     begin = next((n for n, (_, cells) in enumerate(rows) if any(map(str.strip, cells))), 0)
     rows = _without_empty_columns(rows[begin:])
     if separator == ",":
@@ -83,11 +83,7 @@ def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int,
     return [(line, needed(cells)) for line, cells in rows]
 
 
-def _text(path: Path) -> str:
-    try:
-        content = read_bytes(path)
-    except OSError as error:
-        raise unreadable(str(path), error) from error
+def _text(path: Path, content: bytes) -> str:
     utf_16 = (b"\xff\xfe", b"\xfe\xff")
     if content.startswith(utf_16):
         raise SettingsError(str(path), ["is UTF-16; save it as CSV in UTF-8"])
@@ -99,7 +95,7 @@ def _text(path: Path) -> str:
         if content.partition(b"\n")[0].isascii():
             with suppress(UnicodeDecodeError):
                 return content.decode(other_coding)
-        raise unreadable(str(path), error) from error
+        raise SettingsError(str(path), ["is not UTF-8 text; save it as UTF-8"]) from error
 
 
 def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:

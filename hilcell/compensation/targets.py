@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, read_file
 from hilcell.clean import LONGEST, UNSAFE
 from hilcell.compensation.csv_text import POINT, CsvText, read_csv
 from hilcell.compensation.stamp import COLUMN, Stamp, refuse_corrected
@@ -45,7 +45,7 @@ class NamedRows:
 
 def read_targets(path: Path) -> tuple[list[str], Array]:
     """Return names and values (N, 6); raises as `read_named_rows` does."""
-    rows = read_named_rows(path, [HEADER], "targets")
+    rows = read_named_rows(path, read_file(path), [HEADER], "targets")
     return rows.names, np.array(rows.values)
 
 
@@ -60,6 +60,7 @@ def unit_hint(points_mm: Array) -> str:
 
 def read_named_rows(
     path: Path,
+    content: bytes,
     headers: Sequence[list[str]],
     what: str,
     fault_of: Callable[[list[str], list[float]], str] = lambda header, values: "",
@@ -69,7 +70,7 @@ def read_named_rows(
     ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
     `SettingsError` with every problem and its line, and `CorrectedBefore`.
     """
-    text = read_csv(path, labels=1)
+    text = read_csv(path, content, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
     header = header_of(path, text, headers)
     rows, known, problems = NamedRows(header), set[str](), list[str]()

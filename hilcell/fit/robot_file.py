@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 
 from hilcell.cell.file import Joint, arm_from_joints
-from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
+from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
 from hilcell.compensation.csv_text import CsvText, read_csv
 from hilcell.compensation.targets import MOST, MOST_DEG, header_of, numbers
 from hilcell.geometry.kinematics import Arm, Array
@@ -172,7 +172,7 @@ def read_robot(path: Path) -> RobotModel:
 
 def read_measurements(path: Path) -> Measurements:
     """Read measured targets; raises `SettingsError` naming the lines that are not good."""
-    text = read_csv(path, LABELS)
+    text = read_csv(path, read_file(path), LABELS)
     header_of(path, text, [HEADER])
     problems: list[str] = []
     labels, rows, lines = [], [], []

@@ -54,9 +54,10 @@ def _built(table: Table, *, folded: bool) -> Drawn:
     from rich.table import Table as Drawn
 
     made = Drawn()
-    for n, column in enumerate(table.columns):
+    headers = map(harmless, (column.plain_header for column in table.columns))
+    for n, header in enumerate(headers):
         made.add_column(
-            harmless(column.plain_header),
+            header,
             justify="right" if n else "left",
             no_wrap=not (n and folded),
             overflow="fold",

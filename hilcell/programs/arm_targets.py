@@ -20,7 +20,7 @@ import numpy as np
 
 from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, read_file
 from hilcell.clean import counted
 from hilcell.compensation.choice import NOMINAL
 from hilcell.compensation.model import Prediction
@@ -331,7 +331,7 @@ def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
 
     Raises `SettingsError` with every problem and its line, and `TargetError`.
     """
-    rows = read_named_rows(path, [HEADER, JOINT_HEADER], "targets")
+    rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
     values = np.array(rows.values)
     if rows.header == HEADER:
         return targets_of(rows.names, values, reach), False

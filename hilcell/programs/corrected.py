@@ -10,7 +10,6 @@ alone the folder of runs itself keeps them.
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,9 +22,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from hilcell.calibration.budget import target_bounds, with_drill
-from hilcell.calibration.file import compensate_targets, read_calibration
+from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import cell_calibrated, standing_by_name, written_by
+from hilcell.calibration.in_use import CalibrationFile
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.orientation import turn_bounds_deg
 from hilcell.calibration.tip import Tip
@@ -34,11 +33,10 @@ from hilcell.cell.file import Cell
 from hilcell.clean import counted
 from hilcell.compensation.stamp import CorrectedBefore, Stamp
 from hilcell.compensation.targets import BOUND, csv_of
-from hilcell.errors import bounded
+from hilcell.errors import MOST_LISTED
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.journal.index import find_run
 from hilcell.journal.runs import is_run, run_folders
 from hilcell.journal.standing import Standing
 from hilcell.ports import Array
@@ -140,24 +138,19 @@ class Released:
 
         Raises `Unfit`, `NoCalibration`, `SettingsError`.
         """
-        where = Path(name)
-        is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
-        path = where if is_file else written_by(find_run(release.runs, name))
-        calibration = read_calibration(path)
-        standing = standing_by_name(calibration, path, release.runs)
-        calibrated = cell_calibrated(calibration, path, release.runs)
+        used = CalibrationFile.named(name, release.runs)
         accepted = check_fitness(
-            calibration,
+            used.calibration,
             datetime.now(UTC),
             max_age_days=release.max_age,
             temperature_c=release.temperature,
             cell=cell,
-            calibrated=calibrated,
+            calibrated=used.cell,
             accept_out_of_tolerance=release.accept_out_of_tolerance,
-            standing=standing,
+            standing=used.standing,
             accept_not_current=release.accept_not_current,
         )
-        return cls(calibration, path, release, standing, accepted, calibrated)
+        return cls(used.calibration, used.path, release, used.standing, accepted, used.cell)
 
     @property
     def stands(self) -> str:
@@ -231,7 +224,8 @@ class Released:
 
         ``targets_mm`` are the same targets in each frame that they may have been corrected in.
         """
-        refuse_known(memories(self.release.runs, self.path), source.name, names, *targets_mm)
+        folders = memories(self.release.runs, self.path)
+        refuse_known(folders, source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
         """Keep pairs of nominal and corrected points, each (N, 3), to be known without the stamp.
@@ -293,7 +287,7 @@ def refuse_known(
             same, nearest = _same(known, places_mm)
             if not same.any():
                 continue
-            which = ", ".join(bounded([names[n] for n in np.flatnonzero(same)]))
+            which = ", ".join(names[n] for n in np.flatnonzero(same)[:MOST_LISTED])
             raise CorrectedBefore(
                 f"{source}: {int(same.sum())} of {counted(len(places_mm), 'target')} corrected "
                 f"before ({which}; {stamps[int(nearest[int(np.argmax(same))])]}), whose stamp was "

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, read_file
 from hilcell.compensation.targets import HEADER, read_named_rows
 from hilcell.geometry.frames import from_rotvec, from_zyx
 from hilcell.geometry.kinematics import Array
@@ -81,13 +81,38 @@ class Holes:
         tools = np.concatenate([self.tools, nearest[:, None]], axis=1)
         return replace(self, tools=tools)
 
+    @property
+    def twins(self) -> list[str]:
+        """Warnings of holes nearer to another, with its normal, than a bound tells apart."""
+        twin_mm, twin_rad = 0.1, 0.02  # of one hole: less than most bounds, and than any drill
+        if len(self.names) < 2:
+            return []
+        axes = self.tools[:, 0, :, 2] * (twin_mm / twin_rad)
+        places = np.hstack([self.points_mm, axes])
+        none = len(places)  # stands for no neighbour
+        near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=twin_mm)[1])
+        pairs = {
+            (min(n, other), max(n, other))
+            for n, (one, two) in enumerate(near.tolist())
+            if (other := two if one == n else one) != none
+        }
+        return [self._twin(*pair) for pair in sorted(pairs)]
+
+    def _twin(self, first: int, second: int) -> str:
+        same_mm = 5e-4  # lists are rounded
+        off_mm = float(np.linalg.norm(self.points_mm[second] - self.points_mm[first]))
+        words = f"warning: {self.names[second]} and {self.names[first]} are"
+        if off_mm < same_mm:
+            return f"{words} one hole: same place, same normal"
+        return f"{words} {off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
+
 
 def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
     """Read holes with normals, or targets with angles; raises `SettingsError` with all problems.
 
     ``T_D_T`` (4, 4) is the reflector's frame in that of the tool's tip.
     """
-    rows = read_named_rows(path, [NORMALS, HEADER], "holes", _fault_of)
+    rows = read_named_rows(path, read_file(path), [NORMALS, HEADER], "holes", _fault_of)
     if len(rows.names) > MOST_HOLES:
         problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"
         raise SettingsError(str(path), [problem])
@@ -95,32 +120,6 @@ def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
     by_normal = rows.header == NORMALS
     tools = tools_against(values[:, 3:]) if by_normal else from_zyx(values[:, 3:])[:, None]
     return Holes(rows.names, values[:, :3], tools, T_D_T)
-
-
-def twins(holes: Holes) -> list[str]:
-    """Return warnings of holes nearer to another, with its normal, than a bound tells apart."""
-    twin_mm, twin_rad = 0.1, 0.02  # nearer holes are one: less than most bounds, and than any drill
-    if len(holes.names) < 2:
-        return []
-    axes = holes.tools[:, 0, :, 2] * (twin_mm / twin_rad)
-    places = np.hstack([holes.points_mm, axes])
-    none = len(places)  # stands for no neighbour
-    near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=twin_mm)[1])
-    pairs = {
-        (min(n, other), max(n, other))
-        for n, (one, two) in enumerate(near.tolist())
-        if (other := two if one == n else one) != none
-    }
-    return [_twin(holes, *pair) for pair in sorted(pairs)]
-
-
-def _twin(holes: Holes, first: int, second: int) -> str:
-    same_mm = 5e-4  # lists are rounded
-    off_mm = float(np.linalg.norm(holes.points_mm[second] - holes.points_mm[first]))
-    names = f"{holes.names[second]} and {holes.names[first]}"
-    if off_mm < same_mm:
-        return f"warning: {names} are one hole: same place, same normal"
-    return f"warning: {names} are {off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
 
 
 def tools_against(normals: Array) -> Array:

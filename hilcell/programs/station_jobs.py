@@ -40,7 +40,7 @@ from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Corrected, Released, drill_mm_of
 from hilcell.programs.drilling import NEAR_SHARE, REACH_MM, Drilling, Part, station_program
-from hilcell.programs.holes import read_holes, twins
+from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, StationPlan, Volume
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
@@ -171,7 +171,7 @@ class StationJobs:
             raise SettingsError("--standoff", [problem])
         found = read_holes(holes, tip.T_D_T)
         released.refuse_corrected(holes, found.names, found.points_mm)
-        for warning in bounded(warnings := twins(found)):
+        for warning in bounded(warnings := found.twins):
             say(warning)
         whole = plan_holes(cell, found, calibrated=Volume(released.calibration), say=say)
         part = Part(found.points_mm, found.outward)

@@ -227,7 +227,7 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
     A file that is no list may be a program of an unknown format.
     """
     lists = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
-    from hilcell.programs.holes import Holes, twins  # scipy's neighbours, which no program needs
+    from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
 
     try:
         names, targets = read_targets(source)
@@ -238,7 +238,8 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
         known = ", ".join(suffixes()) or "none"
         hint = f"no format of programs is installed for {suffix} (installed: {known})"
         raise SettingsError(error.source, [*error.problems, hint]) from error
-    for warning in bounded(twins(Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None]))):
+    holes = Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None])
+    for warning in bounded(holes.twins):
         say(warning)
     return names, targets
 

@@ -91,7 +91,7 @@ class Order(Signature):
         Nothing is opened, nothing is written, nothing moves. ``say`` takes warnings.
         """
         # `--help` does without these.
-        from hilcell.calibration.in_use import Accepts, calibrated_machine, with_calibration
+        from hilcell.calibration.in_use import calibrated_machine, with_calibration
         from hilcell.cell.devices import check_options, check_repeated, load_entry
         from hilcell.cell.differences import check_copied
         from hilcell.cell.file import load_cell, located
@@ -109,8 +109,11 @@ class Order(Signature):
         procedure.check(cell)
         accepted, machine = list[str](), self.machine_seed
         if uses := procedure.used_in(cell):
-            accepts = Accepts(self.accept_out_of_tolerance, self.accept_not_current)
-            cell, accepted, used = with_calibration(cell, uses, self.runs, accepts, machine)
+            cell, accepted, used = with_calibration(
+                cell, uses, self.runs, machine=machine,
+                accept_out_of_tolerance=self.accept_out_of_tolerance,
+                accept_not_current=self.accept_not_current,
+            )  # fmt: skip
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
             machine = run_plan.calibrated_or_asked(machine, calibrated_machine(cell, uses))
         try:

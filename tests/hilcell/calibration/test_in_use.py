@@ -8,14 +8,14 @@ import msgspec
 import pytest
 
 from hilcell.calibration import in_use
-from hilcell.calibration.file import read_calibration, write_calibration
+from hilcell.calibration.file import write_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import (
+    CalibrationFile,
     NoCalibration,
     calibrated_machine,
     calibration_named,
     record_of,
-    standing_by_name,
     standing_of,
     standings_in,
     with_calibration,
@@ -231,18 +231,17 @@ def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -
     runs, copy = tmp_path / "runs", tmp_path / "copy"
     finished(runs, "1-made", MADE)
     shutil.copytree(runs, copy)
-    path = copy / "1-made" / CALIBRATION
-    known = read_calibration(path)
+    path = str(copy / "1-made" / CALIBRATION)
     journal = Journal(runs / "1-made" / JOURNAL, "1-made", create=False)
     journal.append("event", "", {"what": "calibration revoked", "reason": "a nest"})
     journal.close()
     for named in (runs, copy):
-        found = standing_by_name(known, path, named)
+        found = CalibrationFile.named(path, named).standing
         assert found is not None
         assert found.text == ("revoked: a nest" if named == runs else "current")
     shutil.rmtree(runs)
     finished(runs, "1-made", MADE)  # another run of the same name
-    assert standing_by_name(known, path, runs) == standing_of(copy / "1-made")
+    assert CalibrationFile.named(path, runs).standing == standing_of(copy / "1-made")
 
 
 def test_a_copied_folder_is_the_run_that_it_was_copied_from(tmp_path: Path) -> None:

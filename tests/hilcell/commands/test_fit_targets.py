@@ -135,7 +135,8 @@ def test_corrected_poses_bring_the_tool_to_its_targets(
         missed[name] = np.linalg.norm(reached_mm(at, "SMR2") - wanted_mm(found, poses), axis=1)
     assert missed["before"].mean() > 0.2
     assert missed["after"].max() < 0.05
-    rows = read_named_rows(bounds, [["name", "bound95_mm", "u_x_mm", "u_y_mm", "u_z_mm"]], "rows")
+    columns = ["name", "bound95_mm", "u_x_mm", "u_y_mm", "u_z_mm"]
+    rows = read_named_rows(bounds, bounds.read_bytes(), [columns], "rows")
     radii = np.array(rows.values)[:, 0]
     assert (missed["after"] < radii).mean() > 0.8
     assert 0.005 < radii.max() < 0.1

@@ -11,7 +11,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.programs import holes as module
-from hilcell.programs.holes import NORMALS, TURNS, Holes, read_holes, tools_against, twins
+from hilcell.programs.holes import NORMALS, TURNS, Holes, read_holes, tools_against
 
 
 def file_of(folder: Path, *lines: str) -> Path:
@@ -91,7 +91,7 @@ def test_holes_nearer_than_a_bound_tells_apart(tmp_path: Path, off_mm: float, to
         tmp_path, ",".join(NORMALS), "H1,1,2,3,-1,0,0", "H9,1,2,3,1,0,0",
         f"h1,{1 + off_mm},2,3,-1,0,0",
     )  # fmt: skip
-    warnings = twins(read_holes(path))
+    warnings = read_holes(path).twins
     assert len(warnings) == told
     assert all("h1" in warning and "H1" in warning for warning in warnings)
 
