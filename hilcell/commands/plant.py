@@ -306,8 +306,8 @@ def verify(args: PlantVerify) -> int:
     from hilcell.plant.audit import verify as verify_record
 
     manifest, findings = verify_record(args.record, read_public_key(args.public_key))
-    for each in findings:
-        print_message(f"{harmless(each.file)}: {harmless(each.what)}")
+    for file, what in findings.items():
+        print_message(f"{harmless(file)}: {harmless(what)}")
     count = len(manifest.files)
     words = f"all {count} files are as they were signed"
     if findings:
@@ -316,7 +316,7 @@ def verify(args: PlantVerify) -> int:
     print_answer(
         {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
          "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,
-         "findings": {encodable(each.file): encodable(each.what) for each in findings}},
+         "findings": {encodable(file): encodable(what) for file, what in findings.items()}},
         f"cell {harmless(manifest.cell)}: {words}, on {harmless(manifest.made)} by {manifest.key}",
         as_json=args.json,
     )  # fmt: skip

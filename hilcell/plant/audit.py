@@ -18,10 +18,9 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO, Protocol
+from typing import IO, NamedTuple
 
 import msgspec
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -35,13 +34,10 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.typed import decoded
 
-MOST_BYTES = 65536
 _WRONG = (ValueError, UnsupportedAlgorithm)
-
 _SPOILED = (
     zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
 )  # fmt: skip
-DIFFERS, MISSING, EXTRA = "differs", "is missing", "is not in the manifest"
 
 
 class BadKey(HilcellError):
@@ -100,7 +96,7 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:
-    """Return by what people tell keys apart: the SHA-256 of its 32 bytes."""
+    """Return the SHA-256 of a key's 32 bytes, by which people tell keys apart."""
     return f"SHA256:{hashlib.sha256(key.public_bytes_raw()).hexdigest()}"
 
 
@@ -114,12 +110,13 @@ def _decrypted(path: Path, content: bytes, passphrase: bytes | None) -> object:
 
 
 def _content(path: Path, act: str) -> bytes:
+    most_bytes = 65536
     try:
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(most_bytes + 1)
     except OSError as error:
         raise _bad(path, f"it cannot be read: {error.strerror}", act) from None
-    if len(content) > MOST_BYTES:
+    if len(content) > most_bytes:
         raise _bad(path, "it is too long to be a key", act)
     return content
 
@@ -156,47 +153,35 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     files: dict[str, FileEntry]
 
 
-class Source(Protocol):
-    """The files of a record: their sizes by name, None where there is no plain file."""
-
-    name: str
-    sizes: dict[str, int | None]
-
-    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
-        """Open a file to read it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A file that is not as it was signed."""
-
-    file: str
-    what: str
-
-
 class _Head(msgspec.Struct):
     form: int
 
 
-def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, list[Finding]]:
-    """Return the manifest, and every file that differs, is missing or is extra.
+class _Record(NamedTuple):
+    """The files of a record: their sizes by name, None where there is no plain file."""
+
+    name: str
+    sizes: dict[str, int | None]
+    open: Callable[[str], AbstractContextManager[IO[bytes]]]
+
+
+def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, dict[str, str]]:
+    """Return the manifest, and by name what is wrong with files: changed, missing or extra.
 
     Raises `NotProven` where the manifest is not signed by the key, or nothing can be read.
     """
     with _opened(place) as source:
         manifest = _manifest(source, key)
-        wanted = manifest.files
-        found = [
-            Finding(name, what)
-            for name, entry in wanted.items()
+        extra = source.sizes.keys() - manifest.files - {MANIFEST, SIGNATURE}
+        found = dict.fromkeys(extra, "is not in the manifest") | {
+            name: what
+            for name, entry in manifest.files.items()
             if (what := _difference(source, name, entry))
-        ]
-        known = {MANIFEST, SIGNATURE, *wanted}
-        found += [Finding(name, EXTRA) for name in source.sizes if name not in known]
-    return manifest, sorted(found, key=lambda each: each.file)
+        }
+    return manifest, dict(sorted(found.items()))
 
 
-def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
+def _manifest(source: _Record, key: Ed25519PublicKey) -> Manifest:
     content = _read(source, MANIFEST, 2**28)  # bytes of a million files
     signature = _read(source, SIGNATURE, 64)
     try:
@@ -234,7 +219,7 @@ def sound(name: str) -> bool:
     return plain and PurePosixPath(name).parts == tuple(parts) and ".." not in parts
 
 
-def _read(source: Source, name: str, most: int) -> bytes:
+def _read(source: _Record, name: str, most: int) -> bytes:
     size = source.sizes.get(name)
     if size is None:
         why = "is no plain file" if name in source.sizes else "is missing"
@@ -245,74 +230,62 @@ def _read(source: Source, name: str, most: int) -> bytes:
         return file.read(most)
 
 
-def _difference(source: Source, name: str, entry: FileEntry) -> str:
+def _difference(source: _Record, name: str, entry: FileEntry) -> str:
     """Return how a file differs from what was signed; "" where it does not."""
     if name not in source.sizes:
-        return MISSING
+        return "is missing"
     size = source.sizes[name]
     if size is None:
         return "is no plain file"
     if size != entry.bytes:
-        return f"{DIFFERS}: {size} bytes, signed were {entry.bytes}"
+        return f"differs: {size} bytes, signed were {entry.bytes}"
     digest = hashlib.sha256()
-    at_a_time = 2**20
     try:
         with source.open(name) as file:
-            while chunk := file.read(at_a_time):
+            while chunk := file.read(2**20):
                 digest.update(chunk)
     except (OSError, *_SPOILED) as error:
         return f"cannot be read: {clean(str(error))}"
-    return "" if digest.hexdigest() == entry.sha256 else f"{DIFFERS}: another SHA-256"
-
-
-class _Folder:
-    """The files of a folder; links are not followed."""
-
-    def __init__(self, place: Path) -> None:
-        self.name, self._place = clean(str(place)), place
-        self.sizes: dict[str, int | None] = {}
-        for folder, folders, files in os.walk(place, onerror=_refuse):
-            for name in [*folders, *files]:
-                path = Path(folder, name)
-                found = path.lstat()
-                if not stat.S_ISDIR(found.st_mode):
-                    size = found.st_size if stat.S_ISREG(found.st_mode) else None
-                    self.sizes[path.relative_to(place).as_posix()] = size
-
-    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
-        return (self._place / name).open("rb")
-
-
-class _Archive:
-    """The files of an archive; one that is in it twice, or packed by LZMA, is no plain file."""
-
-    _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
-
-    def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
-        self.name, self._archive = name, archive
-        self.sizes: dict[str, int | None] = {}
-        for each in archive.infolist():
-            if not each.is_dir():
-                plain = each.filename not in self.sizes and each.compress_type in self._PACKED
-                self.sizes[each.filename] = each.file_size if plain else None
-
-    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
-        return self._archive.open(name)
+    return "" if digest.hexdigest() == entry.sha256 else "differs: another SHA-256"
 
 
 @contextmanager
-def _opened(place: Path) -> Iterator[Source]:
+def _opened(place: Path) -> Iterator[_Record]:
     name = clean(str(place))
-    with _as_not_proven(name):
-        kind = place.stat().st_mode
-        if not (stat.S_ISDIR(kind) or stat.S_ISREG(kind)):  # a device may never end
-            raise NotProven(f"{name}: it is neither a folder nor a file")
-        files = _Folder(place) if stat.S_ISDIR(kind) else zipfile.ZipFile(place)
-    if isinstance(files, _Folder):
-        yield files
-        return
-    with files:
-        yield _Archive(files, name)
+    with ExitStack() as stack:
+        with _as_not_proven(name):
+            kind = place.stat().st_mode
+            if stat.S_ISDIR(kind):
+                record = _Record(name, _in_folder(place), lambda file: (place / file).open("rb"))
+            elif stat.S_ISREG(kind):
+                archive = stack.enter_context(zipfile.ZipFile(place))
+                record = _Record(name, _in_archive(archive), archive.open)
+            else:  # a device may never end
+                raise NotProven(f"{name}: it is neither a folder nor a file")
+        yield record
+
+
+def _in_folder(place: Path) -> dict[str, int | None]:
+    """Return the sizes of a folder's files; links are not followed."""
+    sizes: dict[str, int | None] = {}
+    for folder, folders, files in os.walk(place, onerror=_refuse):
+        for path in (Path(folder, name) for name in [*folders, *files]):
+            there = path.lstat()
+            if not stat.S_ISDIR(there.st_mode):
+                size = there.st_size if stat.S_ISREG(there.st_mode) else None
+                sizes[path.relative_to(place).as_posix()] = size
+    return sizes
+
+
+def _in_archive(archive: zipfile.ZipFile) -> dict[str, int | None]:
+    """Return the sizes of its files; one that is in it twice, or packed by LZMA, has None."""
+    packed = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
+    sizes: dict[str, int | None] = {}
+    for each in archive.infolist():
+        if not each.is_dir():
+            plain = each.filename not in sizes and each.compress_type in packed
+            sizes[each.filename] = each.file_size if plain else None
+    return sizes
 
 
 @contextmanager
@@ -322,8 +295,9 @@ def _as_not_proven(what: str) -> Iterator[None]:
     except OSError as error:
         raise NotProven(f"{what}: cannot be read: {error.strerror or error}") from None
     except _SPOILED as error:
-        words = f"it is neither an exported folder nor its archive: {clean(str(error))}"
-        raise NotProven(f"{what}: {words}") from None
+        raise NotProven(
+            f"{what}: it is neither an exported folder nor its archive: {clean(str(error))}"
+        ) from None
 
 
 def _refuse(error: OSError) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from datetime import UTC, datetime, timedelta
-from itertools import groupby, pairwise
+from itertools import pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import msgspec
@@ -18,8 +19,8 @@ from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.clean import clean
 from hilcell.journal.index import RunRow, in_order
 from hilcell.journal.standing import standings
-from hilcell.plant.tables import RUN
-from hilcell.typed import decoded, typed
+from hilcell.plant.tables import RUN, Found, grouped
+from hilcell.typed import decoded
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine
@@ -77,11 +78,11 @@ def cells(
     )
     asked = select(*CELL, RUN.c.name, RUN.c.state, RUN.c.ended)
     since = _since(connection)
-    found: dict[Name, CellState] = {}
-    for row in connection.execute(asked.join_from(every, RUN, RUN.c.digest == last)):
-        name = (row.cell, row.serial, row.machine)
-        found[name] = _state(name, row.name, row.state, row.ended, since[name], now, max_age_days)
-    return [found[name] for name in sorted(found)]
+    states = [
+        _state(row, since[row.cell, row.serial, row.machine], now, max_age_days)
+        for row in connection.execute(asked.join_from(every, RUN, RUN.c.digest == last))
+    ]
+    return sorted(states, key=attrgetter("cell", "serial", "machine"))
 
 
 def _every() -> CTE:
@@ -122,37 +123,31 @@ def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     return found
 
 
-def _state(
-    name: Name, run: str, state: str, ended: datetime, since: list[RunRow], now: datetime,
-    max_age_days: float,
-) -> CellState:  # fmt: skip
+def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
     known = standings(since)
+    ended_here = [known[row.name] for row in in_order(since) if row.name in known]
+    state = CellState(
+        cell=last.cell, serial=last.serial, machine=last.machine,
+        last_run=last.name, last_state=last.state, last_ended=last.ended,
+        condition=ended_here[-1].text if ended_here else "no calibration that holds",
+    )  # fmt: skip
     current = next((each for each, standing in known.items() if standing.current == each), "")
-    common = dict(zip(("cell", "serial", "machine"), name, strict=True)) | {
-        "last_run": run,
-        "last_state": state,
-        "last_ended": ended,
-    }
-    none = "no calibration that holds"
     if not current:
-        ended_here = [row for row in in_order(since) if row.name in known]
-        last = ended_here[-1] if ended_here else None
-        condition = known[last.name].text if last is not None else none
-        return typed(common | {"condition": condition}, CellState)
+        return state
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
     latest = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
     until = min(made, latest) + timedelta(days=max_age_days)
     condition = "valid" if now <= until else "too old"
     if made > now + CLOCK_ERROR:
         condition = "made in the future: check the clock of the cell's computer"
-    more = {
-        "condition": condition,
-        "calibration": current,
-        "calibrated": made,
-        "valid_until": until,
-        "days_left": round((until - now) / timedelta(days=1), 1),
-    }
-    return typed(common | more, CellState)
+    return msgspec.structs.replace(
+        state,
+        condition=condition,
+        calibration=current,
+        calibrated=made,
+        valid_until=until,
+        days_left=round((until - now) / timedelta(days=1), 1),
+    )
 
 
 class Doubt(NamedTuple):
@@ -174,10 +169,9 @@ def doubts(connection: Connection, cells: Collection[str] | None = None) -> list
 
 def _shared_serials(connection: Connection) -> Iterator[Doubt]:
     asked = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
-    found: defaultdict[str, list[str]] = defaultdict(list)
-    for row in connection.execute(asked.order_by(RUN.c.serial, RUN.c.cell)):
-        found[row.serial].append(row.cell)
-    for serial, names in found.items():
+    by_serial = grouped(connection, asked.order_by(RUN.c.serial, RUN.c.cell), "serial")
+    for (serial,), rows in by_serial.items():
+        names = [row.cell for row in rows]
         if len(names) > 1:
             yield Doubt(
                 names,
@@ -197,8 +191,7 @@ def _shared_robots(connection: Connection) -> Iterator[Doubt]:
         .group_by(RUN.c.robot, RUN.c.cell, RUN.c.serial)
         .order_by(RUN.c.robot, func.min(RUN.c.begun), RUN.c.cell)
     )  # fmt: skip
-    for robot, rows in groupby(connection.execute(asked), lambda row: row.robot):
-        spans = list(rows)
+    for (robot,), spans in grouped(connection, asked, "robot").items():
         if any(later.first < earlier.last for earlier, later in pairwise(spans)):
             names = sorted({span.cell for span in spans})
             yield Doubt(
@@ -217,14 +210,13 @@ def _namesakes(connection: Connection) -> Iterator[Doubt]:
         .having(func.count(RUN.c.run_key.distinct()) > 1)
         .order_by(RUN.c.cell, RUN.c.serial, RUN.c.name)
     )
-    for cell, rows in groupby(connection.execute(asked), lambda row: (row.cell, row.serial)):
-        names = [row.name for row in rows]
+    for (cell, serial), rows in grouped(connection, asked, "cell", "serial").items():
         yield Doubt(
-            [cell[0]],
-            f"cell {clean(cell[0])}, serial number {clean(cell[1])}: several runs have one name "
-            f"({len(names)} names, the first {clean(names[0])}): two folders or computers ship as "
-            "one cell; give each cell a name and a serial number of its own, or each run its own "
-            "name (`hilcell run --name`)",
+            [cell],
+            f"cell {clean(cell)}, serial number {clean(serial)}: several runs have one name "
+            f"({len(rows)} names, the first {clean(rows[0].name)}): two folders or computers "
+            "ship as one cell; give each cell a name and a serial number of its own, or each run "
+            "its own name (`hilcell run --name`)",
         )
 
 

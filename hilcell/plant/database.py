@@ -38,31 +38,16 @@ from hilcell.plant.tables import HEAD, PARTS, RUN
 from hilcell.typed import Json
 
 MIGRATIONS = Path(__file__).with_name("migrations")
-POSTGRESQL, SQLITE = "postgresql", "sqlite"
+POSTGRESQL = "postgresql"
 BUSY_S = 30.0  # that another may write an office's file
 HIDDEN = "***"
 SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
-# The server's other databases share the roles: another `init` may make them at this moment.
-MAKE_ROLE = """
-DO $$ BEGIN CREATE ROLE {} NOLOGIN;
-EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
-END $$
-"""
-LOGIN = (
-    "; check the URL's user and database, and the password in ~/.pgpass; the owner lets users in"
-)
 # A connection that fails has no SQLSTATE: the words of an English server say why, or a password
 # that was asked for.
 FATAL = "FATAL: "  # the server's answer to a connection
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
-# By SQLite's own word for the error.
-DAMAGED = {
-    "SQLITE_NOTADB": "; name another file, or restore its backup",
-    "SQLITE_CORRUPT": "; restore its backup, or make another by `hilcell plant init --to URL` and "
-    "ship the runs again: each cell's journals keep them",
-}
 
 
 class PlantError(HilcellError):
@@ -84,12 +69,6 @@ class PlantAway(StoreAway):
 class Database:
     """A plant's database by its URL; opens nothing yet. Raises `PlantError`."""
 
-    ALONE = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
-    RIGHT = "42501"  # SQLSTATE: insufficient privilege
-    GRANT = (
-        f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner of the "
-        "database makes both by `hilcell plant init`"
-    )
     _UNHEARD = logging.NullHandler()
 
     def __init__(self, url: str) -> None:
@@ -98,14 +77,12 @@ class Database:
         plain = self._url.set(drivername=self._url.get_backend_name()).update_query_dict(hidden)
         shown = plain.render_as_string(hide_password=True)
         self.name = clean(shown.replace(quote(HIDDEN), HIDDEN))
-        self._places = "the folder, its rights and the disk"
         self._remote = self._url.get_backend_name() == POSTGRESQL
         options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
         # Its warnings repeat the error that is raised; without a handler they reach stderr.
         logging.getLogger("psycopg").addHandler(self._UNHEARD)
         self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._remote:
-            self._places = "the server and the network"
             event.listen(self.engine, "do_connect", _connected)
         else:
             event.listen(self.engine, "connect", _checked_keys)
@@ -131,7 +108,7 @@ class Database:
         """Raise `PlantError` where the schema is not this version's, or `PlantAway`."""
         self._check_place()
         if not (self._remote or Path(self._url.database or "").is_file()):
-            raise PlantError(self._none())  # SQLite would make an empty one
+            raise self._none()  # SQLite would make an empty one
         with self.transaction() as connection:
             self._check(connection)
 
@@ -146,7 +123,8 @@ class Database:
         self._check_place()
         with self.transaction(migrating=True) as connection:
             # One at a time; sqlite3 would also keep each table by itself.
-            connection.exec_driver_sql(self.ALONE if self._remote else "BEGIN IMMEDIATE")
+            alone = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
+            connection.exec_driver_sql(alone if self._remote else "BEGIN IMMEDIATE")
             before = _version(connection)
             if before is None:
                 self._check_empty(connection)
@@ -156,7 +134,7 @@ class Database:
             config.set_main_option("script_location", str(MIGRATIONS))
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
-            if connection.dialect.name == POSTGRESQL:
+            if self._remote:
                 _grant(connection)
         return before or ""
 
@@ -170,44 +148,40 @@ class Database:
             return
         file = Path(self._url.database or "")
         if file.is_dir():
-            raise PlantError(
-                f"plant database {self.name}: it is a folder; name a file, as plant.db in it"
-            )
+            raise self._refusal("it is a folder; name a file, as plant.db in it")
         if not file.parent.is_dir():
-            raise PlantError(
-                f"plant database {self.name}: the folder {clean(str(file.parent))} is not there; "
-                "make it, or name another file"
-            )
+            folder = clean(str(file.parent))
+            raise self._refusal(f"the folder {folder} is not there; make it, or name another file")
 
     def _check(self, connection: Connection) -> None:
         found = _version(connection)
         if found is None:
-            raise PlantError(self._none())
-        if not _ours(connection):
-            raise PlantError(
-                f"plant database {self.name}: it belongs to another program (its schema is "
-                f"{clean(found)}); name an empty database"
-            )
+            raise self._none()
+        schema = inspect(connection)
+        names = schema.get_columns(RUN.name) if schema.has_table(RUN.name) else []
+        if not {*KNOWN} <= {each["name"] for each in names}:
+            raise self._foreign(f"its schema is {clean(found)}")
         if found != HEAD:
-            raise PlantError(
-                f"plant database {self.name}: schema {clean(found)}, expected {HEAD}; use the "
-                "hilcell that made it, or ship the runs again to an empty database"
+            raise self._refusal(
+                f"schema {clean(found)}, expected {HEAD}; use the hilcell that made it, or ship "
+                "the runs again to an empty database"
             )
 
     def _check_empty(self, connection: Connection) -> None:
         """Refuse what holds other tables: a run's journal is such a file, too."""
         others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
         if others:
-            raise PlantError(
-                f"plant database {self.name}: it belongs to another program (it has {len(others)} "
-                f"tables, the first is {clean(others[0])}); name an empty database"
-            )
+            raise self._foreign(f"it has {len(others)} tables, the first is {clean(others[0])}")
 
-    def _none(self) -> str:
-        return (
-            f"plant database {self.name}: it holds no plant records; "
-            "`hilcell plant init --to URL` makes their tables"
-        )
+    def _refusal(self, why: str) -> PlantError:
+        return PlantError(f"plant database {self.name}: {why}")
+
+    def _foreign(self, sign: str) -> PlantError:
+        return self._refusal(f"it belongs to another program ({sign}); name an empty database")
+
+    def _none(self) -> PlantError:
+        make = "`hilcell plant init --to URL` makes their tables"
+        return self._refusal(f"it holds no plant records; {make}")
 
     def _error(self, error: SQLAlchemyError) -> HilcellError:
         """Return an error of the database in one line, without values and without a password."""
@@ -217,18 +191,29 @@ class Database:
         for secret in _secrets(self._url):
             words = words.replace(secret, HIDDEN)
         if _login_refused(cause, words):
-            answer = words.rpartition(FATAL)[2].strip()
-            return PlantError(f"plant database {self.name}: login refused: {answer}{LOGIN}")
+            return self._refusal(
+                f"login refused: {words.rpartition(FATAL)[2].strip()}; check the URL's user and "
+                "database, and the password in ~/.pgpass; the owner lets users in"
+            )
         if _away(error, cause):
+            remote, local = "the server and the network", "the folder, its rights and the disk"
             return PlantAway(
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
-                f"check {self._places}, then repeat the command"
+                f"check {remote if self._remote else local}, then repeat the command"
             )
+        damaged = {  # by SQLite's own word for the error
+            "SQLITE_NOTADB": "; name another file, or restore its backup",
+            "SQLITE_CORRUPT": "; restore its backup, or make another by `hilcell plant init --to "
+            "URL` and ship the runs again: each cell's journals keep them",
+        }
         kind = "_".join(getattr(cause, "sqlite_errorname", "").split("_")[:2])
-        refused = f"plant database {self.name}: refused: {words}{DAMAGED.get(kind, '')}"
-        if getattr(cause, "sqlstate", "") == self.RIGHT:
-            return RightMissing(f"{refused}{self.GRANT}")
-        return PlantError(refused)
+        refused = self._refusal(f"refused: {words}{damaged.get(kind, '')}")
+        if getattr(cause, "sqlstate", "") == "42501":  # insufficient privilege
+            return RightMissing(
+                f"{refused}; a user ships in the role {CELL} and reads in the role {ENGINEER}; the "
+                "owner of the database makes both by `hilcell plant init`"
+            )
+        return refused
 
 
 def _parsed(url: str) -> URL:
@@ -240,31 +225,29 @@ def _parsed(url: str) -> URL:
         backend = parsed.get_backend_name()
     except (ArgumentError, ValueError):  # both may repeat the URL, and so a password
         raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
-    drivers = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
+    drivers = {POSTGRESQL: "postgresql+psycopg", "sqlite": "sqlite"}
     if backend not in drivers:
         raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
     if "@" in (parsed.host or ""):  # the rest of a password
         raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
-    if backend == SQLITE and parsed.database in (None, "", ":memory:"):
+    if backend == "sqlite" and parsed.database in (None, "", ":memory:"):
         raise PlantError(f"plant database: its URL names no file; {forms}")
-    if backend == SQLITE and (name := Path(parsed.database or "").name) in (INDEX, SEEN):
+    if backend == "sqlite" and (name := Path(parsed.database or "").name) in (INDEX, SEEN):
         raise PlantError(
             f"plant database: {name} is a file of a folder of runs, which may be deleted at any "
             "time; name another, as plant.db"
         )
-    known = _options(backend)
-    for name in parsed.query:
-        if name not in known:
-            raise PlantError(
-                f"plant database: its URL has the option {clean(name)}, wanted are those of "
-                "PostgreSQL's own library, as ?sslmode=verify-full"
-            )
+    for name in parsed.query.keys() - _options(backend):
+        raise PlantError(
+            f"plant database: its URL has the option {clean(name)}, wanted are those of "
+            "PostgreSQL's own library, as ?sslmode=verify-full"
+        )
     return parsed.set(drivername=drivers[backend])
 
 
 def _options(backend: str) -> set[str]:
     """Return the options that a URL may have: the driver's own, as autocommit, would undo ours."""
-    if backend == SQLITE:
+    if backend != POSTGRESQL:
         return set()
     from psycopg.pq import Conninfo  # an optional package's
 
@@ -322,19 +305,18 @@ def _version(connection: Connection) -> str | None:
     return None if found is None else str(found)
 
 
-def _ours(connection: Connection) -> bool:
-    """Whether the table of runs is that of a plant, rather than another program's."""
-    found = inspect(connection)
-    names = found.get_columns(RUN.name) if found.has_table(RUN.name) else []
-    return {*KNOWN} <= {each["name"] for each in names}
-
-
 def _grant(connection: Connection) -> None:
     """Let cells insert and engineers read; the two roles are made where they are not there."""
     for role in (CELL, ENGINEER):
         there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
         if connection.execute(there, {"role": role}).scalar() is None:
-            connection.execute(text(MAKE_ROLE.format(role)))
+            # The server's other databases share the roles: another `init` may make them now.
+            make = f"""
+            DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
+            EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
+            END $$
+            """
+            connection.execute(text(make))
     tables = ", ".join(table.name for table in (RUN, *PARTS))
     for order in (
         f"GRANT INSERT ON {tables} TO {CELL}",

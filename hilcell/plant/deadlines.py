@@ -19,7 +19,6 @@ from psycopg.rows import TupleRow
 from sqlalchemy import Connection, text
 
 CONNECT_S = 10
-UNACKNOWLEDGED_S = 30  # packets, and probes of a connection that is at rest
 LOCK_S = 30.0
 ORDER_S = 120.0  # one order to the server
 MIGRATION_S = 4 * 3600.0  # one order of a migration
@@ -30,17 +29,12 @@ ANSWER_S = 60  # that a server may take to answer a second connection
 OPTIONS: dict[str, int | str] = {
     "client_encoding": "utf8",  # where the database has none, psycopg would hand over bytes
     "connect_timeout": CONNECT_S,
-    "tcp_user_timeout": UNACKNOWLEDGED_S * 1000,
+    "tcp_user_timeout": 30_000,  # ms: packets, and probes of a connection that is at rest
     "keepalives_idle": CONNECT_S,
     "keepalives_interval": CONNECT_S,
     "keepalives_count": 3,
 }
 Words = Generator[Any, Any, Any]  # psycopg's: it yields what it waits for, and gets what is ready
-BAD, SERVER = "connection is bad: ", "connection to server"  # the second where one was asked
-SET = text(
-    "SELECT set_config('statement_timeout', :order, true), set_config('lock_timeout', :lock, true),"
-    " set_config('idle_in_transaction_session_timeout', :rest, true)"
-)
 
 
 class Bounded(psycopg.Connection[TupleRow]):
@@ -75,8 +69,9 @@ def connect(*args: Any, **options: Any) -> Bounded:
     except UnicodeError as error:
         raise psycopg.ProgrammingError(f"a host of that name cannot be: {error}") from error
     except psycopg.OperationalError as error:
-        if str(error).startswith(BAD) and SERVER not in str(error):
-            raise psycopg.ProgrammingError(str(error).removeprefix(BAD)) from error
+        words, bad = str(error), "connection is bad: "
+        if words.startswith(bad) and "connection to server" not in words:  # no server was asked
+            raise psycopg.ProgrammingError(words.removeprefix(bad)) from error
         raise
 
 
@@ -86,8 +81,13 @@ def limit(connection: Connection, order_s: float) -> None:
     if not isinstance(own, Bounded):
         raise TypeError(f"expected a connection of `connect`, got {type(own).__name__}")
     own.order_s = order_s
-    limits_s = {"order": order_s, "lock": LOCK_S, "rest": REST_S}
-    connection.execute(SET, {name: f"{limit_s * 1000:.0f}" for name, limit_s in limits_s.items()})
+    limits_s = {
+        "statement_timeout": order_s,
+        "lock_timeout": LOCK_S,
+        "idle_in_transaction_session_timeout": REST_S,
+    }
+    sets = (f"set_config('{name}', '{at * 1000:.0f}', true)" for name, at in limits_s.items())
+    connection.execute(text(f"SELECT {', '.join(sets)}"))
 
 
 def _heard(gen: Words, quiet_s: float, most_s: float, answers: Callable[[], bool]) -> Words:

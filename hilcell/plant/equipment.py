@@ -6,7 +6,6 @@ Of a robot it has trend and steps of its errors, and what its cell said when the
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -21,18 +20,18 @@ from hilcell.journal.log import other_assets
 from hilcell.journal.words import OTHERS
 from hilcell.model.events import Asset
 from hilcell.model.verdicts import VALIDATION
-from hilcell.plant.cells import CELL, Name, chosen, newest
+from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.course import (
     CONFIDENCE,
     FEWEST,
     SIGNIFICANCE,
-    Course,
+    Step,
     course,
     hindrance,
     main_direction,
 )
 from hilcell.plant.record import TRACKER
-from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Found
+from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Found, grouped
 from hilcell.ports import Array
 from hilcell.typed import Json, typed
 
@@ -96,10 +95,8 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
         .where(newest(), RUN.c.robot != "", *chosen(cell, robot))
         .order_by(RUN.c.ended)
     )  # fmt: skip
-    found: defaultdict[tuple[str, Name], list[Found]] = defaultdict(list)
-    for row in connection.execute(asked):
-        found[row.robot, (row.cell, row.serial, row.machine)].append(row)
-    return [_Robots(connection).robot(who, cell, found[who, cell]) for who, cell in sorted(found)]
+    by_robot = grouped(connection, asked, "robot", "cell", "serial", "machine")
+    return [_Robots(connection).robot(rows) for _, rows in sorted(by_robot.items())]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +105,9 @@ class _Robots:
 
     connection: Connection
 
-    def robot(self, robot: str, cell: Name, rows: Sequence[Found]) -> RobotCourse:
-        alike = [row for row in rows if row.places_mm == rows[-1].places_mm]  # of the newest grid
+    def robot(self, rows: Sequence[Found]) -> RobotCourse:
+        newest = rows[-1]
+        alike = [row for row in rows if row.places_mm == newest.places_mm]  # of the newest grid
         years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
         air_c = [row.temperature_c for row in alike]
         celsius = None if None in air_c else np.array(air_c, dtype=float)
@@ -129,59 +127,49 @@ class _Robots:
                     what=what, mm_per_year=seen.slope, U_mm_per_year=seen.U, drifts=seen.drifts,
                     noise_mm=seen.noise,
                 ))  # fmt: skip
-                changes += self._changes(cell, what, alike, seen)
+                changes += [self._change(what, alike, step) for step in seen.steps]
             else:
                 not_judged[what] = hindrance(years, along_mm)
         return RobotCourse(
-            robot=robot, cell=cell[0], serial=cell[1], machine=cell[2],
+            robot=newest.robot, cell=newest.cell, serial=newest.serial, machine=newest.machine,
             calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
             left_out=len(rows) - len(alike), drift=drift,
             not_judged=not_judged, changes=changes,
         )  # fmt: skip
 
-    def _changes(self, cell: Name, what: str, rows: Sequence[Found], seen: Course) -> list[Change]:
-        return [
-            Change(
-                what=what,
-                after=rows[step.at - 1].name,
-                before=rows[step.at].name,
-                since=rows[step.at - 1].ended,
-                until=rows[step.at].ended,
-                size_mm=step.size,
-                U_mm=step.U,
-                confirmed=min(step.at, step.after) > 1,
-                said=self._said(cell, rows[step.at - 1], rows[step.at]),
-            )
-            for step in seen.steps
-        ]
+    def _change(self, what: str, rows: Sequence[Found], step: Step) -> Change:
+        first, second = rows[step.at - 1], rows[step.at]
+        return Change(
+            what=what, after=first.name, before=second.name,
+            since=first.ended, until=second.ended,
+            size_mm=step.size, U_mm=step.U, confirmed=min(step.at, step.after) > 1,
+            said=self._said(first, second),
+        )  # fmt: skip
 
-    def _said(self, cell: Name, first: Found, second: Found) -> list[str]:
+    def _said(self, first: Found, second: Found) -> list[str]:
         """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
         broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
         then = and_(
-            *(column == name for column, name in zip(CELL, cell, strict=True)),
+            *(column == getattr(first, column.name) for column in CELL),
             or_(RUN.c.ended > first.ended, broken_off),
             RUN.c.ended <= second.ended,
             newest(),
         )
-        before = self._devices(first)
-        now = self._devices(second)
-        in_both = before.keys() & now.keys()
+        before, now = self._devices(first), self._devices(second)
         found = [
             f"{kind} {before[kind].serial} {before[kind].firmware} -> "
             f"{now[kind].serial} {now[kind].firmware}"
             for kind in other_assets(before, now)
-            if kind in in_both
+            if kind in before and kind in now
         ]
         for row in self.connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
             run = typed(row.row, RunRow)
             if run.facts.recheck == "redo":
                 found.append(f"re-check: calibrate again ({run.name})")
-        severe = ("warning", "fault")
         alarms = (
             select(ALARM.c.code, ALARM.c.title, RUN.c.name)
             .join(RUN, RUN.c.digest == ALARM.c.digest)
-            .where(then, ALARM.c.severity.in_(severe))
+            .where(then, ALARM.c.severity.in_(("warning", "fault")))
             .order_by(ALARM.c.t)
         )
         found += [f"{row.code} {row.title} ({row.name})" for row in self.connection.execute(alarms)]
@@ -189,12 +177,10 @@ class _Robots:
 
     def _devices(self, run: Found) -> dict[str, Asset]:
         asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
-        rows = self.connection.execute(asked).mappings()
+        names = [name for name in Asset.__struct_fields__ if name in DEVICE.c]
         return {
-            row["kind"]: Asset(
-                **{name: row[name] for name in Asset.__struct_fields__ if name in row}
-            )
-            for row in rows
+            row.kind: Asset(**{name: getattr(row, name) for name in names})
+            for row in self.connection.execute(asked)
         }
 
 
@@ -259,12 +245,12 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
         .where(*chosen(cell, robot))
         .order_by(RUN.c.ended)
     )
-    found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
-    for row in connection.execute(asked):
-        station = row.key.removeprefix(VALIDATION)
-        if station != OTHERS:
-            found[row.cell, row.serial, row.machine, station].append(row)
-    judged = {place: rows for place, rows in found.items() if len(rows) >= FEWEST}
+    found = grouped(connection, asked, "cell", "serial", "machine", "key")
+    judged = {
+        (*cell, station): rows
+        for (*cell, key), rows in found.items()
+        if (station := key.removeprefix(VALIDATION)) != OTHERS and len(rows) >= FEWEST
+    }
     courses = (_worse(place, rows, len(judged)) for place, rows in sorted(judged.items()))
     return [each for each in courses if each is not None]
 
@@ -277,8 +263,7 @@ def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> Statio
     grows = stats.kendalltau(years, means_mm, alternative="greater").pvalue
     if not grows * judged < SIGNIFICANCE:
         return None
-    found = stats.theilslopes(means_mm, years, CONFIDENCE)
-    slope, intercept, low, high = map(float, found)
+    slope, intercept, low, high = map(float, stats.theilslopes(means_mm, years, CONFIDENCE))
     now_mm, tolerance_mm = intercept + slope * float(years[-1]), rows[-1].mean_tolerance_mm
     left_mm = None if tolerance_mm is None else tolerance_mm - now_mm
     cell, serial, machine, station = place
@@ -305,9 +290,7 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
         .where(DEVICE.c.serial != "", newest())
         .group_by(*names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot)
     )  # fmt: skip
-    found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
-    for row in connection.execute(asked):
-        found[row.kind, row.serial, row.maker, row.model].append(row)
+    found = grouped(connection, asked, "kind", "serial", "maker", "model")
     scales = _scales(connection)
     return [
         Instrument(
@@ -364,10 +347,7 @@ def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> Json:
         return abs(a_ppm - b_ppm) > k * math.hypot(u_a, u_b)
 
     against = [other for other in sorted(scales) if other != serial and differ(serial, other)]
-    witnesses = 2  # trackers that agree with one another against a third
-    agree = {
-        name for pair in combinations(against, witnesses) if not differ(*pair) for name in pair
-    }
+    agree = {name for pair in combinations(against, 2) if not differ(*pair) for name in pair}
     scale_ppm, u_ppm = scales[serial]
     return {"scale_ppm": scale_ppm, "u_ppm": u_ppm, "disagrees_with": sorted(agree)}
 
@@ -383,9 +363,6 @@ def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[Alar
         .where(newest(), *chosen(cell, robot))
         .group_by(ALARM.c.code, ALARM.c.title, ALARM.c.severity, RUN.c.cell)
     )  # fmt: skip
-    found: defaultdict[tuple[str, str, str], list[Found]] = defaultdict(list)
-    for row in connection.execute(asked):
-        found[row.code, row.title, row.severity].append(row)
     counted = [
         AlarmCount(
             code=code, title=title, severity=severity,
@@ -393,6 +370,8 @@ def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[Alar
             cells=sorted({row.cell for row in rows}),
             last=max(row.last for row in rows),
         )
-        for (code, title, severity), rows in found.items()
+        for (code, title, severity), rows in grouped(
+            connection, asked, "code", "title", "severity"
+        ).items()
     ]  # fmt: skip
     return sorted(counted, key=lambda each: (-each.count, each.code))

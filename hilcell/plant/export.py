@@ -27,7 +27,6 @@ from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Ma
 from hilcell.plant.database import PlantError
 from hilcell.plant.record import digest_of
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
-from hilcell.typed import Json
 from hilcell.writing import NotWritten, as_not_written
 
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
@@ -113,9 +112,17 @@ class _Source:
                 for row in rows:
                     add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
             elif rows:
-                add(f"{folder}/{table.name}s.json", _json([_part(row) for row in rows]))
-            if table is POINT:
-                _check_points(run, sum(not row["superseded"] for row in rows))
+                parts = [
+                    {name: each for name, each in row.items() if name not in ("digest", "month")}
+                    for row in rows
+                ]
+                add(f"{folder}/{table.name}s.json", _json(parts))
+        counting = sum(not row["superseded"] for row in found[POINT])
+        if counting != run["points"]:
+            raise PlantError(
+                f"run {clean(run['name'])}: the plant has {counting} of its {run['points']} points "
+                f"that count: {CHANGED}"
+            )
         return found
 
     def read(self, asked: Select[Any], what: str) -> list[Found]:
@@ -136,14 +143,6 @@ def _changed_words(names: list[str]) -> str:
     return f"{are} not as shipped: {named}: {CHANGED}"
 
 
-def _check_points(run: Found, found: int) -> None:
-    if found != run["points"]:
-        raise PlantError(
-            f"run {clean(run['name'])}: the plant has {found} of its {run['points']} points that "
-            f"count: {CHANGED}"
-        )
-
-
 def _document(run: Found, row: Found) -> bytes:
     content: bytes = row["text"].encode()
     if hashlib.sha256(content).hexdigest() != row["sha256"]:
@@ -152,10 +151,6 @@ def _document(run: Found, row: Found) -> bytes:
             f"{CHANGED}"
         )
     return content
-
-
-def _part(row: Found) -> Json:
-    return {name: value for name, value in row.items() if name not in ("digest", "month")}
 
 
 def _json(values: object) -> bytes:
@@ -174,16 +169,15 @@ def _made(place: Path) -> Iterator[Add]:
     if place.is_symlink() or place.exists():
         raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
     others = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
-    archived = ".zip"
     if place.suffix.lower() in others:
         raise NotWritten(
             f"{clean(str(place))} is a {place.suffix} archive by its name; name a folder or a "
-            f"{archived} file"
+            ".zip file"
         )
     part = place.with_name(f".{secrets.token_hex(8)}.part")
     try:
         with as_not_written(place):
-            if place.suffix.lower() == archived:
+            if place.suffix.lower() == ".zip":
                 with zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED) as archive:
                     yield archive.writestr
             else:

@@ -14,8 +14,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import date, datetime
+from itertools import accumulate
 from shlex import quote
 from statistics import fmean
 from typing import NamedTuple
@@ -32,7 +32,6 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Figure
-from hilcell.model.point import Point
 from hilcell.model.verdicts import LengthsChecked
 from hilcell.plant.tables import (
     ALARM,
@@ -48,9 +47,7 @@ from hilcell.plant.tables import (
     Utc,
 )
 
-ROBOT, TRACKER = "robot", "tracker"
-MONTH = 7  # letters of 2026-11
-
+TRACKER = "tracker"
 Values = Mapping[str, object]  # of a row, by column
 
 
@@ -73,19 +70,13 @@ class RunRecord(NamedTuple):
 
     run_key: UUID
     revision: int
-    head: str
     row: RunRow
     rows: Mapping[Table, Sequence[Values]]
 
 
 def heads(records: Sequence[Record]) -> list[str]:
     """Return the hash of the journal's chain after each record."""
-    found: list[str] = []
-    before = b""
-    for record in records:
-        before = chain(before, record)
-        found.append(before.hex())
-    return found
+    return [each.hex() for each in accumulate(records, chain, initial=b"")][1:]
 
 
 def key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
@@ -104,19 +95,16 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
     if not log.over or log.end is None:
         raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {quote(run)}` ends it")
     head, (run_key, revision) = heads(records)[-1], key_of(run, records)
-    month = date.fromisoformat(f"{records[0].t[:MONTH]}-01")
-    made = _Rows(log)
-    points = [{"month": month, **each} for each in made.points(records)]
+    month = date.fromisoformat(f"{records[0].t[:7]}-01")
+    points = [{"month": month, **each} for each in _points(log, records)]
+    checked = log.verdict(LengthsChecked)
     whole: dict[Table, Sequence[Values]] = {
         FRAME: [
             {"key": key, "matrix": each.matrix, "covariance": each.covariance or None}
             for key, each in log.frames.items()
         ],
-        VERDICT: [made.verdict(record) for record in log.judged.values()],
-        DEVICE: _numbered(
-            {name: getattr(each, name) for name in each.__struct_fields__ if name in DEVICE.c}
-            for each in log.assets
-        ),
+        VERDICT: [_verdict(log, record) for record in log.judged.values()],
+        DEVICE: _numbered(_columns(DEVICE, each) for each in log.assets),
         ALARM: _numbered(
             {
                 "t": _moment(each.t or records[-1].t),
@@ -128,36 +116,30 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
             }
             for each in alarms_of(log, run, live=False)
         ),
-        LENGTH: _numbered(made.lengths()),
-        GRID: list(made.grid()),
-        STREAM: [
-            {of.name: getattr(each, of.name) for of in STREAM.columns if of.name != "digest"}
-            for each in log.streams.values()
-        ],
-        DOCUMENT: [msgspec.to_builtins(each) for each in documents],
+        LENGTH: _numbered(
+            _columns(LENGTH, each) | {"nests": "-".join(each.nests)}
+            for each in (() if checked is None else checked.lengths)
+        ),
+        GRID: list(_grid(log)),
+        STREAM: [_columns(STREAM, each) for each in log.streams.values()],
+        DOCUMENT: [_columns(DOCUMENT, each) for each in documents],
         POINT: points,
     }
     serials = {each.kind: each.serial for each in log.assets}
     whole[RUN] = [
-        {
+        _columns(RUN, row)
+        | {
             "run_key": run_key,
             "revision": revision,
             "head": head,
             "month": month,
             "cell_key": short(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
-            "name": row.name,
-            "cell": row.cell,
-            "serial": row.serial,
-            "simulated": row.simulated,
             "machine": _machine(row),
-            "procedure": row.procedure,
-            "state": row.state,
-            "exit": row.exit,
             "begun": _moment(row.begun),
             "ended": _moment(row.ended),
             "points": sum(not each["superseded"] for each in points),
             "proven": _proven(row),
-            "robot": serials.get(ROBOT, ""),
+            "robot": serials.get("robot", ""),
             "tracker": serials.get(TRACKER, ""),
             "version": log.inputs.versions.get("hilcell", ""),
             "row": msgspec.to_builtins(row),
@@ -168,13 +150,8 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         for table, rows in whole.items()
     }
     own = {"digest": digest_of(whole)}
-    return RunRecord(
-        run_key,
-        revision,
-        head,
-        row,
-        {table: [own | dict(each) for each in rows] for table, rows in whole.items()},
-    )
+    rows = {table: [own | dict(each) for each in every] for table, every in whole.items()}
+    return RunRecord(run_key, revision, row, rows)
 
 
 def digest_of(rows: Mapping[Table, Iterable[Values]]) -> UUID:
@@ -216,92 +193,67 @@ def _numbered(rows: Iterable[Values]) -> list[Values]:
     return [{"n": n, **each} for n, each in enumerate(rows)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The rows of one run."""
+def _columns(table: Table, part: msgspec.Struct) -> dict[str, object]:
+    """Return the fields of a part of a run that are columns of its table."""
+    return {name: getattr(part, name) for name in part.__struct_fields__ if name in table.c}
 
-    log: Log
 
-    def points(self, records: Sequence[Record]) -> Iterator[Values]:
-        """Yield all points in the order of their records.
+def _points(log: Log, records: Sequence[Record]) -> Iterator[Values]:
+    """Yield all points in the order of their records.
 
-        One that is superseded does not count: it was measured again, or its tracker had moved.
-        """
-        counting = {self.log.recorded(point): point for point in self.log.points.values()}
-        for record in records:
-            if record.kind == "point":
-                superseded = record.seq not in counting
-                point = self.log.read(record) if superseded else counting[record.seq]
-                yield _point(record, point) | {"superseded": superseded}
+    One that is superseded does not count: it was measured again, or its tracker had moved.
+    """
+    counting = {log.recorded(point): point for point in log.points.values()}
+    for record in records:
+        if record.kind == "point":
+            superseded = record.seq not in counting
+            point = log.read(record) if superseded else counting[record.seq]
+            places_mm = [*point.xyz_mm, *point.std_mm, *(point.nominal_mm or (None, None, None))]
+            names = [f"{of}{axis}_mm" for of in ("", "std_", "nominal_") for axis in "xyz"]
+            yield {
+                **_columns(POINT, point),
+                **dict(zip(names, places_mm, strict=True)),
+                "seq": record.seq,
+                "t": _moment(record.t),
+                "kind": point.group,
+                "superseded": superseded,
+            }
 
-    def verdict(self, record: Record) -> Values:
-        """Return a verdict's row, with the mean error where it judges one."""
-        verdict = self.log.verdicts[record.key]
-        mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
-        return {
-            "key": record.key,
-            "holds": verdict.holds,
-            "body": record.body,
-            "mean_mm": mean.value,
-            "mean_U_mm": mean.U,
-            "mean_tolerance_mm": mean.limit,
-        }
 
-    def lengths(self) -> Iterator[Values]:
-        checked = self.log.verdict(LengthsChecked)
-        for each in () if checked is None else checked.lengths:
-            yield msgspec.to_builtins(each) | {"nests": "-".join(each.nests)}
+def _verdict(log: Log, record: Record) -> Values:
+    """Return a verdict's row, with the mean error where it judges one."""
+    verdict = log.verdicts[record.key]
+    mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
+    return {
+        "key": record.key,
+        "holds": verdict.holds,
+        "body": record.body,
+        "mean_mm": mean.value,
+        "mean_U_mm": mean.U,
+        "mean_tolerance_mm": mean.limit,
+    }
 
-    def grid(self) -> Iterator[Values]:
-        """Yield the errors at the vertices of a grid that was measured whole."""
-        points = self.log.select("grid")
-        if not points or not {"world", "base"} <= self.log.frames.keys():
-            return
-        errors_mm = measured_grid(self.log).errors_mm.reshape(-1, 3)
-        if not np.isfinite(errors_mm).all():
-            return
-        places_mm = grid_of(self.log.cell).vertices_mm().reshape(-1, 3)
+
+def _grid(log: Log) -> Iterator[Values]:
+    """Yield the errors at the vertices of a grid that was measured whole."""
+    points = log.select("grid")
+    if not points or not {"world", "base"} <= log.frames.keys():
+        return
+    errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
+    if np.isfinite(errors_mm).all():
         celsius = [point.temperature_c for point in points if point.temperature_c is not None]
         yield {
-            "places_mm": places_mm.tolist(),
+            "places_mm": grid_of(log.cell).vertices_mm().reshape(-1, 3).tolist(),
             "errors_mm": errors_mm.tolist(),
             "temperature_c": fmean(celsius) if celsius else None,
         }
 
 
-def _point(record: Record, point: Point) -> dict[str, object]:
-    nominal_mm = point.nominal_mm or (None, None, None)
-    return {
-        "seq": record.seq,
-        "t": _moment(record.t),
-        "key": point.key,
-        "kind": point.group,
-        "station": point.station,
-        "frame": point.frame,
-        "reflector": point.reflector,
-        **dict(zip(("x_mm", "y_mm", "z_mm"), point.xyz_mm, strict=True)),
-        **dict(zip(("std_x_mm", "std_y_mm", "std_z_mm"), point.std_mm, strict=True)),
-        "samples": point.samples,
-        "session": point.session,
-        "set_up": point.set_up,
-        "retaken": point.retaken,
-        "temperature_c": point.temperature_c,
-        "pressure_mbar": point.pressure_mbar,
-        "humidity_percent": point.humidity_percent,
-        "strip_mm": point.strip_mm,
-        "rail_mm": point.rail_mm,
-        **dict(zip(("nominal_x_mm", "nominal_y_mm", "nominal_z_mm"), nominal_mm, strict=True)),
-        "commanded_deg": point.commanded_deg,
-        "joints_deg": point.joints_deg,
-    }
-
-
 def _moment(t: str) -> datetime:
     """Return a time; raises `ValueError` where no clock of a cell can have said it."""
     found = datetime.fromisoformat(t)
-    years = (1980, 2200)  # a PC whose battery is empty begins with the first
-    if not years[0] <= found.year < years[1]:
-        raise ValueError(f"it says the time {t}, wanted are years of {years[0]} to {years[1]}")
+    if not 1980 <= found.year < 2200:  # a PC whose battery is empty begins with the first
+        raise ValueError(f"it says the time {t}, wanted are years of 1980 to 2200")
     return found
 
 

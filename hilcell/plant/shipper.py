@@ -26,7 +26,7 @@ from hilcell.calibration.file import seal_problems
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_index
-from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import POSTGRESQL, SEEN, Database, PlantAway, PlantError, RightMissing
@@ -61,9 +61,8 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
     end: no earlier one was ever shipped. Raises `Forked`.
     """
-    shipping = _Shipping(connection)
-    if not shipping.continues(record, heads):
-        shipping.check_name(record, heads[ended:])
+    if not _continues(connection, record, heads):
+        _check_name(connection, record, heads[ended:])
     on_postgresql = connection.dialect.name == POSTGRESQL
     (run,) = record.rows[RUN]
     if on_postgresql:
@@ -79,39 +78,33 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     return True
 
 
-@dataclass(frozen=True, eq=False)
-class _Shipping:
-    """A database that takes records."""
+def _continues(connection: Connection, record: RunRecord, heads: Sequence[str]) -> bool:
+    """Whether the run was shipped before.
 
-    connection: Connection
+    Refuses a journal that does not go on from, or lead to, what was shipped.
+    """
+    asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
+    found = connection.execute(asked).all()
+    for revision, head in found:
+        if revision <= len(heads) and heads[revision - 1] != head:
+            raise Forked(
+                f"run {record.row.name}: the plant has another record {revision} of it: its "
+                "journal was changed, or its folder was copied and resumed twice; ship the right "
+                "one"
+            )
+    return bool(found)
 
-    def continues(self, record: RunRecord, heads: Sequence[str]) -> bool:
-        """Return whether the run was shipped before.
 
-        Refuses a journal that does not go on from, or lead to, what was shipped.
-        """
-        asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
-        found = self.connection.execute(asked).all()
-        for revision, head in found:
-            if revision <= len(heads) and heads[revision - 1] != head:
-                raise Forked(
-                    f"run {record.row.name}: the plant has another record {revision} of it: its "
-                    "journal was changed, or its folder was copied and resumed twice; ship the "
-                    "right one"
-                )
-        return bool(found)
-
-    def check_name(self, record: RunRecord, heads: Sequence[str]) -> None:
-        """Refuse a journal shipped under another name: its measurements would count twice."""
-        for start in range(0, len(heads), BATCH):
-            same = RUN.c.head.in_(heads[start : start + BATCH])
-            asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
-            if self.connection.execute(asked).first() is not None:
-                raise Forked(
-                    f"run {record.row.name}: the plant has its journal under another name: its "
-                    "folder was renamed, or is a copy or a link; keep one, under the name that was "
-                    "shipped"
-                )
+def _check_name(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:
+    """Refuse a journal shipped under another name: its measurements would count twice."""
+    for start in range(0, len(heads), BATCH):
+        same = RUN.c.head.in_(heads[start : start + BATCH])
+        asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
+        if connection.execute(asked).first() is not None:
+            raise Forked(
+                f"run {record.row.name}: the plant has its journal under another name: its folder "
+                "was renamed, or is a copy or a link; keep one, under the name that was shipped"
+            )
 
 
 # The folder is another PC's, so nothing in it is trusted: a link is not followed, and a file
@@ -160,17 +153,10 @@ def _bad(path: Path, why: str) -> BadDocument:
     return BadDocument(f"run {path.parent.name}: its {path.name} {why}; {act}")
 
 
-NAME = SEEN
 MEND = "take its folder from a backup, or out of the runs folder"
-_BROKEN = (
-    msgspec.ValidationError,
-    KeyError,
-    ValueError,
-    TypeError,
-    IndexError,
-    AttributeError,
-    ArithmeticError,
-)
+_BROKEN = (  # what a journal that is none of a run may raise
+    msgspec.ValidationError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError
+)  # fmt: skip
 
 
 class Behind(NamedTuple):
@@ -217,23 +203,21 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
             records = read_records(runs / row.name)
             here[row.name] = key_of(row.name, records)
             record = record_of(row.name, records, documents_of(runs / row.name, row))
+            ended = next((n for n, each in enumerate(records) if each.kind == "end"), 0)
             with database.transaction() as connection:
-                new = write(connection, record, heads(records), _ended(records))
+                new = write(connection, record, heads(records), ended)
         except NotOver:
             done.waiting.append(row.name)
             continue
         except (PlantAway, RightMissing):  # of every run
             raise
-        except StorageError as error:
-            done.refused[row.name] = _of_run(row.name, f"{error}; {MEND}")
-            continue
         except HilcellError as error:
-            done.refused[row.name] = _of_run(row.name, str(error))
+            mend = f"; {MEND}" if isinstance(error, StorageError) else ""
+            done.refused[row.name] = _of_run(row.name, f"{error}{mend}")
             continue
         except _BROKEN as error:
-            done.refused[row.name] = (
-                f"run {row.name}: its journal is none of a run: {error}; {MEND}"
-            )
+            wrong = f"its journal is none of a run: {error}; {MEND}"
+            done.refused[row.name] = f"run {row.name}: {wrong}"
             continue
         seen.note(row, here[row.name])
         done.before += not new
@@ -280,11 +264,6 @@ def _of_run(run: str, reason: str) -> str:
     return line if run in line else f"run {run}: {line}"
 
 
-def _ended(records: Sequence[Record]) -> int:
-    """Return the index of the first end of a run that is over."""
-    return next((n for n, record in enumerate(records) if record.kind == "end"), 0)
-
-
 def _missing(
     rows: Sequence[RunRow], database: Database, known: dict[str, Key], done: Shipped
 ) -> Iterator[RunRow]:
@@ -315,15 +294,13 @@ class _Seen:
 
     def known(self, rows: Sequence[RunRow]) -> dict[str, Key]:
         """Return the revisions of those runs that are as they were when they were noted."""
-        found: dict[str, tuple[str, str, int]] = {}
-        with suppress(sqlite3.Error), closing(self._open()) as base:
-            for name, row, run_key, revision in base.execute("SELECT * FROM seen"):
-                found[name] = (row, run_key, revision)
+        by_name = {row.name: row for row in rows}
         known: dict[str, Key] = {}
-        for row in rows:
-            with suppress(OSError):
-                if row.name in found and found[row.name][0] == self._stamp(row):
-                    known[row.name] = (UUID(found[row.name][1]), found[row.name][2])
+        with suppress(sqlite3.Error), closing(self._open()) as base:
+            for name, stamp, run_key, revision in base.execute("SELECT * FROM seen"):
+                with suppress(OSError):
+                    if name in by_name and stamp == self._stamp(by_name[name]):
+                        known[name] = UUID(run_key), revision
         return known
 
     def note(self, row: RunRow, key: Key) -> None:
@@ -340,7 +317,7 @@ class _Seen:
 
     def _open(self) -> sqlite3.Connection:
         with ExitStack() as undo:
-            base = sqlite3.connect(own_file(self._runs / NAME), isolation_level=None)
+            base = sqlite3.connect(own_file(self._runs / SEEN), isolation_level=None)
             undo.callback(base.close)
             base.execute(
                 "CREATE TABLE IF NOT EXISTS seen "

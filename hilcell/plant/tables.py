@@ -6,18 +6,20 @@ is partitioned by ``month``, that in which the run began.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from datetime import UTC, datetime
 from typing import Any
-from uuid import UUID
 
 from sqlalchemy import (
     JSON,
     Boolean,
     Column,
+    Connection,
     Date,
     DateTime,
     Dialect,
     Double,
+    Executable,
     ForeignKey,
     Index,
     Integer,
@@ -61,8 +63,10 @@ class Utc(TypeDecorator[datetime]):
 TABLES = MetaData()
 
 
-def _digest() -> Column[UUID]:
-    return Column("digest", Uuid, ForeignKey("run.digest"), primary_key=True)
+def _part(name: str, *columns: Column[Any] | Index) -> Table:
+    """Return a table of parts of runs."""
+    digest = Column("digest", Uuid, ForeignKey("run.digest"), primary_key=True)
+    return Table(name, TABLES, digest, *columns)
 
 
 def _number() -> Column[int]:
@@ -112,18 +116,14 @@ Index(
 Index("run_of_robot", RUN.c.robot, RUN.c.ended)
 Index("run_of_head", RUN.c.head)
 
-FRAME = Table(
+FRAME = _part(
     "frame",
-    TABLES,
-    _digest(),
     Column("key", Text, primary_key=True),
     Column("matrix", JSON, nullable=False),
     Column("covariance", JSON),
 )
-VERDICT = Table(
+VERDICT = _part(
     "verdict",
-    TABLES,
-    _digest(),
     Column("key", Text, primary_key=True),
     Column("holds", Boolean, nullable=False),
     Column("mean_mm", Double),
@@ -131,56 +131,44 @@ VERDICT = Table(
     Column("mean_tolerance_mm", Double),
     Column("body", JSON, nullable=False),
 )
-DEVICE = Table(
+DEVICE = _part(
     "device",
-    TABLES,
-    _digest(),
     _number(),
     *map(_words, ("kind", "device", "maker", "model", "serial", "firmware")),
     Column("simulated", Boolean, nullable=False),
     Index("device_serial", "kind", "serial"),
 )
-ALARM = Table(
+ALARM = _part(
     "alarm",
-    TABLES,
-    _digest(),
     _number(),
     Column("t", Utc, nullable=False),
     *map(_words, ("code", "severity", "title", "place", "found")),
     Index("alarm_code", "code", "t"),
 )
-LENGTH = Table(
+LENGTH = _part(
     "length",
-    TABLES,
-    _digest(),
     _number(),
     _words("nests"),
     Column("wanted_mm", Double, nullable=False),
     Column("found_mm", Double, nullable=False),
     Column("U_mm", Double, nullable=False),
 )
-GRID = Table(
+GRID = _part(
     "grid",
-    TABLES,
-    _digest(),
     Column("places_mm", JSON, nullable=False),
     Column("errors_mm", JSON, nullable=False),
     Column("temperature_c", Double),
 )
-STREAM = Table(
+STREAM = _part(
     "stream",
-    TABLES,
-    _digest(),
     Column("key", Text, primary_key=True),
     _words("file"),
     Column("sha256", String(64), nullable=False),
     Column("samples", Integer, nullable=False),
     Column("joint_samples", Integer, nullable=False),
 )
-DOCUMENT = Table(
+DOCUMENT = _part(
     "document",
-    TABLES,
-    _digest(),
     Column("name", Text, primary_key=True),
     Column("sha256", String(64), nullable=False),
     _words("text"),
@@ -212,3 +200,13 @@ POINT = Table(
     postgresql_partition_by="RANGE (month)",
 )  # fmt: skip
 PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
+
+
+def grouped(
+    connection: Connection, asked: Executable, *names: str
+) -> defaultdict[tuple[str, ...], list[Found]]:
+    """Return the rows of an answer, in their order, by what they have in these columns."""
+    found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
+    for row in connection.execute(asked):
+        found[tuple(getattr(row, name) for name in names)].append(row)
+    return found

@@ -14,7 +14,7 @@ from hilcell.calibration.file import SEAL
 from hilcell.journal.runs import CALIBRATION
 from hilcell.plant import shipper
 from hilcell.plant.database import Database
-from hilcell.plant.shipper import NAME, Shipped, ship
+from hilcell.plant.shipper import SEEN, Shipped, ship
 from hilcell.plant.tables import DOCUMENT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run
@@ -113,5 +113,5 @@ def test_a_file_that_came_back_is_shipped(runs: Path, office: Database) -> None:
     (runs / "small" / CALIBRATION).write_bytes(content)
     done, found = shipped(runs, office)
     assert (done.runs, done.before, len(found)) == (1, 1, 1)
-    (runs / NAME).unlink()
+    (runs / SEEN).unlink()
     assert shipped(runs, office)[0] == Shipped(before=2)

@@ -30,7 +30,7 @@ from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.plant.audit import MANIFEST, SIGNATURE, sound
 from hilcell.plant.database import Database
 from hilcell.plant.record import record_of
-from hilcell.plant.tables import FRAME, POINT, VERDICT
+from hilcell.plant.tables import FRAME, POINT, RUN, VERDICT
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run
@@ -128,7 +128,7 @@ def test_an_export_holds_all_of_a_cell_and_is_proven(first: Auditor, empty: Audi
     journal = first.folder / "runs" / RUN_NAME
     record = record_of(RUN_NAME, read_records(journal))
     kept = {path.stem: json.loads(path.read_text()) for path in folder.glob("*.json")}
-    assert kept["run"]["head"] == record.head
+    assert kept["run"]["head"] == record.rows[RUN][0]["head"]
     assert len(kept["points"]) == len(record.rows[POINT])
     assert {each["key"] for each in kept["frames"]} == {each["key"] for each in record.rows[FRAME]}
     assert {each["key"] for each in kept["verdicts"]} == {

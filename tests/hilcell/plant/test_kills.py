@@ -20,7 +20,7 @@ from sqlalchemy import Engine, event, func, select
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
 from hilcell.plant.record import record_of
-from hilcell.plant.shipper import NAME, Shipped, ship
+from hilcell.plant.shipper import SEEN, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
@@ -117,7 +117,7 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
     order, ended = 0, False
     while not ended:
         order += 1
-        (runs / NAME).unlink(missing_ok=True)
+        (runs / SEEN).unlink(missing_ok=True)
         file = tmp_path / f"{order}.db"
         file.write_bytes(blank.read_bytes())
         with closing(Database(f"sqlite:///{file}")) as database, ended_with_it(database.engine):
@@ -158,7 +158,7 @@ def test_a_server_that_is_killed_and_started_again(
         with closing(Database(url)) as database:
             ship(runs, database)
             check(database, runs, Counter({f"r{n}": 1 for n in range(RUNS)}))
-        (runs / NAME).unlink()
+        (runs / SEEN).unlink()
 
 
 MOMENTS = ("before_cursor_execute", "commit", "checkin")  # of a connection: the commit is done

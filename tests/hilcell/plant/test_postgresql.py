@@ -21,7 +21,7 @@ from sqlalchemy import Table, event, make_url, select, text
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
 from hilcell.plant.record import digest_of, heads, record_of
-from hilcell.plant.shipper import NAME, ship, write
+from hilcell.plant.shipper import SEEN, ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
@@ -177,7 +177,7 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             owner.execute(f"CREATE ROLE {user} LOGIN {role}".encode())
     with closing(Database(postgresql.url(name, "cell_user"))) as cell:
         assert ship(runs, cell).runs == 2
-        (runs / NAME).unlink()
+        (runs / SEEN).unlink()
         assert ship(runs, cell).before == 2
     asked = {
         "cell_user": [
@@ -196,7 +196,7 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             for order in orders:
                 with pytest.raises(psycopg.errors.InsufficientPrivilege):
                     connection.execute(order.encode())
-    (runs / NAME).unlink()
+    (runs / SEEN).unlink()
     for user in ("engineer_user", "nobody_s"):
         said = _refused("plant", "ship", runs, "--to", postgresql.url(name, user))
         assert CELL in said

@@ -58,7 +58,7 @@ def test_a_record_holds_what_the_run_measured(records: list[Record]) -> None:
     (grid,) = record.rows[GRID]
     assert np.array(grid["errors_mm"]).shape == (27, 3)
     assert str(record.rows[RUNS][0]["month"]) == f"{records[0].t[:7]}-01"
-    assert record.head == heads(records)[-1]
+    assert record.rows[RUNS][0]["head"] == heads(records)[-1]
     assert record.row.exit == 0
 
 
@@ -157,7 +157,7 @@ def test_more_records_are_a_later_revision_of_the_same_run(records: list[Record]
     assert after.run_key == before.run_key
     assert (before.revision, after.revision) == (last.seq, last.seq + 1)
     assert after.row.facts.revoked == "bumped"
-    assert heads([*records, more])[last.seq - 1] == before.head
+    assert heads([*records, more])[last.seq - 1] == before.rows[RUNS][0]["head"]
 
 
 def test_a_run_that_is_not_over_has_no_record(records: list[Record]) -> None:
