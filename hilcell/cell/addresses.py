@@ -55,13 +55,9 @@ def _channel(channel: str) -> list[str]:
 
 
 def _network(host: str, port: object) -> list[str]:
-    return sorted({f"{each}:{port}" for each in _hosts(host)})
-
-
-def _hosts(host: str) -> set[str]:
-    """Return the addresses of a host; all of this machine's own are one."""
+    """Return the places of a host's addresses; all of this machine's own are one."""
     found = {host} if _is_address(host) else _resolved(host.rstrip("."))
-    return {THIS_MACHINE if _is_ours(each) else each for each in found}
+    return sorted({f"{THIS_MACHINE if _is_ours(each) else each}:{port}" for each in found})
 
 
 def _is_address(text: str) -> bool:

@@ -141,30 +141,26 @@ def streams_of(tracker: Tracker) -> Streams:
     """Return a tracker that streams; raises `DeviceRefused` where it does not."""
     if isinstance(tracker, Streams):
         return tracker
-    raise _unable("HC-T43", "Tracker", "stream", "this tracker streams", "stream", "at rest")
+    raise _unable("HC-T43", "Tracker", "stream", "stream", "at rest")
 
 
 def turning_over(tracker: Tracker) -> TwoFaces:
     """Return a tracker that turns over; raises `DeviceRefused` where it does not."""
     if isinstance(tracker, TwoFaces):
         return tracker
-    able = "this tracker turns over"
-    raise _unable("HC-T43", "Tracker", "change face", able, "measure_back", "in one face")
+    raise _unable("HC-T43", "Tracker", "change face", "measure_back", "in one face")
 
 
 def sweeps_of(robot: Robot) -> Sweeps:
     """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
     if isinstance(robot, Sweeps):
         return robot
-    raise _unable("HC-B42", "Robot", "sweep", "this robot sweeps an axis", "sweep", "at rest")
+    raise _unable("HC-B42", "Robot", "sweep", "sweep", "at rest")
 
 
-def _unable(
-    code: str, device: str, operation: str, able: str, method: str, instead: str
-) -> DeviceRefused:
-    """Return the refusal of a device whose driver has not the method."""
+def _unable(code: str, device: str, operation: str, method: str, instead: str) -> DeviceRefused:
     wanted, act = f"a driver with `{method}`", f"choose a procedure that measures {instead} only"
-    return DeviceRefused(code, device, operation, f"{able}: no", wanted=wanted, act=act)
+    return DeviceRefused(code, device, operation, f"no `{method}`", wanted=wanted, act=act)
 
 
 def sights_apart_rad(cell: Cell) -> float:
@@ -351,10 +347,8 @@ def is_replay(cell: Cell) -> bool:
 
 def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
     """Refuse what a cell that repeats a recorded run was not recorded with; `SettingsError`."""
-    if cell.simulation is not None:
-        simulator = load_entry("simulators", cell.simulation.simulator)
-        if issubclass(simulator, RepeatsRun):
-            simulator.check_run(cell, procedure, seed)
+    if cell.simulation is not None and is_replay(cell):
+        load_entry("simulators", cell.simulation.simulator).check_run(cell, procedure, seed)
 
 
 def start_simulation(

@@ -322,9 +322,7 @@ class GridTable(Frozen, frozen=True, kw_only=True):
         for size in self.size_mm:
             cells = size / self.pitch_mm
             if not (round(cells) >= 1 and abs(cells - round(cells)) < 1e-9):
-                raise ValueError(
-                    f"size {size} mm is not a whole number of pitches {self.pitch_mm} mm"
-                )
+                raise ValueError(f"size {size} mm is no multiple of the pitch {self.pitch_mm} mm")
         vertices = math.prod(count + 1 for count in self.cells)
         if not vertices <= MOST_POINTS:
             raise ValueError(f"{vertices} vertices, at most {MOST_POINTS} are measured")
@@ -377,9 +375,8 @@ class SurveyTable(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         steps = (self.to_mm - self.from_mm) / self.step_mm
         if not (round(steps) >= 3 and abs(steps - round(steps)) < 1e-9):
-            raise ValueError(
-                f"{self.from_mm} .. {self.to_mm} mm is not three or more steps of {self.step_mm} mm"
-            )
+            length = f"{self.from_mm} .. {self.to_mm} mm"
+            raise ValueError(f"{length} is not three or more steps of {self.step_mm} mm")
         if not steps <= 10_000:
             raise ValueError(f"{steps:.0f} steps, at most 10000 are driven")
 
@@ -489,17 +486,15 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def _bad_names(self) -> Iterator[str]:
         most = 1000
         if not 1 <= len(self.station) <= most:
-            yield f"station: 1 .. {most} stations are needed, found {len(self.station)}"
+            yield f"station: expected 1 .. {most} stations, got {len(self.station)}"
         names = [station.name for station in self.station]
         if len(set(names)) != len(names):
-            yield f"station: station names must differ, found {', '.join(names)}"
+            yield f"station: names must differ, got {', '.join(names)}"
 
     def _bad_grid_station(self) -> Iterator[str]:
         names = [station.name for station in self.station]
         if self.grid.station not in names:
-            yield (
-                f"grid.station: grid.station {self.grid.station!r} is none of {', '.join(names)}"
-            )
+            yield f"grid.station: expected one of {', '.join(names)}, got {self.grid.station!r}"
 
     def _bad_fixed(self) -> Iterator[str]:
         """Yield what a cell without a rail states of one."""
@@ -508,17 +503,17 @@ class Cell(Frozen, frozen=True, kw_only=True):
                 yield "layout.slide: a slide needs nests"
             return
         if len(self.station) > 1:
-            yield f"station: a cell without [rail] has one station, found {len(self.station)}"
+            yield f"station: a cell without [rail] has one station, got {len(self.station)}"
         for n, station in enumerate(self.station):
             if station.rail_mm or station.strip_mm:
                 yield (
-                    f"station[{n}].rail_mm: station {station.name}: rail_mm {station.rail_mm}, "
-                    "but the cell has no [rail]; state it, or leave the station out"
+                    f"station[{n}].rail_mm: {station.rail_mm} of {station.name}, but the cell has "
+                    "no [rail]; state it, or leave the station out"
                 )
         if self.layout.slide:
             yield "layout.slide: nests ride on a slide, but the cell has no [rail]"
         if self.touch.poses:
-            yield "touch.poses: they follow the slide's stops, but the cell has no [rail]; wanted 0"
+            yield "touch.poses: expected 0: they follow a slide's stops, and there is no [rail]"
 
     def _bad_station(self, n: int) -> Iterator[str]:
         rail, station = self.rail, self.station[n]
@@ -526,15 +521,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
             return
         low_mm, high_mm = rail.travel_min_mm + rail.back_off_mm, rail.travel_max_mm
         if not low_mm <= station.rail_mm <= high_mm:
-            yield (
-                f"station[{n}].rail_mm: station {station.name}: rail_mm {station.rail_mm} is "
-                f"outside {low_mm} .. {high_mm}"
-            )
+            yield f"station[{n}].rail_mm: expected {low_mm} .. {high_mm}, got {station.rail_mm}"
         if not abs(station.rail_mm - station.strip_mm) <= rail.slip_limit_mm:
             yield (
-                f"station[{n}].strip_mm: station {station.name}: strip_mm {station.strip_mm} and "
-                f"rail_mm {station.rail_mm} differ by more than rail.slip_limit_mm "
-                f"{rail.slip_limit_mm}"
+                f"station[{n}].strip_mm: {station.strip_mm} and rail_mm {station.rail_mm} of "
+                f"{station.name} differ by more than rail.slip_limit_mm {rail.slip_limit_mm}"
             )
 
     def _bad_strip(self, n: int) -> Iterator[str]:
@@ -542,33 +533,29 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for other in self.station[:n] if self.has_rail else ():
             if not abs(station.strip_mm - other.strip_mm) > rail.strip_tolerance_mm:
                 yield (
-                    f"station[{n}].strip_mm: station {station.name}: strip_mm {station.strip_mm} "
-                    f"is also that of station {other.name} ({other.strip_mm} mm); they must differ "
-                    f"by more than {rail.strip_tolerance_mm} mm"
+                    f"station[{n}].strip_mm: {station.strip_mm} of {station.name} and "
+                    f"{other.strip_mm} of {other.name} must differ by more than "
+                    f"rail.strip_tolerance_mm {rail.strip_tolerance_mm}"
                 )
 
     def _bad_cell_counts(self) -> Iterator[str]:
         per_cell, cells = self.validation.per_cell, math.prod(self.grid.cells)
         if not per_cell * cells <= MOST_POINTS:
-            yield (
-                f"validation: {per_cell} targets in each of {cells} grid cells are "
-                f"{per_cell * cells}, at most {MOST_POINTS}"
-            )
+            targets = f"{per_cell} targets in each of {cells} grid cells"
+            yield f"validation: expected at most {MOST_POINTS} targets, got {targets}"
 
     def _bad_others(self) -> Iterator[str]:
         targets, others = self.validation.others, len(self.station) - 1
         if not targets >= others:
-            yield f"validation.others: {targets} targets, wanted one at each of {others} stations"
+            yield f"validation.others: expected one at each of {others} stations, got {targets}"
 
     def _bad_survey(self) -> Iterator[str]:
         if not self.has_rail:
             return
+        low_mm, high_mm = self.rail.travel_min_mm, self.rail.travel_max_mm
         for key, end_mm in (("from_mm", self.survey.from_mm), ("to_mm", self.survey.to_mm)):
-            if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
-                yield (
-                    f"survey.{key}: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
-                    f"{self.rail.travel_max_mm} mm"
-                )
+            if not low_mm <= end_mm <= high_mm:
+                yield f"survey.{key}: {end_mm} mm is outside the travel {low_mm} .. {high_mm} mm"
 
     @property
     def has_rail(self) -> bool:
@@ -591,10 +578,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     def _bad_reflectors(self) -> Iterator[str]:
         if self.robot.more_smr_mm and self.layout.by_hand:
-            yield (
-                "robot.more_smr_mm: one reflector is carried by hand (layout.reflectors), and the "
-                "tool's orientation wants all of them mounted"
-            )
+            yield "robot.more_smr_mm: expected mounted reflectors, got layout.reflectors by_hand"
         if self.validation.max_tolerance_deg is not None and not self.robot.more_smr_mm:
             yield (
                 "validation.max_tolerance_deg: one reflector measures no orientation; state the "
@@ -605,8 +589,8 @@ class Cell(Frozen, frozen=True, kw_only=True):
             yield "iso9283: one reflector measures no angles (ap_limit_deg, rp_limit_deg)"
         elif test.ap_limit_deg is not None and not test.calibration:
             yield (
-                "iso9283.ap_limit_deg: AP of angles wants iso9283.calibration, which knows where "
-                "the reflectors are on the flange"
+                "iso9283.ap_limit_deg: expected iso9283.calibration, which knows where the "
+                "reflectors are on the flange"
             )
 
     @cached_property

@@ -101,10 +101,8 @@ class Layout(Frozen, frozen=True, kw_only=True):
                 continue
             nominal_mm = float(np.linalg.norm(at_mm[each.nests[0]] - at_mm[each.nests[1]]))
             if not abs(nominal_mm - each.length_mm) <= 2 * self.nest_tolerance_mm:
-                yield (
-                    f"length[{n}].length_mm: length of {' to '.join(each.nests)}: "
-                    f"{each.length_mm} mm, by their places {nominal_mm:.3f} mm"
-                )
+                nests = " to ".join(each.nests)
+                yield f"length[{n}].length_mm: {each.length_mm}, by {nests} {nominal_mm:.3f} mm"
 
     def _unused_bars(self) -> Iterator[str]:
         ends = {name for each in self.length for name in each.nests}
@@ -132,7 +130,7 @@ def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
     """Yield what makes nests no frame: the first three are its axes."""
     most_nests = 100
     if not 3 <= len(nests) <= most_nests:
-        yield f"{table}: 3 .. {most_nests} nests are needed, found {len(nests)}"
+        yield f"{table}: expected 3 .. {most_nests} nests, got {len(nests)}"
         return
     yield from _too_close(table, nests)
     yield from list(_collinear(table, nests[:3])) or _collinear(table, nests)
@@ -143,10 +141,8 @@ def _too_close(table: str, nests: list[Nest]) -> Iterator[str]:
     for (_, one), (n, other) in combinations(enumerate(nests), 2):
         apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
         if not apart_mm >= least_mm:
-            yield (
-                f"{table}[{n}]: nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
-                f"wanted at least {least_mm} mm"
-            )
+            both = f"nests {one.name} and {other.name}"
+            yield f"{table}[{n}]: {both} are {apart_mm:.1f} mm apart, expected >= {least_mm:g} mm"
 
 
 def _collinear(table: str, nests: list[Nest]) -> Iterator[str]:
@@ -156,5 +152,5 @@ def _collinear(table: str, nests: list[Nest]) -> Iterator[str]:
         names = ", ".join(nest.name for nest in nests)
         yield (
             f"{table}: nests {names} lie on one line (spread {spread[0]:.1f} mm along it, "
-            f"{spread[1]:.3f} mm across): a frame needs a triangle; move one nest aside"
+            f"{spread[1]:.3f} mm across); move one nest aside"
         )

@@ -76,7 +76,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:
-            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+            raise ValueError(f"expected six joints, got {len(self.joint)}")
         refuse(
             [
                 f"{key}: A{n} at {deg} deg is outside its limits "
@@ -97,24 +97,20 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         seats_mm = self.seats_mm
         reflectors = range(3, 7)  # on the flange, where the tool's orientation is measured
         if len(seats_mm) not in reflectors:
-            yield (
-                f"more_smr_mm: {reflectors[0] - 1} .. {reflectors[-1] - 1} reflectors besides "
-                f"smr_mm are wanted, found {len(self.more_smr_mm)}"
-            )
+            more = f"{reflectors[0] - 1} .. {reflectors[-1] - 1}"
+            yield f"more_smr_mm: expected {more} reflectors, got {len(self.more_smr_mm)}"
             return
         least_mm = 50.0  # closer ones are taken for one another, and tell little of an angle
         for one, other in combinations(range(len(seats_mm)), 2):
             apart_mm = float(np.linalg.norm(seats_mm[one] - seats_mm[other]))
             if not apart_mm >= least_mm:
-                yield (
-                    f"more_smr_mm: reflectors {one + 1} and {other + 1} are {apart_mm:.1f} mm "
-                    f"apart, wanted at least {least_mm:g} mm"
-                )
+                apart = f"reflectors {one + 1} and {other + 1} are {apart_mm:.1f} mm apart"
+                yield f"more_smr_mm: {apart}, expected >= {least_mm:g} mm"
         spread = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
         if not spread[1] > 0.2 * spread[0]:  # less is no triangle
             yield (
-                f"more_smr_mm: the reflectors lie nearly on one line (spread {spread[0]:.1f} mm "
-                f"along it, {spread[1]:.1f} mm across): an orientation needs a triangle"
+                f"more_smr_mm: expected a triangle, got reflectors on one line (spread "
+                f"{spread[0]:.1f} mm along it, {spread[1]:.1f} mm across)"
             )
 
     @property
@@ -181,15 +177,12 @@ class ToolTable(Pose, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.standoff_mm is not None and not self.standoff_mm >= self.least_standoff_mm:
-            raise ValueError(
-                f"standoff_mm {self.standoff_mm:g} must be at least drill_mm + "
-                f"{STANDOFF_MORE_MM:g}, {self.least_standoff_mm:g}"
-            )
+            least = f"drill_mm + {STANDOFF_MORE_MM:g}, {self.least_standoff_mm:g}"
+            raise ValueError(f"standoff_mm: expected at least {least}, got {self.standoff_mm:g}")
         if not self.drill_mm <= self.reach_mm:
             raise ValueError(
                 f"drill_mm {self.drill_mm:g}: the tip is {self.reach_mm:.1f} mm in front of the "
-                "flange along its z, expected at least drill_mm: z (a_deg, b_deg, c_deg) points "
-                "along the drill, out of the spindle"
+                "flange along its z, expected >= drill_mm; z points along the drill, outwards"
             )
 
     @property

@@ -122,7 +122,7 @@ def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | Non
     """Yield what is wrong with a cell's volumes: both they and the arm's shape are needed."""
     names = [volume.name for volume in keep_out]
     for name in sorted({name for name in names if names.count(name) > 1}):
-        yield f"keep_out: names must differ, found {name} twice"
+        yield f"keep_out: names must differ, got {name} twice"
     most_volumes = 100
     if not len(names) <= most_volumes:
         yield f"keep_out: {len(names)} volumes, at most {most_volumes} are checked"
@@ -136,10 +136,7 @@ def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
     """Refuse volumes and links so small that nothing would collide; raises `ValueError`."""
     least_mm = min(lengths_mm)
     if not least_mm >= LEAST_MM:
-        raise ValueError(
-            f"{key}: found {least_mm:g} mm, at least {LEAST_MM:g} mm is wanted; "
-            "are these metres? Write millimetres"
-        )
+        raise ValueError(f"{key}: expected >= {LEAST_MM:g} mm, got {least_mm:g} mm: metres?")
 
 
 def posture(rail_mm: float, joints_rad: Array) -> Array:

@@ -29,7 +29,7 @@ COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 
 
 class NotRead(Exception):
-    """A certificate that does not say what is wanted; the text says what was found."""
+    """A certificate that does not state what it is read for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,8 @@ class InstrumentDcc:
             abs(value) + U for value, U in zip(values, expanded, strict=True)
         )
         if not largest_mm <= self.MOST_MM:
-            raise NotRead(
-                f"quantity {id!r} has the error {largest_mm:g} mm, wanted at most {self.MOST_MM:g}"
-            )
+            error = f"{largest_mm:g} mm"
+            raise NotRead(f"quantity {id!r}: expected errors <= {self.MOST_MM:g} mm, got {error}")
         return largest_mm
 
 
@@ -115,7 +114,7 @@ def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
     )
     pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in forms)
     expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
-    if not values or not expanded or not min(factors) > 0 or not min(expanded) >= 0:
+    if not (values and expanded and min(factors) > 0 and min(expanded) >= 0):
         raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")
     sizes = {len(values), len(expanded), len(factors)} - {1}
     if len(sizes) > 1:

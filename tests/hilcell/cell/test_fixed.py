@@ -62,7 +62,7 @@ def test_what_belongs_to_a_rail_is_refused_without_one(tmp_path: Path) -> None:
     text = TEXT.replace("[grid]\n", rail) + nests + "[touch]\nposes = 4\n"
     text = text.replace("[layout]\n", "[layout]\nrail_direction = [0.0, 1.0, 0.0]\n")
     found = problems_of(tmp_path, text)
-    for key in ("station: ", "station S1: rail_mm", "layout.slide: ", "touch.poses: "):
+    for key in ("station: ", "300.0 of S1", "layout.slide: ", "touch.poses: "):
         assert key in found
 
 
