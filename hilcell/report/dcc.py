@@ -30,7 +30,6 @@ from hilcell.report.certificate import (
     procedure_words,
     title,
 )
-from hilcell.report.drawings.figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage, Judgement, Result
 from hilcell.report.tables import Tables, Validated
@@ -224,7 +223,7 @@ class _Certificate:
                 quantity("95 % below", found.p95_deg, DEGREE, "hilcell_p95"),
                 quantity("largest", found.max_deg, DEGREE, "hilcell_largest"),
             ]
-            yield _series(place, way, series_name(way, self.facts), figures)
+            yield _series(place, way, self.facts.series_name(way), figures)
 
     def bounds(self) -> Iterator[Series]:
         """Yield the 95 % bounds of any target in use, and how many targets kept theirs."""

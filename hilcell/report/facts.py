@@ -19,7 +19,7 @@ from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
-from hilcell.clean import encodable
+from hilcell.clean import encodable, harmless
 from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
@@ -30,6 +30,7 @@ from hilcell.journal.words import in_zone, zone_of
 from hilcell.model.events import Asset, CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
+from hilcell.model.point import Sent
 from hilcell.model.suspicion import suspected_in
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
@@ -115,6 +116,24 @@ class Facts:
     def date(self) -> str:
         """Return the day on which the run ended, there."""
         return in_zone(self.last.t, self.zone).date().isoformat()
+
+    @property
+    def is_paper(self) -> bool:
+        """Whether the run repeats the paper: only its report speaks of the paper's figures."""
+        return self.inputs.procedure == "paper"
+
+    def of_paper(self, words: str) -> str:
+        """Return words that only the report of the paper's run has."""
+        return words if self.is_paper else ""
+
+    def series_name(self, how: Sent) -> str:
+        """Return how a series of targets is called."""
+        match how:
+            case Sent.BEFORE:
+                return "before"
+            case Sent.IDW:
+                return "after, IDW" + self.of_paper(" (paper)")
+        return f"after, {harmless(self.log.method) or 'chosen'}"
 
     def outcome_words(self, outcome: Outcome | None, none: str = "") -> str:
         """Return an outcome as the first page says it: of a simulated cell in brackets.

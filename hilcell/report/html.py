@@ -45,7 +45,7 @@ from hilcell.report.drawings.error_plots import (
     variance_bar,
     vectors,
 )
-from hilcell.report.drawings.figures import POSE_TEST, drawings, is_paper
+from hilcell.report.drawings.figures import POSE_TEST, drawings
 from hilcell.report.drawings.over_time import air, floor_moves
 from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
@@ -328,7 +328,7 @@ class _Page:
     def lead(self) -> str:
         """Return what the report is about, in a line."""
         position_errors = "position errors of the tool point"
-        if self.facts.log.calibration == "validated" and not is_paper(self.facts):
+        if self.facts.log.calibration == "validated" and not self.facts.is_paper:
             robot = "Robot on a rail" if self.facts.cell.has_rail else "Robot"
             turned = bool(self.facts.cell.robot.more_smr_mm)
             errors = "position and orientation errors of the tool" if turned else position_errors

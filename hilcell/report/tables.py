@@ -39,7 +39,6 @@ from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget, place_words
-from hilcell.report.drawings.figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
 
@@ -90,7 +89,7 @@ class Tables:
             Validated(
                 place_words(place),
                 how,
-                series_name(how, self.facts),
+                self.facts.series_name(how),
                 errors,
                 series.get(Sent.BEFORE),
             )
@@ -361,7 +360,7 @@ class Tables:
         for name, how, turned in self.oriented():
             noise_deg = max(noise_deg, turned.noise_deg)
             shown = "" if name == last else name
-            rows.append((shown, series_name(how, self.facts), len(turned), turned.figures))
+            rows.append((shown, self.facts.series_name(how), len(turned), turned.figures))
             last = name
         note = (
             "The tool's pose is the rigid fit of its reflectors, where they were found on the "

@@ -18,7 +18,6 @@ import numpy as np
 from hilcell.calibration.errors import OTHERS, Errors, places, validation
 from hilcell.calibration.grid import binned, grid_pairs
 from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
-from hilcell.clean import harmless
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
@@ -53,31 +52,19 @@ Drawn = tuple["Figure", str]  # with the caption that belongs to it
 
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
-    found: list[tuple[str, str, Callable[[Facts], Drawn | None]]] = [
-        (
-            "targets",
-            "Error at each target, station of the grid" + _of_paper(facts, " (Fig 12)"),
-            fig_12,
-        ),
-        (
-            "transferred",
-            "Error at each target, other stations" + _of_paper(facts, " (Fig 13)"),
-            fig_13,
-        ),
-        ("pose-test", "Pose accuracy and repeatability (ISO 9283)", fig_poses),
-        ("attained", "Attained positions of each pose", fig_attained),
-        ("similarity", "Similarity of errors" + _of_paper(facts, " (eq 8)"), fig_similarity),
-        ("rail", "Position error of the rail, both ways" + _of_paper(facts, " (Fig 1)"), fig_1),
-        ("slide", "Roll, pitch and yaw of the slide", fig_slide),
-        (
-            "frames",
-            "Repeatability of base and station frames" + _of_paper(facts, " (Fig 8)"),
-            fig_8,
-        ),
-        ("strip", "Repeatability of a station" + _of_paper(facts, " (Fig 10)"), fig_10),
+    found: list[tuple[str, str, str, Callable[[Facts], Drawn | None]]] = [
+        ("targets", "Error at each target, station of the grid", " (Fig 12)", fig_12),
+        ("transferred", "Error at each target, other stations", " (Fig 13)", fig_13),
+        ("pose-test", "Pose accuracy and repeatability (ISO 9283)", "", fig_poses),
+        ("attained", "Attained positions of each pose", "", fig_attained),
+        ("similarity", "Similarity of errors", " (eq 8)", fig_similarity),
+        ("rail", "Position error of the rail, both ways", " (Fig 1)", fig_1),
+        ("slide", "Roll, pitch and yaw of the slide", "", fig_slide),
+        ("frames", "Repeatability of base and station frames", " (Fig 8)", fig_8),
+        ("strip", "Repeatability of a station", " (Fig 10)", fig_10),
     ]
     results = {"rail_survey", "frame_repeatability", ISO}
-    shown = is_paper(facts) or results & facts.result.keys() or facts.log.select("repeat")
+    shown = facts.is_paper or results & facts.result.keys() or facts.log.select("repeat")
     if "world" not in facts.log.frames or not shown:
         return []  # and no library of figures is loaded
     import matplotlib
@@ -87,39 +74,16 @@ def drawings(facts: Facts) -> list[Drawing]:
         matplotlib.rcdefaults()  # not the user's
         settings: Any = matplotlib.rcParams  # typed key by key, which a table of ours is not
         settings.update(_STYLE)
-        for name, title, draw in found:
-            figure = draw(facts)
-            if figure is not None:
-                drawn.append(_finished(facts, name, title, figure))
+        for name, title, in_paper, draw in found:
+            if (made := draw(facts)) is None:
+                continue
+            figure, caption = made
+            if facts.inputs.simulated:
+                figure.text(0.5, 0.5, "SIMULATION", ha="center", va="center", fontsize=34,
+                            rotation=18, color=MUTED, alpha=0.13, weight="bold")  # fmt: skip
+            shown_title = title + facts.of_paper(in_paper)
+            drawn.append(Drawing(name, shown_title, caption, svg_of(figure, name)))
     return drawn
-
-
-def _finished(facts: Facts, name: str, title: str, drawn: Drawn) -> Drawing:
-    figure, caption = drawn
-    if facts.inputs.simulated:
-        figure.text(0.5, 0.5, "SIMULATION", ha="center", va="center", fontsize=34, rotation=18,
-                    color=MUTED, alpha=0.13, weight="bold")  # fmt: skip
-    return Drawing(name, title, caption, svg_of(figure, name))
-
-
-def is_paper(facts: Facts) -> bool:
-    """Whether a run repeats the paper: only its report speaks of the paper's figures."""
-    return facts.inputs.procedure == "paper"
-
-
-def _of_paper(facts: Facts, words: str) -> str:
-    return words if is_paper(facts) else ""
-
-
-def series_name(how: Sent, facts: Facts) -> str:
-    """Return how a series of targets is called."""
-    method = harmless(facts.log.method)
-    chosen = f"after, {method}" if method else "after, chosen"
-    return {
-        Sent.BEFORE: "before",
-        Sent.IDW: "after, IDW" + _of_paper(facts, " (paper)"),
-        Sent.CHOSEN: chosen,
-    }[how]
 
 
 # -- errors at the targets ------------------------------------------------------------------------
@@ -129,7 +93,7 @@ def fig_12(facts: Facts) -> Drawn | None:
     """Draw the errors at the grid's station, target by target."""
     log = facts.log
     series = validation(log, [facts.cell.grid.station])
-    paper = _of_paper(facts, "The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
+    paper = facts.of_paper("The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
     return _targets(facts, series, paper)
 
 
@@ -138,33 +102,25 @@ def fig_13(facts: Facts) -> Drawn | None:
     stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
     series = validation(facts.log, stations)
     words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
-    paper = _of_paper(facts, "The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
+    paper = facts.of_paper("The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
     return _targets(facts, series, words + paper)
 
 
 def _targets(facts: Facts, series: Mapping[Sent, Errors], caption: str) -> Drawn | None:
-    if not series or not is_paper(facts):
+    if not series or not facts.is_paper:
         return None
     figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
     for how, errors in series.items():
-        _scatter(ax, how, errors.norms_mm, series_name(how, facts))
-        mean_mm = errors.figures.mean
-        ax.axhline(mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
+        _scatter(ax, how, errors.norms_mm, facts.series_name(how))
+        mean_mm, colour = errors.figures.mean, COLOURS[how]
+        ax.axhline(mean_mm, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
         if how != Sent.IDW:  # it would lie on the other mean
-            ax.text(
-                1.008,
-                mean_mm,
-                f"{mean_mm:.3f}",
-                color=COLOURS[how],
-                va="center",
-                fontsize=7.5,
-                transform=ax.get_yaxis_transform(),
-            )
+            ax.text(1.008, mean_mm, f"{mean_mm:.3f}", color=colour, va="center", fontsize=7.5,
+                    transform=ax.get_yaxis_transform())  # fmt: skip
     ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
     ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("target")
-    ax.set_ylabel("3D error, mm")
+    ax.set(xlabel="target", ylabel="3D error, mm")
     _legend_above(ax)
     return figure, "Dashed lines: means. " + caption
 
@@ -177,15 +133,8 @@ def _scatter(ax: Axes, how: Sent, y: Array, label: str) -> None:
 
 
 def _legend_above(ax: Axes) -> None:
-    ax.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=4,
-        borderaxespad=0.2,
-        handlelength=1.4,
-        handletextpad=0.5,
-        columnspacing=1.2,
-    )
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2,
+              handlelength=1.4, handletextpad=0.5, columnspacing=1.2)  # fmt: skip
 
 
 # -- rail, frames, strip --------------------------------------------------------------------------
@@ -200,22 +149,15 @@ def fig_1(facts: Facts) -> Drawn | None:
     ax: Axes = axes[0, 0]
     for way, how in (("forth", Sent.CHOSEN), ("back", Sent.BEFORE)):
         nominal_mm, error_mm = np.array(survey.curve[way], dtype=float).reshape(-1, 2).T
-        ax.plot(
-            nominal_mm,
-            error_mm,
-            marker=MARKERS[how],
-            markersize=2.8,
-            color=COLOURS[how],
-            markerfacecolor="none" if how == Sent.BEFORE else COLOURS[how],
-            label=way,
-        )
-    ax.set_xlabel("nominal position on the rail, mm")
-    ax.set_ylabel("position error, mm")
+        face = "none" if how == Sent.BEFORE else COLOURS[how]
+        ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
+                markerfacecolor=face, label=way)  # fmt: skip
+    ax.set(xlabel="nominal position on the rail, mm", ylabel="position error, mm")
     _legend_above(ax)
     return figure, (
         f"Backlash {_with_u(survey.backlash_mm, 'mm')}; "
         f"scale {_with_u(survey.scale_ppm, 'ppm')}. "
-        + _of_paper(facts, "The paper: error up to 0.5 mm, backlash about 0.2 mm.")
+        + facts.of_paper("The paper: error up to 0.5 mm, backlash about 0.2 mm.")
     )
 
 
@@ -234,8 +176,7 @@ def fig_slide(facts: Facts) -> Drawn | None:
     turns = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
     for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
         ax.plot(nominal_mm, survey.angles_mrad[name], style, color=COLOURS[how], label=name)
-    ax.set_xlabel("nominal position on the rail, mm")
-    ax.set_ylabel("angle, mrad")
+    ax.set(xlabel="nominal position on the rail, mm", ylabel="angle, mrad")
     _legend_above(ax)
     off_mm = survey.straightness_mm
     return figure, (
@@ -246,10 +187,8 @@ def fig_slide(facts: Facts) -> Drawn | None:
 
 def fig_similarity(facts: Facts) -> Drawn | None:
     """Draw how errors part with joint and with Cartesian distance, over all pairs of vertices."""
-    if (
-        not is_paper(facts)
-        or not {"base", "fit"} <= facts.log.frames.keys() | facts.log.verdicts.keys()
-    ):
+    known = facts.log.frames.keys() | facts.log.verdicts.keys()
+    if not facts.is_paper or not {"base", "fit"} <= known:
         return None
     pairs = grid_pairs(facts.log)
     count = len(pairs.difference_mm)
@@ -287,16 +226,10 @@ def fig_8(facts: Facts) -> Drawn | None:
             ("base", found.base[station], Sent.BEFORE, -0.2),
             ("station", found.station[station], Sent.CHOSEN, 0.2),
         ):
-            ax.bar(
-                np.arange(1, len(off_mm) + 1) + shift,
-                off_mm,
-                0.38,
-                color=COLOURS[how],
-                label=f"{kind} frame",
-            )
-        ax.set_title(f"station {station}")
-        ax.set_xlabel("slide point")
-        ax.set_xticks(np.arange(1, len(found.base[station]) + 1))
+            at = np.arange(1, len(off_mm) + 1) + shift
+            ax.bar(at, off_mm, 0.38, color=COLOURS[how], label=f"{kind} frame")
+        ticks = np.arange(1, len(found.base[station]) + 1)
+        ax.set(title=f"station {station}", xlabel="slide point", xticks=ticks)
         ax.grid(visible=False, axis="x")
     axes[0, 0].set_ylabel("deviation, mm")
     _legend_above(axes[0, -1])
@@ -304,7 +237,7 @@ def fig_8(facts: Facts) -> Drawn | None:
     return figure, (
         f"Against station {facts.cell.grid.station}. The station frame repeats "
         f"{found.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
-        + _of_paper(facts, "The paper: about 4 times.")
+        + facts.of_paper("The paper: about 4 times.")
     )
 
 
@@ -324,14 +257,13 @@ def fig_10(facts: Facts) -> Drawn | None:
                 ranges.append(f"{SIDES[way]}, {label} {np.ptp(off_mm):.4f} mm")
                 _scatter(ax, how, off_mm, label)
                 ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
-        ax.set_title(SIDES[way])
-        ax.set_xlabel("approach")
-        ax.set_xticks(range(1, len(ax.lines[0].get_ydata()) + 1, 2))
+        ticks = range(1, len(ax.lines[0].get_ydata()) + 1, 2)
+        ax.set(title=SIDES[way], xlabel="approach", xticks=ticks)
     axes[0, 0].set_ylabel("deviation along the rail, mm")
     _legend_above(axes[0, -1])
     return figure, (
         f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
-        + _of_paper(facts, "The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
+        + facts.of_paper("The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
     )
 
 
@@ -352,18 +284,13 @@ def fig_poses(facts: Facts) -> Drawn | None:
     found = PoseReport(facts).tested()
     figure, axes = axes_sheet(2.6, 1, 3)
     _test_cube(axes[0, 0], found.cube, found.poses)
-    for ax, of, colour, bars in zip(
-        axes[0, 1:],
-        (AP, RP),
-        (COLOURS[Sent.BEFORE], COLOURS[Sent.CHOSEN]),
-        (
-            [(each.ap_mm, each.ap_u95_mm) for each in found.poses.values()],
-            [(each.rp_mm, each.rp_u95_mm) for each in found.poses.values()],
-        ),
-        strict=True,
+    poses = found.poses.values()
+    for ax, of, how, bars in (
+        (axes[0, 1], AP, Sent.BEFORE, [(each.ap_mm, each.ap_u95_mm) for each in poses]),
+        (axes[0, 2], RP, Sent.CHOSEN, [(each.rp_mm, each.rp_u95_mm) for each in poses]),
     ):
         values, u95_mm = zip(*bars, strict=True)
-        ax.bar(list(found.poses), values, width=0.6, color=colour, yerr=u95_mm,
+        ax.bar(list(found.poses), values, width=0.6, color=COLOURS[how], yerr=u95_mm,
                error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
         ax.set_title(f"{of.symbol}, {of.unit}")
         ax.set_ylim(bottom=0.0)
@@ -388,9 +315,8 @@ def _test_cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
             ax.plot(*ends.T, color=MUTED, linewidth=0.7)
     ax.fill(*np.array([corners[name] for name in PLANE]).T, color="#d3e0ec", alpha=0.7, zorder=0)
     for name, at in corners.items():
-        ax.text(
-            at[0] * 1.14, at[1] * 1.14, name, ha="center", va="center", fontsize=6.5, color=MUTED
-        )
+        x, y = 1.14 * at
+        ax.text(x, y, name, ha="center", va="center", fontsize=6.5, color=MUTED)
     places = {
         name: axonometric @ (np.array(each.commanded_mm) - centre) for name, each in poses.items()
     }
@@ -424,27 +350,11 @@ def fig_attained(facts: Facts) -> Drawn | None:
     for column, (name, cloud) in enumerate(clouds.items()):
         off_mm = cloud - cloud.mean(axis=0)
         for ax, (across, up) in zip(axes[:, column], ((0, 1), (0, 2)), strict=True):
-            ax.plot(
-                off_mm[:, across],
-                off_mm[:, up],
-                "o",
-                color=blue,
-                markersize=2.2,
-                alpha=0.75,
-            )
-            turn = np.linspace(0.0, 2.0 * np.pi, 73)
-            rp_mm = poses[name].rp_mm
-            ax.plot(
-                rp_mm * np.cos(turn),
-                rp_mm * np.sin(turn),
-                color=orange,
-                linewidth=0.9,
-            )
-            ax.set_xticks([-tick_mm, tick_mm])
-            ax.set_yticks([-tick_mm, 0.0, tick_mm])
-            ax.set_xlim(-reach_mm, reach_mm)
-            ax.set_ylim(-reach_mm, reach_mm)
-            ax.set_aspect("equal")
+            ax.plot(*off_mm[:, (across, up)].T, "o", color=blue, markersize=2.2, alpha=0.75)
+            turn, rp_mm = np.linspace(0.0, 2.0 * np.pi, 73), poses[name].rp_mm
+            ax.plot(rp_mm * np.cos(turn), rp_mm * np.sin(turn), color=orange, linewidth=0.9)
+            ax.set(xticks=[-tick_mm, tick_mm], yticks=[-tick_mm, 0.0, tick_mm])
+            ax.set(xlim=(-reach_mm, reach_mm), ylim=(-reach_mm, reach_mm), aspect="equal")
         axes[0, column].set_title(name)
         axes[1, column].set_xlabel("x, mm")
     axes[0, 0].set_ylabel("y, mm")
@@ -496,13 +406,10 @@ def axes_sheet(
     figure = Figure(figsize=(width_in, height_in))
     axes = figure.subplots(rows, columns, squeeze=False, **more)
     figure.subplots_adjust(
-        left=0.64 / width_in,
-        right=1 - 0.42 / width_in,
-        bottom=0.42 / height_in,
-        top=1 - 0.28 / height_in,
-        wspace=0.34 if columns > 2 else 0.1,
-        hspace=0.36,
-    )
+        left=0.64 / width_in, right=1 - 0.42 / width_in,
+        bottom=0.42 / height_in, top=1 - 0.28 / height_in,
+        wspace=0.34 if columns > 2 else 0.1, hspace=0.36,
+    )  # fmt: skip
     return figure, axes
 
 
