@@ -6,9 +6,11 @@ the screen, CSV and XLSX. A cell is a value; its text, unit and rounding are the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import takewhile
+from operator import attrgetter
 from typing import Generic, NamedTuple, Never, TypeVar
 
 T = TypeVar("T")
@@ -69,6 +71,20 @@ class Column(Generic[T_contra]):
         if not text.strip("-0."):  # no zero has a sign
             return text.lstrip("-")
         return text.replace("-", minus)
+
+
+def vector(
+    prefix: str, names: Iterable[str], unit: str, attribute: str, form: str = "", first: int = 0
+) -> Iterator[Column[object]]:
+    """Yield a column for each element, from ``first``, of an attribute, which may be None."""
+    of = attrgetter(attribute)
+
+    def element(n: int, row: object) -> Value:
+        values = of(row)
+        return None if values is None else float(values[n])
+
+    for n, name in enumerate(names, first):
+        yield Column(prefix + name, partial(element, n), unit, form)
 
 
 class Table:

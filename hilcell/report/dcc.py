@@ -250,8 +250,8 @@ class _Certificate:
     def _limit(self, result: Result) -> Limit:
         """Return a figure's limit, and whether it is kept; a simulated one only would be."""
         outcome = result.outcome or Outcome.UNDECIDED  # of a bound, which is not judged
-        words = f"limit {result.limit_mm:g} mm: {outcome.short}"
-        figure = quantity("limit", result.limit_mm, MM, "hilcell_limit")
+        words = f"limit {result.limit:g} mm: {outcome.short}"
+        figure = quantity("limit", result.limit, MM, "hilcell_limit")
         if not self.facts.inputs.simulated:
             return Limit(words, CONFORMITY[outcome], figure)
         return Limit(f"{words}, if it were real", "", figure)

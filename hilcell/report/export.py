@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from operator import attrgetter, itemgetter
@@ -17,10 +17,10 @@ from hilcell.journal.log import Log
 from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.renderers import csv_of, xlsx_of
-from hilcell.present.table import Column, Table, Value
+from hilcell.present.table import Column, Table, Value, vector
 from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
-from hilcell.report.tables import ACCURACY, FRAMES, Posed, Tables
+from hilcell.report.tables import ACCURACY, FRAMES, Tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,28 +62,6 @@ def _plain(*names: str, unit: str = "") -> Iterator[Column[Measured]]:
         yield Column(name, attrgetter(f"point.{name}_{unit}".rstrip("_")), unit)
 
 
-def _vector(
-    prefix: str, names: Iterable[str], unit: str, attribute: str, first: int = 0
-) -> Iterator[Column[Measured]]:
-    """Yield a column for each element, from ``first``, of an attribute, which may be absent."""
-    for n, name in enumerate(names, first):
-        yield Column(prefix + name, _element(attrgetter(attribute), n), unit)
-
-
-def _entry(row: int, column: int) -> Callable[[Posed], Value]:
-    return lambda posed: float(posed.matrix[row, column])
-
-
-def _element(
-    of: Callable[[Measured], Sequence[float] | None], n: int
-) -> Callable[[Measured], Value]:
-    def value(row: Measured) -> Value:
-        values = of(row)
-        return None if values is None else float(values[n])
-
-    return value
-
-
 def _age(name: str) -> Callable[[Measured], Value]:
     def value(row: Measured) -> Value:
         taken = getattr(row.point.readings, name, None)
@@ -97,22 +75,22 @@ POINTS: tuple[Column[Measured], ...] = (
     Column("seq", attrgetter("record.seq")),
     Column("t", attrgetter("record.t"), "utc"),
     *_plain("key", "group", "station", "session", "reflector", "frame"),
-    *_vector("", "xyz", "mm", "point.xyz_mm"),
-    *_vector("std_", "xyz", "mm", "point.std_mm"),
+    *vector("", "xyz", "mm", "point.xyz_mm"),
+    *vector("std_", "xyz", "mm", "point.std_mm"),
     *_plain("samples", "temperature_c", "pressure_mbar", "humidity_percent"),
     *_plain("rail", "strip", unit="mm"),
-    *_vector("world_", "xyz", "mm", "world_mm"),
-    *_vector("nominal_", "xyz", "mm", "point.nominal_mm"),
-    *_vector("error_", "xyz", "mm", "error_mm"),
+    *vector("world_", "xyz", "mm", "world_mm"),
+    *vector("nominal_", "xyz", "mm", "point.nominal_mm"),
+    *vector("error_", "xyz", "mm", "error_mm"),
     Column("error", attrgetter("norm_mm"), "mm"),
     Column("seat", attrgetter("point.id.seat")),
-    *_vector("nominal_", "abc", "°", "point.nominal_deg"),
+    *vector("nominal_", "abc", "°", "point.nominal_deg"),
     Column("orientation_error", attrgetter("turned_deg"), "°"),
-    *_vector("smr_", "xyz", "mm", "point.smr_mm"),
-    *_vector("commanded_", _AXES, "°", "point.commanded_deg"),
-    *_vector("read_", _AXES, "°", "point.joints_deg"),
-    *_vector("pose_", "xyz", "mm", "zyx"),
-    *_vector("pose_", "abc", "°", "zyx", first=3),
+    *vector("smr_", "xyz", "mm", "point.smr_mm"),
+    *vector("commanded_", _AXES, "°", "point.commanded_deg"),
+    *vector("read_", _AXES, "°", "point.joints_deg"),
+    *vector("pose_", "xyz", "mm", "zyx"),
+    *vector("pose_", "abc", "°", "zyx", first=3),
     *(Column(f"{name}_age", _age(name), "s") for name in ("tracker", "rail", "robot")),
     Column("settled", attrgetter("settled_s"), "s"),
     Column("bound95", attrgetter("bound_mm"), "mm"),
@@ -226,14 +204,8 @@ def _yes(holds: bool) -> str:
 def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with the sheets run, points, frames, results and before and after."""
     compared = Table(ACCURACY, Tables(facts).validated_rows(), "before and after")
-    columns: tuple[Column[Posed], ...] = (
-        *FRAMES,
-        *(
-            Column(f"m{row}{column}", _entry(row, column))
-            for row in range(4)
-            for column in range(4)
-        ),
-    )
+    entries = (f"{row}{column}" for row in range(4) for column in range(4))
+    columns = (*FRAMES, *vector("m", entries, "", "matrix.flat"))
     frames = Table(columns, Tables(facts).posed(), "frames")
     sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
     begun = datetime.fromisoformat(facts.records[0].t)

@@ -16,28 +16,23 @@ import numpy as np
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
+from hilcell.calibration.orientation import validated_turns
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
-from hilcell.geometry.frames import zyx_from_pose
-from hilcell.journal.calibration_facts import (
-    SUSPECTED,
-    facts_of,
-    run_judged,
-    run_outcome,
-)
+from hilcell.geometry.frames import matrix, zyx_from_pose
+from hilcell.journal.calibration_facts import SUSPECTED, facts_of, run_judged, run_outcome
 from hilcell.journal.words import verdict_words
 from hilcell.model.outcome import Outcome, gravest, outcome_of
-from hilcell.model.point import Sent
+from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import VALIDATION, Judged, Verdict
-from hilcell.present.table import Column, Table, Value
+from hilcell.present.table import Column, Table
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import PoseReport, tests_poses
 
 BLANK = "…" * 12  # to fill in by hand
-NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
-MOST_PLACES, LONG_NAME = 4, 20  # whose results stand on the page; one of long names
+NOT_APPLICABLE = "–"
 
 
 class Fact(NamedTuple):
@@ -49,41 +44,30 @@ class Fact(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One figure against its limit, mm; None where it was not measured or is not stated.
+    """One figure against its limit, in mm or in deg; None where it was not measured or stated.
 
-    Without ``U_mm`` it is a bound, which has the uncertainty in it.
-
-    ``also`` is an outcome that no figure explains by itself: of too few targets.
+    Without ``U`` it is a bound, which has the uncertainty in it and is not judged. ``also`` is an
+    outcome that no figure explains by itself: of too few targets.
     """
 
     name: str
-    limit_mm: float
-    before_mm: float | None
-    after_mm: float
-    U_mm: float | None
+    limit: float
+    before: float | None
+    after: float
+    U: float | None
     also: Outcome = Outcome.ACCEPTED
 
     @property
-    def most_mm(self) -> float:
+    def most(self) -> float:
         """Return what the figure may be at most: its limit less U."""
-        return self.limit_mm - (self.U_mm or 0.0)
-
-    @property
-    def before(self) -> Value:
-        """Return the figure before, nothing where it was not measured; a bound has none."""
-        return NOT_APPLICABLE if self.U_mm is None else self.before_mm
-
-    @property
-    def U(self) -> Value:  # noqa: N802 - GUM's symbol
-        """Return U of the figure; a bound has it in."""
-        return "included" if self.U_mm is None else self.U_mm
+        return self.limit - (self.U or 0.0)
 
     @property
     def outcome(self) -> Outcome | None:
-        """Return whether it keeps the limit, by the decision rule, which judges no bound."""
-        if self.U_mm is None:
+        """Return whether it keeps the limit, by the decision rule."""
+        if self.U is None:
             return None
-        return gravest([outcome_of(self.after_mm, self.limit_mm, self.U_mm), self.also])
+        return gravest([outcome_of(self.after, self.limit, self.U), self.also])
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,23 +85,35 @@ class FirstPage:
         results = [result for name in self._shown() for result in self.results_at(name)]
         if results and (bound := self.bound_result(targets)) is not None:
             results.append(bound)
-        verdict = Column[Result](
-            "verdict", lambda row: self.facts.outcome_words(row.outcome, NOT_APPLICABLE), form="s"
-        )
-        columns: tuple[Column[Result], ...] = (
-            Column("3-D position error", attrgetter("name")),
-            Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
-            Column(
-                "before",
-                lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm,
-                "mm",
-                ".3f",
-            ),
-            Column("after", attrgetter("after_mm"), "mm", ".3f"),
-            Column("U", attrgetter("U"), "mm", ".3f"),
-            Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
-        )
-        return Table((*columns, verdict), results, "Results", note)
+        return Table(self._columns("3-D position error", "mm", ".3f"), results, "Results", note)
+
+    def turn_results(self) -> Table:
+        """Return the orientation nearest to its limit, or a pose test's; nothing without limits."""
+        if tests_poses(self.facts):
+            return PoseReport(self.facts).turn_results()
+        turns = {name: each.turn for name, each in self.judged_places().items()}
+        known = {name: turn for name, turn in turns.items() if turn is not None}
+        limit_deg, results = self.facts.cell.validation.max_tolerance_deg, []
+        if known and limit_deg is not None:
+            place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
+            before = validated_turns(self.facts.log, [place]).get(Sent.BEFORE)
+            before_deg = None if before is None else before.figures.max_deg
+            results = [Result(f"Largest at {place}", limit_deg, before_deg, *known[place])]
+        columns = self._columns("orientation of the tool", "°", ".4f")
+        return Table(columns, results, "Results, orientation at the worst station")
+
+    def _columns(self, what: str, unit: str, form: str) -> tuple[Column[Result], ...]:
+        return (
+            Column(what, attrgetter("name")),
+            Column("limit", attrgetter("limit"), unit, ".3f"),
+            Column("before", lambda row: NOT_APPLICABLE if row.U is None else row.before,
+                   unit, form),
+            Column("after", attrgetter("after"), unit, form),
+            Column("U", lambda row: "included" if row.U is None else row.U, unit, form),
+            Column("after may be at most", attrgetter("most"), unit, form),
+            Column("verdict", lambda row: self.facts.outcome_words(row.outcome, NOT_APPLICABLE),
+                   form="s"),
+        )  # fmt: skip
 
     def judged_places(self) -> dict[str, Judged]:
         """Return the verdicts of single stations."""
@@ -142,7 +138,7 @@ class FirstPage:
             return []
         found = []
         for n, word in enumerate(("Mean", "Largest")):
-            shares = {name: pair[n].after_mm / pair[n].limit_mm for name, pair in pairs.items()}
+            shares = {name: pair[n].after / pair[n].limit for name, pair in pairs.items()}
             name = max(shares, key=shares.__getitem__)
             found.append((f"{word}, {name}", pairs[name][n]))
         if (bound := self.bound_result(targets)) is not None:
@@ -160,19 +156,18 @@ class FirstPage:
     def results_at(self, name: str) -> tuple[Result, Result]:
         """Return mean and largest error of a judged station."""
         each, series = self.judged_places()[name], validation(self.facts.log, [name])
-        before = series[Sent.BEFORE].figures if Sent.BEFORE in series else None
-        sent = len(series[Sent.BEFORE]) if Sent.BEFORE in series else 0
-        count = len(series[Sent.CHOSEN]) if Sent.CHOSEN in series else 0
+        before, after = (series.get(how) for how in BOTH)
+        sent, count = (0 if errors is None else len(errors) for errors in (before, after))
         explained = each.holds or each.why != each.decision
         also = Outcome.ACCEPTED if explained else each.outcome
-        targets = f"{count} targets at {name}" + (
-            f" (before: {sent})" if sent not in (0, count) else ""
-        )
+        targets = f"{count} targets at {name}"
+        targets += f" (before: {sent})" if sent not in (0, count) else ""
+        mean_mm, max_mm = (before.figures.mean, before.figures.max) if before else (None, None)
         return (
-            Result(f"Mean of {targets}", each.mean_tolerance_mm,
-                   before.mean if before else None, each.mean_mm, each.mean_U_mm, also),
-            Result(f"Largest of {targets}", each.max_tolerance_mm,
-                   before.max if before else None, each.max_mm, each.max_U_mm),
+            Result(f"Mean of {targets}", each.mean_tolerance_mm, mean_mm, each.mean_mm,
+                   each.mean_U_mm, also),
+            Result(f"Largest of {targets}", each.max_tolerance_mm, max_mm, each.max_mm,
+                   each.max_U_mm),
         )  # fmt: skip
 
     def judgement(self) -> Judgement:
@@ -220,11 +215,9 @@ class FirstPage:
             f"{place}, {with_signs(each.why)}"
             for place, each in failed.items() if each.outcome == gravest(outcomes)
         ]  # fmt: skip
-        most_deciding = 2  # stations that the verdict's sentence names
-        more = (
-            f"; and at {len(found) - most_deciding} more stations" if found[most_deciding:] else ""
-        )
-        return f": at {'; at '.join(found[:most_deciding])}{more}"
+        most = 2  # stations that the verdict's sentence names
+        more = f"; and at {len(found) - most} more stations" if found[most:] else ""
+        return f": at {'; at '.join(found[:most])}{more}"
 
     def uncertainty_words(self, budget: Budget | None) -> str:
         """Return U with its coverage factors, of one coordinate and of a 3-D position."""
@@ -241,8 +234,8 @@ class FirstPage:
     def item_facts(self, measured: str) -> list[Fact]:
         """Return what was calibrated, for whom, when."""
         cell = self.facts.cell
-        serials = {asset.kind: asset.serial for asset in self.facts.log.assets}
-        robot = f", serial {serials['robot']}" if "robot" in serials else ""
+        robot = self.facts.asset("robot")
+        serial = "" if robot is None else f", serial {robot.serial}"
         travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
         on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
         stations = (
@@ -258,7 +251,7 @@ class FirstPage:
             Fact("Run", self.facts.run),
             Fact("Job", self.facts.inputs.job),
             Fact("Cell", f"{cell.name}, serial {cell.serial}"),
-            Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
+            Fact("Robot", f"{cell.robot.name}{serial}, {on}"),
             Fact("Stations", names + more),
             *(Fact(*each) for each in PoseReport(self.facts).stated_conditions()),
             Fact("Measured", measured),
@@ -274,15 +267,12 @@ class FirstPage:
         if calibration is None or self.facts.revoked or self.facts.suspected:
             return []
         validity = calibration.validity
-        turned = np.eye(4)
-        turned[:3, :3] = validity.orientation
-        a, b, c = zyx_from_pose(turned)[3:]
+        a, b, c = zyx_from_pose(matrix(np.array(validity.orientation), np.zeros(3)))[3:]
         more = len(validity.orientations)
         also = f" (as from {more} more)" if more else ""
         ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
         cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
-        ended = datetime.fromisoformat(self.facts.last.t)
-        until = (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
+        until = datetime.fromisoformat(self.facts.last.t) + timedelta(days=MAX_AGE_DAYS)
         return [
             Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
             Fact(
@@ -293,17 +283,15 @@ class FirstPage:
             Fact("Temperature", _temperature(validity.temperature_c)),
             Fact(
                 "Age",
-                f"until {until} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
+                f"until {until:%Y-%m-%d} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
                 "mastering, a changed motor or tool, or a failed re-check",
             ),
         ]
 
     def instrument_rows(self) -> list[Instrument]:
         """Return what measured, with serial numbers and certificates; nothing without a tracker."""
-        stated, none = (
-            self.facts.cell.uncertainty,
-            NO_CERTIFICATE if self.facts.inputs.simulated else "",
-        )
+        stated = self.facts.cell.uncertainty
+        none = "none, simulated" if self.facts.inputs.simulated else ""
         unknown = none and NOT_APPLICABLE
         found = [
             Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
@@ -339,8 +327,8 @@ class FirstPage:
 
 def most_places(cell: Cell) -> int:
     """Return how many stations the page has room for."""
-    long = any(len(station.name) > LONG_NAME for station in cell.station)
-    return 1 if long else MOST_PLACES
+    long_name, most = 20, 4
+    return 1 if any(len(station.name) > long_name for station in cell.station) else most
 
 
 Judgement = Outcome | Literal["revoked", "unfinished", "suspected", "failed check", "not judged"]

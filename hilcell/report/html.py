@@ -55,7 +55,7 @@ from hilcell.report.first_page import (
     verdicts,
 )
 from hilcell.report.iso9283 import PoseReport, tests_poses
-from hilcell.report.tables import Tables, stations, worst
+from hilcell.report.tables import Tables, worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     own = Table((), ()) if page_of.has_tables() else tables.own_table()
     drawn = page_of.drawings(targets)
     accuracy, judged, worst_ones = tables.accuracy(), verdicts(facts), worst(facts, targets)
-    placed = [accuracy, tables.orientation(), stations(facts), tables.touches()]
+    placed = [accuracy, tables.orientation(), tables.stations(), tables.touches()]
     frames = [tables.frames(), tables.circles()]
     named = {
         "results": own,
@@ -284,8 +284,7 @@ class _Page:
             "sentence": sentence(self.facts),
             "conformity": conformity_words(self.facts),
             "results": self._page.results_sheet(targets),
-            "turn_results": PoseReport(self.facts).turn_results()
-            or Tables(self.facts).worst_turn(),
+            "turn_results": self._page.turn_results(),
             "strip": strip(self._page.nearest_results(targets), self.facts.inputs.simulated),
             "uncertainty": self._page.uncertainty_words(budget),
             "item": self._page.item_facts(measured(self.facts)),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,15 +32,15 @@ from hilcell.model.events import (
     VisitedOnceMore,
 )
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
-from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import BOTH, Point, Sent
-from hilcell.model.results import PaperRow, Repeated, Turns
+from hilcell.model.results import PaperRow, Repeated
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
-from hilcell.present.table import Column, Table, Value
+from hilcell.present.table import Column, Table, vector
 from hilcell.report.budgets import TargetBudget, place_words
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import FirstPage
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,11 +116,6 @@ class Tables:
 
     def touches(self) -> Table:
         """Return what the touch poses found at each station."""
-        found = (
-            (each, self.facts.log.frames.get(f"touch.{each.name}"))
-            for each in self.facts.cell.station
-        )
-        rows = ((station, frame) for station, frame in found if isinstance(frame, TouchedBase))
         note = (
             "By how much the base was moved for the commands of that visit, at the grid's centre. "
             "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
@@ -137,7 +132,23 @@ class Tables:
             Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
             Column("found / expected", lambda row: row[1].pull, form=".1f"),
         )
-        return Table(columns, rows, "Touch poses", note)
+        return Table(columns, self._framed("touch", TouchedBase), "Touch poses", note)
+
+    def _framed(self, name: str, kind: type[T]) -> list[tuple[Station, T]]:
+        """Return the stations that have a frame of a kind, with it: measured, not adopted."""
+        frames = self.facts.log.frames
+        found = ((each, frames.get(f"{name}.{each.name}")) for each in self.facts.cell.station)
+        return [(station, frame) for station, frame in found if isinstance(frame, kind)]
+
+    def stations(self) -> Table:
+        """Return the quality of each station's frame that this run measured, of no adopted one."""
+        if not self.facts.cell.has_rail:
+            return Table((), ())
+        note = (
+            "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: "
+            "nests whose distances to the others changed since the grid's station."
+        )
+        return Table(STATIONS, self._framed("station", MeasuredStation), "Stations", note)
 
     def posed(self) -> list[Posed]:
         """Return every measured frame."""
@@ -231,11 +242,11 @@ class Tables:
 
     def own_table(self) -> Table:
         """Return the procedure's own table of its result."""
-        found = (
-            self.facts.procedure.table(self.facts.result) if self.facts.result else Table((), ())
-        )
-        found.title = self.facts.procedure.summary.capitalize()
-        found.note = self.facts.procedure.words(self.facts.result) if self.facts.result else ""
+        procedure, result = self.facts.procedure, self.facts.result
+        if not result:
+            return Table((), ())
+        found = procedure.table(result)
+        found.title, found.note = procedure.summary.capitalize(), procedure.words(result)
         return found
 
     def remeasured(self) -> Table:
@@ -245,10 +256,8 @@ class Tables:
         what = "error of position and that of orientation count" if turned else "error counts"
         note = (
             f"Every value stays in the journal. Of a target the larger {what}, whatever the "
-            "reason; of other points the later value."
-        )
-        note += (
-            " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
+            "reason; of other points the later value. Once more: hilcell resume RUN --retake KEY; "
+            "hilcell export RUN --csv lists every key."
         )
         turns: tuple[Column[Repeat], ...] = (
             Column("turned first", attrgetter("first_deg"), "°", ".4f"),
@@ -267,17 +276,10 @@ class Tables:
         for first, again, why in pairs:
             turns = self._turns_deg(again.key, seats)[times[again.key] :][:2]
             times[again.key] += 1
-            found.append(
-                Repeat(
-                    first,
-                    again,
-                    why,
-                    self._error_mm(first),
-                    self._error_mm(again),
-                    _which(counted[again.key], first, again),
-                    *(turns if len(turns) == 2 else ()),
-                )
-            )
+            which = _which(counted[again.key], first, again)
+            errors_mm = self._error_mm(first), self._error_mm(again)
+            both = turns if len(turns) == 2 else ()
+            found.append(Repeat(first, again, why, *errors_mm, which, *both))
         return found
 
     def _turns_deg(self, key: str, seats: Array | None) -> list[float]:
@@ -291,12 +293,9 @@ class Tables:
     def _counted(self, key: str) -> Point | None:
         """Return the measurement of a point that counts, nothing where none does any more."""
         point = self.facts.log.points.get(key)
-        target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
-        return (
-            counting(self.facts.log, point)
-            if point is not None and target and "world" in self.facts.log.frames
-            else point
-        )
+        if point is None or point.id.kind != "validate" or self._error_mm(point) is None:
+            return point
+        return counting(self.facts.log, point)
 
     def _error_mm(self, point: Point) -> float | None:
         if point.nominal_mm is None or "world" not in self.facts.log.frames:
@@ -320,34 +319,6 @@ class Tables:
                     yield before[point.key], point, why
                 before[point.key] = point
 
-    def worst_turn(self) -> Table:
-        """Return the orientation nearest to its limit, where one is stated, for the first page."""
-        verdict = Column[TurnResult](
-            "verdict", lambda row: self.facts.outcome_words(row.outcome), form="s"
-        )  # fmt: skip
-        columns: tuple[Column[TurnResult], ...] = (
-            Column("orientation of the tool", attrgetter("name")),
-            Column("limit", attrgetter("limit_deg"), "°", ".3f"),
-            Column("before", attrgetter("before_deg"), "°", ".4f"),
-            Column("after", attrgetter("after_deg"), "°", ".4f"),
-            Column("U", attrgetter("U_deg"), "°", ".4f"),
-            Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
-        )
-        return Table(
-            (*columns, verdict), self._turn_results(), "Results, orientation at the worst station"
-        )
-
-    def _turn_results(self) -> list[TurnResult]:
-        turns = {name: each.turn for name, each in FirstPage(self.facts).judged_places().items()}
-        known = {name: turn for name, turn in turns.items() if turn is not None}
-        limit_deg = self.facts.cell.validation.max_tolerance_deg
-        if not known or limit_deg is None:
-            return []
-        place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
-        before = validated_turns(self.facts.log, [place]).get(Sent.BEFORE)
-        before_deg = None if before is None else before.figures.max_deg
-        return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
-
     def oriented(self) -> Iterator[tuple[str, Sent, Turned]]:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
         for place, stations in places(self.facts.cell).items():
@@ -356,11 +327,12 @@ class Tables:
 
     def orientation(self) -> Table:
         """Return by how much the tool was turned from its nominal orientation, before and after."""
-        rows, last, noise_deg = list[Oriented](), "", 0.0
+        rows, last, noise_deg = list[tuple[str | int | float, ...]](), "", 0.0
         for name, how, turned in self.oriented():
             noise_deg = max(noise_deg, turned.noise_deg)
+            figures = (getattr(turned.figures, f"{each}_deg") for each in Figures._fields)
             shown = "" if name == last else name
-            rows.append((shown, self.facts.series_name(how), len(turned), turned.figures))
+            rows.append((shown, self.facts.series_name(how), len(turned), *figures))
             last = name
         note = (
             "The tool's pose is the rigid fit of its reflectors, where they were found on the "
@@ -372,11 +344,11 @@ class Tables:
         fit = self.facts.log.verdict(Fitted)
         if fit is not None and fit.orientation:
             note += f" Orientation {fit.orientation}."
-        columns: tuple[Column[Oriented], ...] = (
+        columns: tuple[Column[tuple[str | int | float, ...]], ...] = (
             Column("station", itemgetter(0)),
             Column("error", itemgetter(1)),
             Column("targets", itemgetter(2), form="d"),
-            *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
+            *(Column(n, itemgetter(at), "°", ".4f") for at, n in enumerate(Figures._fields, 3)),
         )
         return Table(columns, rows, "Orientation", note)
 
@@ -411,19 +383,6 @@ STATIONS: tuple[Column[tuple[Station, MeasuredStation]], ...] = (
 )
 
 
-def stations(facts: Facts) -> Table:
-    """Return the quality of each station's frame that this run measured, of no adopted one."""
-    if not facts.cell.has_rail:
-        return Table((), ())
-    found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
-    rows = ((station, frame) for station, frame in found if isinstance(frame, MeasuredStation))
-    note = (
-        "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: nests "
-    )
-    note += "whose distances to the others changed since the grid's station."
-    return Table(STATIONS, rows, "Stations", note)
-
-
 @dataclass(frozen=True, slots=True)
 class Posed:
     """A measured frame: its name, its matrix (4, 4) in {W}, its x, y, z, A, B, C (6,)."""
@@ -433,14 +392,10 @@ class Posed:
     zyx: Array
 
 
-def _element(n: int) -> Callable[[Posed], Value]:
-    return lambda row: float(row.zyx[n])
-
-
 FRAMES: tuple[Column[Posed], ...] = (
     Column("frame", attrgetter("name")),
-    *(Column(name, _element(n), "mm", ".3f") for n, name in enumerate("xyz")),
-    *(Column(name, _element(n), "°", ".4f") for n, name in enumerate("ABC", start=3)),
+    *vector("", "xyz", "mm", "zyx", ".3f"),
+    *vector("", "ABC", "°", "zyx", ".4f", first=3),
 )
 
 
@@ -487,10 +442,6 @@ class Worst:
         return None if self.bound_mm is None else self.norm_mm / self.bound_mm
 
 
-def _part(name: str, n: int) -> Callable[[Worst], Value]:
-    return lambda row: float(getattr(row, name)[n])
-
-
 def worst(facts: Facts, budget: TargetBudget) -> Table:
     """Return the corrected targets with the largest errors."""
     log = facts.log
@@ -520,9 +471,9 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
     columns: tuple[Column[Worst], ...] = (
         Column("rank", lambda row: str(row.rank)),
         Column("target", attrgetter("name")),
-        *(Column(axis, _part("nominal_mm", n), "mm", ".0f") for n, axis in enumerate("xyz")),
+        *vector("", "xyz", "mm", "nominal_mm", ".0f"),
         Column("before", attrgetter("before_mm"), "mm", ".3f"),
-        *(Column(f"e{axis}", _part("error_mm", n), "mm", "+.3f") for n, axis in enumerate("xyz")),
+        *vector("e", "xyz", "mm", "error_mm", "+.3f"),
         Column("3-D", attrgetter("norm_mm"), "mm", ".3f"),
         Column("again", attrgetter("again_mm"), "mm", ".3f"),
         Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
@@ -597,29 +548,3 @@ def _which(counted: Point | None, first: Point, again: Point) -> str:
     places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
     found = (name for name, at_mm in places_mm.items() if counted and at_mm == counted.xyz_mm)
     return next(found, "neither")
-
-
-# -- by how much the tool was turned from its nominal orientation, before and after ----------------
-
-
-# A place, the way of sending, how many targets, their figures.
-Oriented = tuple[str, str, int, Turns]
-
-
-def _angle(figure: str) -> Callable[[Oriented], Value]:
-    return lambda row: getattr(row[3], f"{figure}_deg")
-
-
-class TurnResult(NamedTuple):
-    """The largest error of orientation that was judged, deg; None where it is not known."""
-
-    name: str
-    limit_deg: float
-    before_deg: float | None
-    after_deg: float
-    U_deg: float
-
-    @property
-    def outcome(self) -> Outcome:
-        """Return whether it keeps the limit, by the decision rule."""
-        return outcome_of(self.after_deg, self.limit_deg, self.U_deg)

@@ -253,7 +253,7 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
     if not results:
         return ""
     width_mm, row_mm, left_mm, top_mm = 120.0, 8.6, 26.0, 4.2
-    largest = max(max(each.before_mm or 0.0, 1.6 * each.limit_mm) for _, each in results)
+    largest = max(max(each.before or 0.0, 1.6 * each.limit) for _, each in results)
     least_mm = 0.005  # the scale begins here
     scale = Scale(least_mm, 1.3 * largest, left_mm, width_mm - 2.0, logarithmic=True)
     bottom = top_mm + row_mm * len(results)
@@ -274,20 +274,20 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
 
 
 def _strip_row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
-    limit, after = scale.one(result.limit_mm), scale.one(result.after_mm)
-    named = [(after, f"after {result.after_mm:.3f}", AFTER)]
+    limit, after = scale.one(result.limit), scale.one(result.after)
+    named = [(after, f"after {result.after:.3f}", AFTER)]
     room_mm = scale.begin - 1.0
     yield text(0.0, y + 1.0, shortened(name, room_mm), bold=True, most_mm=room_mm)
     yield hatched(limit, y - 2.4, scale.end - limit, 5.0)
     yield path([(scale.begin, y), (scale.end, y)], "#c9d0d8", 0.2)
     yield path([(limit, y - 2.6), (limit, y + 2.8)], INK, 0.8)
-    yield text(limit + 1.0, y + 3.2, f"limit {result.limit_mm:g}")
-    if result.before_mm is not None:
-        before = scale.one(result.before_mm)
+    yield text(limit + 1.0, y + 3.2, f"limit {result.limit:g}")
+    if result.before is not None:
+        before = scale.one(result.before)
         yield circle(before, y, 1.2, "#fff", BEFORE)
-        named.append((before, f"before {result.before_mm:.2f}", BEFORE))
-    if result.U_mm is not None:
-        ends = [scale.one(result.after_mm + sign * result.U_mm) for sign in (-1, 1)]
+        named.append((before, f"before {result.before:.2f}", BEFORE))
+    if result.U is not None:
+        ends = [scale.one(result.after + sign * result.U) for sign in (-1, 1)]
         yield path([(ends[0], y), (ends[1], y)], AFTER, 0.5)
         for end in ends:
             yield path([(end, y - 0.9), (end, y + 0.9)], AFTER, 0.4)

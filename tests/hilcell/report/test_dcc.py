@@ -86,9 +86,9 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     root = parsed(facts)
     mean, largest = FirstPage(facts).results_at("S1100")
     ((value, unit, U, k),) = figures(root, "S1100, after, chosen", "hilcell_mean")
-    assert (value, unit, k) == (f"{mean.after_mm:.4f}", "\\milli\\metre", "2")
+    assert (value, unit, k) == (f"{mean.after:.4f}", "\\milli\\metre", "2")
     assert float(U) > 0
-    assert figures(root, "S1100, before", "hilcell_largest")[0][0] == f"{largest.before_mm:.4f}"
+    assert figures(root, "S1100, before", "hilcell_largest")[0][0] == f"{largest.before:.4f}"
     assert figures(root, "S1100, before", "hilcell_targets")[0][:2] == ("4", "\\one")
     verdicts = [
         (each.outcome or Outcome.REJECTED).short
