@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.fit.methods import FitResult, fit, methods_table
+from hilcell.fit.methods import FitResult, fitted, methods_table
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
@@ -65,7 +65,7 @@ class Campaign:
 
     def result(self, log: Log) -> Result:
         """Return the cross-validated fit of the measured points."""
-        return {"campaign": fit(robot_of(log.cell), measured(log), None)}
+        return {"campaign": fitted(robot_of(log.cell), measured(log)).result}
 
 
 def poses_of(cell: Cell) -> Measurements:

@@ -44,7 +44,7 @@ from hilcell.identification.estimate import (
     identify_trusted,
     observability,
 )
-from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.kinematics import Kinematics
 from hilcell.identification.readings import (
     FOLDS,
     IdentificationError,
@@ -229,21 +229,29 @@ class FittedArm:
     residual: WithResidual | None = None
 
     @classmethod
-    def learn(cls, placement: Placement, rows: Measurements, method: str) -> Self:
-        """Return the robot identified by one of `TERMS` from rows of which none is gross.
+    def learn(
+        cls, placement: Placement, rows: Measurements, method: str, *, trusted: bool = True
+    ) -> Self:
+        """Return the robot identified by one of `TERMS`; rows that are not trusted may be gross.
 
-        Raises `IdentificationError`.
+        Raises `IdentificationError`, also where the joints are of less than `LEAST_POSES` poses:
+        one that is measured again tells nothing more about the robot.
         """
-        poses, kinematics, start = _prepared(placement, rows, method)
-        found = identify_trusted(kinematics, poses.readings, start)
-        return cls(found, poses, sorted(placement.smr_mm))
-
-    @classmethod
-    def searched(cls, placement: Placement, rows: Measurements, method: str) -> Self:
-        """Return the same from rows of which some may be gross."""
-        poses, kinematics, start = _prepared(placement, rows, method)
-        found = identify(kinematics, poses.readings, start)
-        return cls(found, poses, sorted(placement.smr_mm))
+        different = count_poses(rows.joints_rad)
+        if different < LEAST_POSES:
+            raise IdentificationError(
+                f"kinematics: {counted(different, 'pose')} of different joints, expected at least "
+                f"{LEAST_POSES}; measure more"
+            )
+        targets = sorted(placement.smr_mm)
+        elastic, tool = TERMS[method]
+        kinematics = Kinematics(
+            placement.arm, len(targets), gravity=elastic, waves=elastic, tool=tool
+        )
+        smr_mm = np.array([placement.smr_mm[target] for target in targets])
+        poses, start = Poses.of(rows, targets), kinematics.start(placement.T_L_B, smr_mm)
+        by = identify_trusted if trusted else identify
+        return cls(by(kinematics, poses.readings, start), poses, targets)
 
     def with_residual(self) -> Self:
         """Return the robot with a Gaussian process for what its parameters do not describe."""
@@ -291,27 +299,6 @@ class FittedArm:
         return self.residual or self.estimate
 
 
-def _prepared(
-    placement: Placement, rows: Measurements, method: str
-) -> tuple[Poses, Kinematics, State]:
-    """Return poses, kinematics of one of `TERMS`, and the nominal robot where it is placed.
-
-    Raises `IdentificationError` where the joints are of less than `LEAST_POSES` poses: one that is
-    measured again tells nothing more about the robot.
-    """
-    different = count_poses(rows.joints_rad)
-    if different < LEAST_POSES:
-        raise IdentificationError(
-            f"kinematics: {counted(different, 'pose')} of different joints, expected at least "
-            f"{LEAST_POSES}; measure more"
-        )
-    targets = sorted(placement.smr_mm)
-    elastic, tool = TERMS[method]
-    kinematics = Kinematics(placement.arm, len(targets), gravity=elastic, waves=elastic, tool=tool)
-    smr_mm = np.array([placement.smr_mm[target] for target in targets])
-    return Poses.of(rows, targets), kinematics, kinematics.start(placement.T_L_B, smr_mm)
-
-
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The result, every method as learnt, and its figures at training poses left out in turn."""
@@ -319,11 +306,6 @@ class Fitted:
     result: FitResult
     methods: Mapping[str, Method]
     validated: Mapping[str, Figures]
-
-
-def fit(robot: Robot, train: Measurements, test: Measurements | None = None) -> FitResult:
-    """Return the result of `fitted`."""
-    return fitted(robot, train, test).result
 
 
 def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) -> Fitted:
@@ -437,10 +419,7 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
         Column("method", itemgetter("method")),
         *(Column(name, itemgetter(f"{name}_mm"), "mm", ".4f") for name in names),
     ]
-    rows: list[Mapping[str, str | float]] = [
-        {"method": name, **each} for name, each in methods.items()
-    ]
-    return Table(columns, rows)
+    return Table(columns, [{"method": name, **each} for name, each in methods.items()])
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
@@ -448,10 +427,9 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
 
     Raises `FitError` where they are too many, or miss absurdly.
     """
-    # of the methods that identify the robot; it finds the rows that contradict others
-    richest = "tool"
+    richest = "tool"  # of the methods that identify the robot
     try:
-        found = FittedArm.searched(placement, rows, richest)
+        found = FittedArm.learn(placement, rows, richest, trusted=False)
     except IdentificationError as error:
         _refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
         if isinstance(error, ManyContradict):
@@ -470,9 +448,8 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
     if len(bad):
         # Without the rows that show it the others fit, and a wrong arm would correct them.
         found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
-        act = f"they fit if {found}: correct the files, and keep these rows"
-        if not found:
-            act = "mend or remove them"
+        fitting = f"they fit if {found}: correct the files, and keep these rows"
+        act = fitting if found else "mend or remove them"
         raise FitError(
             f"{rows.source}: {len(bad)} of {len(rows)} training rows miss grossly, expected "
             f"<= {ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
@@ -520,14 +497,11 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
         rest = "no other row is left"
         if len(bad) < len(test):
             left = figures_of(np.delete(miss_mm, bad, axis=0))
-            rest = (
-                "the others are missed by "
-                + " / ".join(f"{value:.4f}" for value in left)
-                + " mm (mean / p95 / max)"
-            )
+            figures = " / ".join(f"{value:.4f}" for value in left)
+            rest = f"the others are missed by {figures} mm (mean / p95 / max)"
         raise FitError(
             f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
-            f"rows, wanted 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
+            f"rows, expected 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
             f"{rest}; measure poses with other orientations and places"
         )
 
@@ -539,11 +513,10 @@ def _refuse_contradicting(
     if not found["share"] >= LEAST_INSIDE:
         raise FitError(
             f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds "
-            f"of {chosen} ({found['bound_mm']:.4f} mm mean), wanted at least {LEAST_INSIDE:.0%}; "
-            f"it misses them by {figures.mean:.4f} mm in the mean: training and test rows "
-            "contradict each other, so the robot's state (a joint's zero, its load, its "
-            "temperature), the tracker's set-up or the units differ; measure both files in one "
-            "state, or give as test rows those of the robot that is to be corrected"
+            f"of {chosen} ({found['bound_mm']:.4f} mm mean), expected >= {LEAST_INSIDE:.0%}; it "
+            f"misses them by {figures.mean:.4f} mm in the mean: the robot's state (zeros, load, "
+            "temperature), the tracker's set-up or the units differ from the training rows'; "
+            "measure both files in one state"
         )
 
 
@@ -598,14 +571,12 @@ def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
         if others < NEIGHBOURS:
             least = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of which a fifth is left out
             expected = max(least, count + NEIGHBOURS - others)
-            poses = counted(count, "pose")
             struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
             name = "correct its name, or " if len(set(rows.target)) > 1 else ""
             raise FitError(
-                f"{rows.where(own)}: target {target} is measured in {poses}{struck}, "
-                f"expected at least {expected} of different joints: cross-validation leaves out "
-                f"a fifth of them, and {NEIGHBOURS} others are interpolated; {name}measure it in "
-                "more poses"
+                f"{rows.where(own)}: target {target} is measured in {counted(count, 'pose')}"
+                f"{struck}, expected at least {expected} of different joints, a fifth of which "
+                f"cross-validation leaves out; {name}measure it in more poses"
             )
 
 

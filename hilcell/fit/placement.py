@@ -55,8 +55,10 @@ class Placement:
 
     def nominal(self, rows: Measurements) -> Array:
         """Return the rows' nominal poses (N, 4, 4) in {B}: each reflector, turned as the flange."""
+        refuse_unknown_targets(rows, self.smr_mm)
+        offsets_mm = np.array([self.smr_mm[target] for target in rows.target])
         flange = forward(self.arm, rows.joints_rad)
-        return matrix(flange[:, :3, :3], apply_each(flange, self._offsets(rows)))
+        return matrix(flange[:, :3, :3], apply_each(flange, offsets_mm))
 
     def predicted_mm(self, rows: Measurements) -> Array:
         """Return the rows' nominal positions (N, 3) in the tracker's frame."""
@@ -65,10 +67,6 @@ class Placement:
     def miss_mm(self, rows: Measurements) -> Array:
         """Return how far the rows are from their nominal positions (N,)."""
         return statistics.lengths_mm(rows.xyz_mm - self.predicted_mm(rows))
-
-    def _offsets(self, rows: Measurements) -> Array:
-        refuse_unknown_targets(rows, self.smr_mm)
-        return np.array([self.smr_mm[target] for target in rows.target])
 
     def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
         """Yield which reflectors must be swapped for rows to fit a placement that is known."""

@@ -71,7 +71,7 @@ class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:
-            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+            raise ValueError(f"expected six joints, got {len(self.joint)}")
         for number, row in enumerate(self.joint, start=1):
             if not row.sign:
                 raise ValueError(f"joint {number}: sign must be 1 or -1")
@@ -93,16 +93,7 @@ class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def arm(self) -> Arm:
         """Return the arm, its tool point on the flange."""
-        joints = [
-            Joint(
-                a_mm=row.a_mm,
-                alpha_deg=row.alpha_deg,
-                d_mm=row.d_mm,
-                offset_deg=row.offset_deg,
-                sign=row.sign,
-            )
-            for row in self.joint
-        ]
+        joints = [Joint(**msgspec.structs.asdict(row)) for row in self.joint]
         return arm_from_joints(joints, np.eye(4))
 
 
@@ -164,9 +155,11 @@ class Measurements:
 def read_robot(path: Path) -> RobotModel:
     """Read ``robot.toml``; raises `SettingsError` naming all problems at once."""
     try:
-        values = tomllib.loads(_text(path))
+        values = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(str(path), [f"not valid TOML: {error}"]) from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise unreadable(str(path), error) from error
     return convert(values, _File, str(path)).robot
 
 
@@ -209,10 +202,3 @@ def _numbers(cells: list[str], text: CsvText) -> list[float]:
         if not cell.strip():
             raise ValueError(f"{name} is empty")
     return numbers(HEADER[LABELS:], cells[LABELS:], text.decimal)
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise unreadable(str(path), error) from error

@@ -149,7 +149,7 @@ def read_urdf_text(content: bytes) -> UrdfText:
         raise NotUrdf("has NUL bytes: not XML, or saved as UTF-16; save it as UTF-8")
     reader = _Reader(content)
     parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = _refuse_doctype
+    parser.StartDoctypeDeclHandler = reader.refuse_doctype
     parser.StartElementHandler = lambda name, found: reader.start(
         name, found, parser.CurrentByteIndex
     )
@@ -163,12 +163,6 @@ def read_urdf_text(content: bytes) -> UrdfText:
     except (ValueError, LookupError) as error:  # of an encoding that expat does not have
         raise NotUrdf(f"cannot be read: {error}; save it as UTF-8") from error
     return reader.found
-
-
-def _refuse_doctype(name: str, *rest: object) -> None:
-    raise NotUrdf(
-        f"has a document type, <!DOCTYPE {name}; a URDF needs none, and entities are refused"
-    )
 
 
 class _Reader:
@@ -200,6 +194,9 @@ class _Reader:
 
     def end(self, name: str) -> None:
         self._depth -= 1
+
+    def refuse_doctype(self, name: str, *rest: object) -> None:
+        raise NotUrdf(f"has a document type, <!DOCTYPE {name}; entities are refused")
 
     def _root(self, name: str, attributes: dict[str, str], at: int) -> None:
         if name != "robot":
@@ -433,12 +430,7 @@ def _origin_tag(step: Array) -> str:
 
 def _row(values: Array) -> str:
     """Return numbers with 12 decimals: 1e-9 mm, and 1e-12 rad."""
-    return " ".join(_shortened(f"{value:.12f}") for value in values)
-
-
-def _shortened(text: str) -> str:
-    short = text.rstrip("0").rstrip(".")
-    return "0" if short == "-0" else short
+    return " ".join(f"{value:z.12f}".rstrip("0").rstrip(".") for value in values)
 
 
 def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
