@@ -16,7 +16,7 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from fakes.faults import Faults, Vanished
@@ -64,6 +64,7 @@ class Listener:
         self._accepted, self._vanish = accepted, vanish or self.hang_up
         self._socket = listen(port)
         self.port: int = self._socket.getsockname()[1]
+        self.channel = f"socket://{HOST}:{self.port}"
         self._lock = threading.Lock()
         self._clients: dict[socket.socket, threading.Thread] = {}
         self._accepting = threading.Thread(target=self._accept, name=name, daemon=True)
@@ -134,7 +135,7 @@ class SerialEnd:
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self.path = os.ttyname(self._theirs)
+        self.channel = os.ttyname(self._theirs)
         self._open = True
 
     def fileno(self) -> int:
@@ -158,18 +159,115 @@ class SerialEnd:
             os.close(self._theirs)
 
 
-class Client(Protocol):
-    """A socket, or what sends like one."""
+class Wire(Protocol):
+    """Both ways of one connection."""
 
     def sendall(self, data: bytes, /) -> None:
         """Send all of ``data``."""
 
+    def receive(self, timeout_s: float | None) -> bytes:
+        """Return bytes, none after the timeout; raises `OSError` at the end."""
+
+
+class SerialLine(SerialEnd):
+    """Serves a serial line in one thread, as a `Listener` serves clients; it is a `Wire`."""
+
+    def __init__(self, name: str, serve: Callable[[Wire], None]) -> None:
+        super().__init__()
+        self._serve = serve
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and unplug the device."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        super().close()
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        """Return bytes, none after the timeout; raises `OSError` at the end."""
+        ends_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
+        look_s = 0.05
+        while not self._closing.is_set():
+            left_s = min(look_s, ends_s - time.monotonic())
+            if left_s <= 0:
+                return b""
+            if select.select([self], [], [], left_s)[0]:
+                return self.recv(RECEIVE)
+        raise ConnectionAbortedError
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError, Vanished):
+            self._serve(self)
+        super().close()  # pulled out
+
+
+class Connection:
+    """A client's TCP connection as a `Wire`."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client, self.sendall = client, client.sendall
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        """Return bytes, none after the timeout; raises `OSError` at the end."""
+        self._client.settimeout(timeout_s)
+        try:
+            data = self._client.recv(RECEIVE)
+        except TimeoutError:
+            return b""
+        finally:
+            self._client.settimeout(None)
+        if not data:
+            raise ConnectionAbortedError
+        return data
+
+
+class Listens(Protocol):
+    """A listener, a serial line or a bus."""
+
+    def start(self) -> None:
+        """Begin to serve."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+class Server:
+    """A simulated device behind what it listens on; satisfies `fakes.site.SimulatedDevice`."""
+
+    def __init__(
+        self,
+        address: Mapping[str, object],
+        *listeners: Listens,
+        restore: Callable[[], None] = lambda: None,  # its faults pass by themselves
+    ) -> None:
+        self.address: dict[str, object] = {**address}
+        self.restore = restore
+        self._listeners = listeners
+        self._closing = threading.Event()
+
+    def start(self) -> None:
+        """Begin to serve."""
+        for each in self._listeners:
+            each.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._closing.set()
+        for each in self._listeners:
+            each.close()
+
 
 class Segments:
-    """The sending side of one connection."""
+    """The sending side of one connection, by what ``sends`` all bytes that it is given."""
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, sends: Callable[[bytes], object]) -> None:
+        self._sends = sends
         self.sent = 0
 
     def send(self, data: bytes) -> None:
@@ -180,11 +278,17 @@ class Segments:
         apart_every, apart_s = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
         if self.sent % SPLIT_EVERY == 0 and len(data) > 1:
             cut = 1 + self.sent % (len(data) - 1)
-            self._client.sendall(data[:cut])
+            self._sends(data[:cut])
             data = data[cut:]
             if self.sent % apart_every == 0:
                 time.sleep(apart_s)
-        self._client.sendall(data)
+        self._sends(data)
+
+    def send_in_two(self, data: bytes, cut: int) -> None:
+        """Send ``data`` so that its first ``cut`` bytes are read by themselves."""
+        self._sends(data[:cut])
+        time.sleep(0.02)
+        self.send(data[cut:])
 
 
 class Answers:
@@ -210,25 +314,17 @@ class Answers:
         if late_s is not None:
             self._closing.wait(late_s)
         if take("robot.split_reply") is not None:
-            client.sendall(answer[: len(answer) // 2])
-            self._closing.wait(0.02)  # so that both halves are segments of their own
-            answer = answer[len(answer) // 2 :]
-        segments.send(answer)
+            segments.send_in_two(answer, len(answer) // 2)
+        else:
+            segments.send(answer)
         return True
-
-
-class Wire(Client, Protocol):
-    """Both ways of one connection."""
-
-    def receive(self, timeout_s: float | None) -> bytes:
-        """Return bytes, none after the timeout; raises `OSError` at the end."""
 
 
 class LineSession:
     """Whole lines in, whole lines out; ``late`` are kept until the next answer."""
 
     def __init__(self, wire: Wire) -> None:
-        self._wire, self._segments = wire, Segments(wire)
+        self._wire, self._segments = wire, Segments(wire.sendall)
         self._pending = b""
         self.lines: list[bytes] = []
         self.late: list[bytes] = []
@@ -244,10 +340,9 @@ class LineSession:
             return
         self.say_late()
         if faults.take("tracker.split_packet") is not None:
-            self._segments.send(line[:5])
-            time.sleep(0.02)  # so that both halves are segments of their own
-            line = line[5:]
-        self.say(line)
+            self._segments.send_in_two(line + b"\r\n", 5)
+        else:
+            self.say(line)
 
     def say_late(self) -> None:
         """Send the lines that were kept."""
@@ -265,23 +360,3 @@ class LineSession:
         """Take in bytes."""
         *lines, self._pending = re.split(rb"[\r\n]", self._pending + self._wire.receive(timeout_s))
         self.lines += [line for line in lines if line]
-
-
-class Connection:
-    """A client's TCP connection."""
-
-    def __init__(self, client: socket.socket) -> None:
-        self._client, self.sendall = client, client.sendall
-
-    def receive(self, timeout_s: float | None) -> bytes:
-        """Return bytes, none after the timeout; raises `OSError` at the end."""
-        self._client.settimeout(timeout_s)
-        try:
-            data = self._client.recv(RECEIVE)
-        except TimeoutError:
-            return b""
-        finally:
-            self._client.settimeout(None)
-        if not data:
-            raise ConnectionAbortedError
-        return data

@@ -17,9 +17,10 @@ from contextlib import suppress
 
 import numpy as np
 
+from fakes.canopen.slave import CanopenSlave
 from fakes.faults import Faults
 from fakes.time import PAUSE_S, OwnTime
-from fakes.wires import HOST, RECEIVE, SerialEnd, listen
+from fakes.wires import HOST, RECEIVE, SerialEnd, Server, listen
 
 LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
@@ -36,11 +37,6 @@ def decode(line: bytes) -> tuple[int, bytes]:
     if line[:1] != b"t" or len(line) != 5 + 2 * length or length > 8 or len(data) != length:
         raise ValueError(f"not a frame: {line!r}")
     return int(line[1:4], 16), data
-
-
-def is_serial(channel: object) -> bool:
-    """Whether a cell file's channel is a serial line, so that its gateway has one, too."""
-    return isinstance(channel, str) and channel.startswith("/")
 
 
 class SlcanGateway:
@@ -66,24 +62,13 @@ class SlcanGateway:
         self._line = SerialEnd(self.SEND_DEADLINE_S) if serial else None
         self._listener: socket.socket | None = None if serial else listen(port)
         self.port = 0 if self._listener is None else int(self._listener.getsockname()[1])
+        self.channel = self._line.channel if self._line else f"socket://{HOST}:{self.port}"
         self._client: socket.socket | SerialEnd | None = self._line
         self._received = b""
         self._sending = b""
         self._opened = self._stalled = self._off = False
         self._held = b""  # a frame that changes places with the next one
         self._habits = np.random.default_rng(0)
-
-    def address(self, stated: Mapping[str, object]) -> dict[str, object]:
-        """Return where a client finds it, in place of what a cell file has ``stated``.
-
-        One that names an interface of the kernel is served as well.
-        """
-        channel = f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
-        found: dict[str, object] = {"channel": channel}
-        slcan = "slcan"
-        if stated.get("interface", slcan) != slcan:
-            found["interface"] = slcan
-        return found
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
         """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""
@@ -225,29 +210,42 @@ class SlcanGateway:
         self._on_frame(cob_id, data)
 
 
-class BusThread:
-    """Runs from `start` to `close`; ``wait_s`` says how long nothing is due, ``tick`` does it."""
+class BusServer(Server):
+    """Serves the nodes of one bus behind a gateway, in one thread.
 
-    def __init__(
-        self,
-        name: str,
-        gateway: SlcanGateway,
-        wait_s: Callable[[], float],
-        tick: Callable[[float], None],
-    ) -> None:
-        self._gateway, self._wait_s, self._tick = gateway, wait_s, tick
+    Without a ``port`` the gateway is on the serial line that the ``stated`` channel names, if any.
+    """
+
+    IDLE_S = 0.5
+
+    def __init__(self, name: str, faults: Faults, stated: Mapping[str, object], port: int) -> None:
+        """``faults`` are the gateway's."""
+        serial = str(stated.get("channel", "")).startswith("/") and not port
+        self._gateway = SlcanGateway(faults, self._open, self._receive, port=port, serial=serial)
+        address: dict[str, object] = {"channel": self._gateway.channel}
+        slcan = "slcan"
+        if stated.get("interface", slcan) != slcan:  # of the kernel, which is served as well
+            address["interface"] = slcan
+        super().__init__(address)
+        self._nodes: dict[int, CanopenSlave] = {}
+        self._booted = False
         self.now_s = OwnTime().now_s
-        self._closing = threading.Event()
         self._wake, self._waker = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name=name)
 
+    @property
+    def port(self) -> int:
+        """Return the TCP port on 127.0.0.1."""
+        return self._gateway.port
+
     def start(self) -> None:
         """Begin to serve."""
+        super().start()
         self._thread.start()
 
     def close(self) -> None:
         """Switch the bus off and return when the thread has ended."""
-        self._closing.set()
+        super().close()
         with suppress(OSError):
             self._waker.send(b"\0")
         if self._thread.is_alive():
@@ -265,3 +263,25 @@ class BusThread:
         finally:
             # Should a fault's value make no sense here, clients see the end, not silence.
             self._gateway.close()
+
+    def _open(self) -> None:
+        if not self._booted:
+            self._booted = True
+            for node in self._nodes.values():
+                node.boot(self.now_s())
+
+    def _receive(self, cob_id: int, data: bytes) -> None:
+        """Have the nodes take a frame."""
+        now_s = self.now_s()
+        for node in self._nodes.values():
+            node.receive(cob_id, data, now_s)
+
+    def _wait_s(self) -> float:
+        """Return how long nothing is due."""
+        due_s = min(node.next_s() for node in self._nodes.values())
+        return min(max(0.0, due_s - self.now_s()), self.IDLE_S)
+
+    def _tick(self, now_s: float) -> None:
+        """Do what is due."""
+        for node in self._nodes.values():
+            node.tick(now_s)

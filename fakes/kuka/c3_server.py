@@ -10,24 +10,23 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 from collections.abc import Callable
 
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController, KrlError, controller_of
 from fakes.site import Site
-from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments
+from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
 READ, WRITE = 0, 1
-IDLE_S = 30.0
-
-FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
 
 
-class C3Server:
+class C3Server(Server):
     """Serves one controller on a port, 0 for one that the system chooses."""
 
     HEAD = struct.Struct("!HH")
+    IDLE_S = 30.0
+    SUCCESS = b"\x00\x01\x01"
+    FAILURES = (b"\x00\x00\x00", b"\x00\x01\x00")  # C3 Bridge's, KUKAVARPROXY's
 
     def __init__(
         self,
@@ -39,33 +38,16 @@ class C3Server:
     ) -> None:
         """``catch_up`` lets others do work that became due while a request was answered."""
         self._controller, self._faults, self._catch_up = controller, faults, catch_up
-        self._closing = threading.Event()
-        self._answers = Answers(faults, self._closing)
         max_clients = 10
-        self._listener = Listener("c3", self._serve, limit=max_clients, port=port)
-        self.port = self._listener.port
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver."""
-        return {"host": HOST, "port": self.port}
-
-    def restore(self) -> None:
-        """Put the controller right, as an operator does."""
-        self._controller.restore()
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._listener.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._closing.set()
-        self._listener.close()
+        listener = Listener("c3", self._serve, limit=max_clients, port=port)
+        self.port = listener.port
+        address = {"host": HOST, "port": self.port}
+        super().__init__(address, listener, restore=controller.restore)
+        self._answers = Answers(faults, self._closing)
 
     def _serve(self, client: socket.socket) -> None:
-        client.settimeout(IDLE_S)
-        segments, pending = Segments(client), b""
+        client.settimeout(self.IDLE_S)
+        segments, pending = Segments(client.sendall), b""
         while data := client.recv(RECEIVE):
             pending += data
             while len(pending) >= self.HEAD.size:
@@ -85,35 +67,27 @@ class C3Server:
         if parsed is None:
             return None
         kind, name, text = parsed
-        success = b"\x00\x01\x01"
-        footer = success
+        footer = self._failure()
         try:
-            self._fail_if_wanted()
-            if kind == READ:
+            if footer != self.SUCCESS:
+                text = ""
+            elif kind == READ:
                 text = self._controller.read(name)
             else:
                 self._controller.write(name, text)
-        except _Failure as failure:
-            text, footer = "", FAILURES[failure.footer]
         except KrlError:
-            text, footer = "", FAILURES[1]
+            text, footer = "", self.FAILURES[1]
         value = text.encode("ascii", "replace")
         tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag
         body = struct.pack("!BH", kind, len(value)) + value + footer
         return self.HEAD.pack(tag, len(body)) + body
 
-    def _fail_if_wanted(self) -> None:
+    def _failure(self) -> bytes:
+        """Return the footer of a reply: that of a failure if one strikes."""
         if self._faults.take("robot.restarted") is not None:
-            raise _Failure(1)
-        footer = self._faults.number("robot.failure_footer")
-        if footer is not None:
-            raise _Failure(int(footer))
-
-
-class _Failure(Exception):
-    def __init__(self, footer: int) -> None:
-        super().__init__(footer)
-        self.footer = footer
+            return self.FAILURES[1]
+        failure = self._faults.number("robot.failure_footer")
+        return self.SUCCESS if failure is None else self.FAILURES[int(failure)]
 
 
 def _parse(request: bytes) -> tuple[int, str, str] | None:

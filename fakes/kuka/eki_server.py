@@ -33,7 +33,7 @@ from fakes.kuka.controller import (
 )
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments
+from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
 QUEUE = 16  # values; one more closes the connection
 RECEIVED = (
@@ -218,42 +218,23 @@ BOMB = (
 )
 
 
-class EkiServer:
+class EkiServer(Server):
     """Serves one controller on two ports, 0 for ones that the system chooses."""
 
     def __init__(
         self, controller: KrlController, faults: Faults, time: PlantTime, *, port: int = 0
     ) -> None:
-        self._controller, self._faults, self._time = controller, faults, time
+        self._faults, self._time = faults, time
         self._program = EkiProgram(controller, faults, time)
-        self._closing = threading.Event()
-        self._answers = Answers(faults, self._closing)
         self._lock = threading.Lock()  # of the submit interpreter, which is one
         stop_port = port + 1 if port else 0
         listener = partial(Listener, limit=1, vanish=self._hang_up)
         self._commands = listener("eki", self._serve_commands, port=port)
         self._stops = listener("eki stop", self._serve_stops, port=stop_port)
         self.port, self.stop_port = self._commands.port, self._stops.port
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver."""
-        return {"host": HOST, "port": self.port, "stop_port": self.stop_port}
-
-    def restore(self) -> None:
-        """Put the controller right, as an operator does."""
-        self._controller.restore()
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._commands.start()
-        self._stops.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._closing.set()
-        self._commands.close()
-        self._stops.close()
+        address = {"host": HOST, "port": self.port, "stop_port": self.stop_port}
+        super().__init__(address, self._commands, self._stops, restore=controller.restore)
+        self._answers = Answers(faults, self._closing)
 
     def _serve_commands(self, client: socket.socket) -> None:
         with suppress(OSError, Overflow, KrlError, ValueError):  # the interface hangs up, too
@@ -263,7 +244,7 @@ class EkiServer:
                 self._program.lose()
 
     def _hear_commands(self, client: socket.socket) -> None:
-        segments, former = Segments(client), b""
+        segments, former = Segments(client.sendall), b""
         queues, pending = Queues(RECEIVED), b""
         while data := client.recv(RECEIVE):
             pending = _add(queues, pending + data, b"</RobotCommand>")
@@ -294,8 +275,8 @@ class EkiServer:
                     client.sendall(answer)
 
     def _hang_up(self) -> None:
-        self._commands.hang_up()
-        self._stops.hang_up()
+        for each in (self._commands, self._stops):
+            each.hang_up()
 
     def _spoilt(self, former: bytes, state: bytes, segments: Segments) -> bytes:
         """Return what is sent for a state."""

@@ -8,17 +8,17 @@ once while its result comes later as a packet of its own.
 from __future__ import annotations
 
 import math
+import operator
 import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import IntEnum
+from functools import partial
 
 import numpy as np
 
 from fakes.faults import Faults, Vanished
 from fakes.leica.emscon_packets import (
-    ARGUMENTS,
     COMMAND,
     Change,
     Command,
@@ -143,23 +143,26 @@ METRE = 0
 MM_PER_UNIT = {METRE: 1000.0, 1: 1.0}  # m, mm
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
+STATIONARY, CONTINUOUS_TIME = 0, 1  # modes of measurement
+FIRST, SECOND = 1, 2  # faces
+SERIAL, VERSION = 402871, (3, 8, 0)
+OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
-
-class Mode(IntEnum):
-    """Modes of measurement."""
-
-    STATIONARY = 0
-    CONTINUOUS_TIME = 1
-
-
-class Face(IntEnum):
-    """Faces of the tracker."""
-
-    FIRST = 1
-    SECOND = 2
-
-
-SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
+Arguments = tuple[float, ...]
+# Settings that are written and read: their fields, and their values at the beginning.
+SETTINGS: dict[str, tuple[str, Arguments]] = {
+    "UNITS": ("<5I", (METRE, 0, 0, 0, 0)),
+    "COORDINATE_SYSTEM": ("<I", (0,)),
+    "MEASUREMENT_MODE": ("<I", (STATIONARY,)),
+    "STATIONARY_MODE": ("<2i", (1000, 1)),
+    "CONTINUOUS_TIME": ("<4i", (500, 0, 0, 0)),  # separation ms, points, region
+    "SEARCH": ("<di", (12.0, 30_000)),  # mm, ms
+    "ENVIRONMENT": ("<3d", (20.0, 1013.3, 60.0)),
+    "REFRACTION": ("<2d", (1.000275, 1.000279)),
+    "SYSTEM_SETTINGS": ("<I8i", (2, 0, 0, 0, 1, 0, 0, 0, 0)),
+    "STATISTIC_MODE": ("<2I", (0, 0)),
+    "REFLECTOR": ("<i", (1,)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,24 +181,6 @@ class Answer:
     packets: list[bytes] = field(default_factory=list)
     later: Later | None = None
     stream: SampleStream | None = None
-
-
-@dataclass
-class _Settings:
-    units: tuple[int, ...] = (METRE, 0, 0, 0, 0)
-    axes: int = 0
-    mode: int = Mode.STATIONARY
-    stationary: tuple[int, int] = (1000, 1)
-    continuous: tuple[int, int, int, int] = (500, 0, 0, 0)  # separation ms, points, region
-    search: tuple[float, int] = (12.0, 30_000)  # mm, ms
-    environment: tuple[float, ...] = (20.0, 1013.3, 60.0)
-    refraction: tuple[float, ...] = (1.000275, 1.000279)
-    system: tuple[int, ...] = (2, 0, 0, 0, 1, 0, 0, 0, 0)
-    statistic: tuple[int, int] = (0, 0)
-    reflector: int = 1
-
-
-OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
 
 class EmsconDevice:
@@ -219,101 +204,15 @@ class EmsconDevice:
             enumerate(sorted(names, key=lambda n: n == cell.tracker.reflector), 1)
         )
         self._mounted = len(names)
-        self._settings = _Settings()
+        self._settings = {name: values for name, (_, values) in SETTINGS.items()}
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])
         self._target: str | None = None
-        self._face = Face.FIRST
+        self._face = FIRST
         self._late: list[bytes] = []
-        self._handlers = self._settings_handlers() | self._query_handlers() | self._work_handlers()
-
-    def handle(self, packet: bytes) -> Answer:
-        """Return the answer to one whole packet from the client."""
-        _, _, number = COMMAND.unpack_from(packet)
-        try:
-            command = Command(number)
-            form = ARGUMENTS.get(command, "<")
-            arguments = struct.unpack(form, packet[COMMAND.size :])
-        except ValueError:
-            return Answer([reply(number, Status.NOT_IMPLEMENTED)])
-        except struct.error:
-            return Answer([reply(number, Status.WRONG_PARAMETER)])
-        with self._lock:
-            handler = self._handlers.get(command)
-            if handler is None:
-                return Answer([reply(command, Status.NOT_IMPLEMENTED)])
-            return handler(command, arguments)
-
-    # -- settings -------------------------------------------------------------------------------
-
-    def _settings_handlers(self) -> dict[Command, _Handler]:
-        keep = self._keep
-        measuring_ms = (100, 100_000)
-        separation_ms = (1, 100_000)
-        return {
-            Command.SET_UNITS: keep("units", Change.UNITS, _units_are_known),
-            Command.SET_COORDINATE_SYSTEM: keep("axes", Change.COORDINATE_SYSTEM, _axes_are_known),
-            Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, self._has_mode),
-            Command.SET_CONTINUOUS_TIME: keep(
-                "continuous", Change.CONTINUOUS_TIME, _between(*separation_ms)
-            ),
-            Command.SET_STATIONARY_MODE: keep(
-                "stationary", Change.STATIONARY_MODE, _between(*measuring_ms)
-            ),
-            Command.SET_ENVIRONMENT: keep("environment", Change.ENVIRONMENT, _weather_is_earthly),
-            Command.SET_REFRACTION: keep("refraction", Change.REFRACTION),
-            Command.SET_SYSTEM_SETTINGS: keep("system", Change.SYSTEM_SETTINGS),
-            Command.SET_STATISTIC_MODE: keep("statistic", Change.STATISTIC_MODE),
-            Command.SET_REFLECTOR: keep("reflector", Change.REFLECTOR, self._reflector_exists),
-            Command.SET_SEARCH: self._set_search,
-        }
-
-    def _keep(
-        self, name: str, change: Change, check: _Check = lambda arguments: Status.OK
-    ) -> _Handler:
-        def handler(command: Command, arguments: tuple[float, ...]) -> Answer:
-            status = check(arguments)
-            if status == Status.OK:
-                setattr(self._settings, name, arguments if len(arguments) > 1 else arguments[0])
-                return Answer([reply(command), status_change(change)])
-            return Answer([reply(command, status)])
-
-        return handler
-
-    def _set_search(self, command: Command, arguments: tuple[float, ...]) -> Answer:
-        radius, time_ms = arguments
-        if not radius > 0:
-            return Answer([reply(command, Status.OUT_OF_RANGE_1)])
-        self._settings.search = (radius * self._mm_per_unit(), int(time_ms))
-        return Answer([reply(command), status_change(Change.SEARCH)])
-
-    def _reflector_exists(self, arguments: tuple[float, ...]) -> Status:
-        return Status.OK if arguments[0] in self._reflectors else Status.WRONG_PARAMETER_1
-
-    def _has_mode(self, mode: tuple[float, ...]) -> Status:
-        streams = mode[0] == Mode.CONTINUOUS_TIME and self._streams is not None
-        return Status.OK if mode[0] == Mode.STATIONARY or streams else Status.NOT_IMPLEMENTED
-
-    # -- queries --------------------------------------------------------------------------------
-
-    def _query_handlers(self) -> dict[Command, _Handler]:
-        settings = self._settings
         queries: dict[Command, Callable[[], bytes]] = {
-            Command.GET_UNITS: lambda: struct.pack("<5I", *settings.units),
-            Command.GET_COORDINATE_SYSTEM: lambda: struct.pack("<I", settings.axes),
-            Command.GET_MEASUREMENT_MODE: lambda: struct.pack("<I", settings.mode),
-            Command.GET_STATIONARY_MODE: lambda: struct.pack("<2i", *settings.stationary),
-            Command.GET_CONTINUOUS_TIME: lambda: struct.pack("<4i", *settings.continuous),
             Command.GET_ORIENTATION: lambda: struct.pack("<6d", *[0.0] * 6),
             Command.GET_TRANSFORMATION: lambda: struct.pack("<7d", *[0.0] * 6, 1.0),
-            Command.GET_ENVIRONMENT: lambda: struct.pack("<3d", *self._weather()),
-            Command.GET_REFRACTION: lambda: struct.pack("<2d", *settings.refraction),
-            Command.GET_SYSTEM_SETTINGS: lambda: struct.pack("<I8i", *settings.system),
-            Command.GET_STATISTIC_MODE: lambda: struct.pack("<2I", *settings.statistic),
-            Command.GET_REFLECTOR: lambda: struct.pack("<i", settings.reflector),
-            Command.GET_SEARCH: lambda: struct.pack(
-                "<di", settings.search[0] / self._mm_per_unit(), settings.search[1]
-            ),
             Command.GET_SYSTEM_STATUS: self._system_status,
             Command.GET_TRACKER_STATUS: lambda: struct.pack("<I", 2 if self._initialised else 0),
             Command.GET_MEASUREMENT_STATUS: self._measurement_status,
@@ -324,15 +223,89 @@ class EmsconDevice:
                 ".".join(map(str, VERSION)).encode().ljust(64, b"\0")
             ),
         }
+        work: dict[Command, tuple[str, Callable[[Command, Arguments], Answer]]] = {
+            Command.GET_REFLECTORS: ("<", self._list_reflectors),
+            Command.INITIALIZE: ("<", self._initialise),
+            Command.GO_POSITION: ("<3di", self._go_position),
+            Command.POINT_LASER: ("<3d", self._point),
+            Command.FIND_REFLECTOR: ("<d", self._find_reflector),
+            Command.START_MEASUREMENT: ("<", self._start_measurement),
+            Command.GO_AND_MEASURE: ("<3d", self._go_and_measure),
+            Command.STOP_MEASUREMENT: ("<", lambda command, _: Answer([reply(command)])),
+            Command.CHANGE_FACE: ("<", self._change_face),
+            Command.GO_BIRD_BATH: ("<", self._turn),
+        }
+        # The format of the fields behind a command, and what it does.
+        self._handlers = work | {
+            command: ("<", partial(self._ask, query)) for command, query in queries.items()
+        }
+        for name, (form, _) in SETTINGS.items():
+            self._handlers[Command[f"SET_{name}"]] = (form, partial(self._set, name))
+            get = partial(self._ask, partial(self._setting, name))
+            self._handlers[Command[f"GET_{name}"]] = ("<", get)
 
-        def answering(query: Callable[[], bytes]) -> _Handler:
-            return lambda command, arguments: Answer([reply(command, Status.OK, query())])
+    def handle(self, packet: bytes) -> Answer:
+        """Return the answer to one whole packet from the client."""
+        _, _, number = COMMAND.unpack_from(packet)
+        if number not in self._handlers:
+            return Answer([reply(number, Status.NOT_IMPLEMENTED)])
+        command = Command(number)
+        form, handler = self._handlers[command]
+        try:
+            arguments = struct.unpack(form, packet[COMMAND.size :])
+        except struct.error:
+            return Answer([reply(number, Status.WRONG_PARAMETER)])
+        with self._lock:
+            return handler(command, arguments)
 
-        handlers = {command: answering(query) for command, query in queries.items()}
-        handlers[Command.GET_REFLECTORS] = self._list_reflectors
-        return handlers
+    # -- settings and queries -------------------------------------------------------------------
 
-    def _list_reflectors(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _set(self, name: str, command: Command, values: Arguments) -> Answer:
+        status = self._refused_setting(name, values)
+        if status != Status.OK:
+            return Answer([reply(command, status)])
+        if name == "SEARCH":
+            values = (values[0] * self._mm_per_unit(), values[1])
+        self._settings[name] = values
+        return Answer([reply(command), status_change(Change[name])])
+
+    def _refused_setting(self, name: str, values: Arguments) -> Status:
+        first, streams = values[0], self._streams is not None
+        known_units = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative
+        refusals: dict[str, tuple[Status, Callable[[], bool]]] = {
+            "UNITS": (
+                Status.WRONG_PARAMETER_1,
+                lambda: all(map(operator.contains, known_units, values)),
+            ),
+            "COORDINATE_SYSTEM": (Status.WRONG_PARAMETER_1, lambda: first in AXES),
+            "REFLECTOR": (Status.WRONG_PARAMETER_1, lambda: first in self._reflectors),
+            "MEASUREMENT_MODE": (
+                Status.NOT_IMPLEMENTED,
+                lambda: first == STATIONARY or (first == CONTINUOUS_TIME and streams),
+            ),
+            "STATIONARY_MODE": (Status.OUT_OF_RANGE_1, lambda: 100 <= first <= 100_000),
+            "CONTINUOUS_TIME": (Status.OUT_OF_RANGE_1, lambda: 1 <= first <= 100_000),
+            "SEARCH": (Status.OUT_OF_RANGE_1, lambda: first > 0),
+            "ENVIRONMENT": (
+                Status.WEATHER_OUT_OF_RANGE,
+                lambda: -20 <= first <= 60 and 500 <= values[1] <= 1200 and 0 <= values[2] <= 100,
+            ),
+        }
+        status, allowed = refusals.get(name, (Status.OK, lambda: True))
+        return Status.OK if allowed() else status
+
+    def _ask(self, query: Callable[[], bytes], command: Command, _: Arguments) -> Answer:
+        return Answer([reply(command, Status.OK, query())])
+
+    def _setting(self, name: str) -> bytes:
+        values = self._settings[name]
+        if name == "SEARCH":
+            values = (values[0] / self._mm_per_unit(), values[1])
+        if name == "ENVIRONMENT":
+            values = self._weather()
+        return struct.pack(SETTINGS[name][0], *values)
+
+    def _list_reflectors(self, command: Command, _: Arguments) -> Answer:
         packets = []
         for number, name in self._reflectors.items():
             offset = OFFSETS_MM.get(name, 0.0) / self._mm_per_unit()
@@ -347,21 +320,22 @@ class EmsconDevice:
         return head + struct.pack("<3iI2i", *VERSION, 2, 0, SERIAL + other)
 
     def _measurement_status(self) -> bytes:
-        found, compensated, distance, distance_compensated, face_1 = 1, 2, 4, 8, 4096
+        found, compensated, distance, distance_compensated = 1, 2, 4, 8
         bits = found | compensated | distance | distance_compensated
-        bits |= face_1 if self._face == Face.FIRST else 0
-        bits |= 2048 if self._target is not None else 0
-        bits |= 65536 if self._initialised else 0
+        bits |= 4096 * (self._face == FIRST)
+        bits |= 2048 * (self._target is not None)
+        bits |= 65536 * self._initialised
         return struct.pack("<Ii", Status.OK, bits)
 
     def _direction(self) -> bytes:
         x, y, z = self._pointing_mm
-        per_unit = RAD_PER_UNIT[self._settings.units[1]]
+        per_unit = RAD_PER_UNIT[int(self._settings["UNITS"][1])]
         angles = math.atan2(y, x) / per_unit, math.atan2(math.hypot(x, y), z) / per_unit
         return struct.pack("<2d", *angles)
 
     def _tracker_info(self) -> bytes:
-        head = struct.pack("<I", SENSOR_AT401) + wide("AT401 (simulated)")
+        sensor_at401 = 70
+        head = struct.pack("<I", sensor_at401) + wide("AT401 (simulated)")
         has_distance, has_camera, has_level = 1, 1, 1
         flags = struct.pack("<5i", SERIAL, 1, has_distance, has_camera, has_level)
         limits = struct.pack("<3d2i2d", 0.0, 160.0, 0.5, 1000, 2, 2 * math.pi, math.pi)
@@ -373,51 +347,38 @@ class EmsconDevice:
 
     # -- work -----------------------------------------------------------------------------------
 
-    def _work_handlers(self) -> dict[Command, _Handler]:
-        return {
-            Command.INITIALIZE: self._initialise,
-            Command.GO_POSITION: self._go_position,
-            Command.POINT_LASER: self._point,
-            Command.FIND_REFLECTOR: self._find_reflector,
-            Command.START_MEASUREMENT: self._start_measurement,
-            Command.GO_AND_MEASURE: self._go_and_measure,
-            Command.STOP_MEASUREMENT: lambda command, arguments: Answer([reply(command)]),
-            Command.CHANGE_FACE: self._change_face,
-            Command.GO_BIRD_BATH: self._turn,
-        }
-
-    def _initialise(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _initialise(self, command: Command, arguments: Arguments) -> Answer:
         def finish() -> Answer:
-            self._initialised, self._target, self._face = True, None, Face.FIRST
+            self._initialised, self._target, self._face = True, None, FIRST
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
         return Answer(later=Later(self.INITIALISE_S, finish))
 
-    def _turn(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _turn(self, command: Command, arguments: Arguments) -> Answer:
         self._target = None
         return Answer(later=Later(self.FACE_S, lambda: Answer([reply(command)])))
 
-    def _change_face(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _change_face(self, command: Command, arguments: Arguments) -> Answer:
         """Turn over and look where it looked before."""
         if not self._initialised:
             return Answer([reply(command, Status.NOT_INITIALIZED)])
 
         def finish() -> Answer:
-            self._face = Face.SECOND if self._face is Face.FIRST else Face.FIRST
+            self._face = SECOND if self._face is FIRST else FIRST
             seen = Change.READY if self._lock_on() else Change.NOT_READY
             return Answer([reply(command), status_change(seen)])
 
         return Answer(later=Later(self.FACE_S, finish))
 
-    def _point(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _point(self, command: Command, arguments: Arguments) -> Answer:
         self._pointing_mm, self._target = self._inside_mm(arguments[:3]), None
         return Answer(later=Later(self.POINT_S, lambda: Answer([reply(command)])))
 
-    def _go_position(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _go_position(self, command: Command, arguments: Arguments) -> Answer:
         self._pointing_mm = self._inside_mm(arguments[:3])
         return self._search(command)
 
-    def _find_reflector(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _find_reflector(self, command: Command, arguments: Arguments) -> Answer:
         distance_mm = arguments[0] * self._mm_per_unit()
         if not distance_mm > 0:
             return Answer([reply(command, Status.OUT_OF_RANGE_1)])
@@ -438,12 +399,12 @@ class EmsconDevice:
 
     def _lock_on(self) -> bool:
         with self._lock:
-            self._target = self._instrument.find(self._pointing_mm, self._settings.search[0])
+            self._target = self._instrument.find(self._pointing_mm, self._settings["SEARCH"][0])
             if self._faults.take("tracker.no_reflector") is not None:
                 self._target = None
             return self._target is not None
 
-    def _go_and_measure(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _go_and_measure(self, command: Command, arguments: Arguments) -> Answer:
         self._pointing_mm = self._inside_mm(arguments)
 
         def finish() -> Answer:
@@ -452,7 +413,7 @@ class EmsconDevice:
 
         return Answer(later=Later(self.POINT_S, finish))
 
-    def _start_measurement(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+    def _start_measurement(self, command: Command, arguments: Arguments) -> Answer:
         if self._faults.take("tracker.vanish") is not None:
             raise Vanished
         refused = self._refusal()
@@ -464,11 +425,11 @@ class EmsconDevice:
         began_mm = self._instrument.reflector(target)
         if began_mm is None:  # carried away
             return self._broken(command)
-        if self._settings.mode == Mode.CONTINUOUS_TIME:
+        if self._settings["MEASUREMENT_MODE"][0] == CONTINUOUS_TIME:
             measuring = status_change(Change.MEASURING)
             return Answer([reply(command), measuring], stream=self._stream_of(target))
         later = Later(
-            self._settings.stationary[0] / 1000.0,
+            self._settings["STATIONARY_MODE"][0] / 1000.0,
             lambda: self._result(command, target, began_mm),
             True,
         )
@@ -478,7 +439,7 @@ class EmsconDevice:
         if self._streams is None:
             return None
         truth, time = self._streams
-        separation_ms, points, _use_region, _region = self._settings.continuous
+        separation_ms, points, *_region = self._settings["CONTINUOUS_TIME"]
         return SampleStream(
             truth,
             time,
@@ -486,12 +447,9 @@ class EmsconDevice:
             truth.follow(target),
             lambda times_s, xyz_mm: multi_result(times_s, self._outside(xyz_mm), self._weather()),
             separation_s=separation_ms / 1000.0,
-            points=points,
-            lost=self._lose_target,
+            points=int(points),
+            lost=partial(setattr, self, "_target", None),
         )
-
-    def _lose_target(self) -> None:
-        self._target = None
 
     def _refusal(self) -> Status:
         take = self._faults.take
@@ -518,7 +476,9 @@ class EmsconDevice:
             if take("tracker.beam_break_after") is not None or ended_mm is None:
                 return self._broken(command)
             moved_mm = np.linalg.norm(ended_mm - began_mm)
-            measured = self._measured(target) if moved_mm <= still_mm else None
+            back = self._face == SECOND
+            seen = moved_mm <= still_mm
+            measured = self._instrument.measure(target, back=back) if seen else None
             if measured is None:
                 return Answer([reply(command, Status.NO_STATIONARY_RESULT), ready])
             packets, self._late = [*self._late, self._packed(measured)], []
@@ -528,9 +488,6 @@ class EmsconDevice:
                 packets = []
             storm = int(self._faults.number("tracker.status_storm") or 0)
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
-
-    def _measured(self, target: str) -> Measurement | None:
-        return self._instrument.measure(target, back=self._face == Face.SECOND)
 
     def _broken(self, command: Command) -> Answer:
         """The beam has lost its reflector."""
@@ -567,40 +524,16 @@ class EmsconDevice:
         """Return how much the range is off with another reflector than the one mounted."""
         mounted, chosen = (
             OFFSETS_MM.get(self._reflectors[number], 0.0)
-            for number in (self._mounted, self._settings.reflector)
+            for number in (self._mounted, int(self._settings["REFLECTOR"][0]))
         )
         return mounted - chosen
 
     def _signs(self) -> Array:
-        return np.array(AXES[self._settings.axes], dtype=float)
+        return np.array(AXES[int(self._settings["COORDINATE_SYSTEM"][0])], dtype=float)
 
     def _mm_per_unit(self) -> float:
-        return MM_PER_UNIT[self._settings.units[0]]
+        return MM_PER_UNIT[int(self._settings["UNITS"][0])]
 
-    def _inside_mm(self, values: tuple[float, ...]) -> Array:
+    def _inside_mm(self, values: Arguments) -> Array:
         inside: Array = self._signs() * np.array(values) * self._mm_per_unit()
         return inside
-
-
-_Handler = Callable[[Command, tuple[float, ...]], Answer]
-_Check = Callable[[tuple[float, ...]], Status]
-
-
-def _units_are_known(units: tuple[float, ...]) -> Status:
-    known_units = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
-    known = all(unit in allowed for unit, allowed in zip(units, known_units, strict=True))
-    return Status.OK if known else Status.WRONG_PARAMETER_1
-
-
-def _axes_are_known(axes: tuple[float, ...]) -> Status:
-    return Status.OK if axes[0] in AXES else Status.WRONG_PARAMETER_1
-
-
-def _between(low: float, high: float) -> _Check:
-    return lambda values: Status.OK if low <= values[0] <= high else Status.OUT_OF_RANGE_1
-
-
-def _weather_is_earthly(weather: tuple[float, ...]) -> Status:
-    temperature, pressure, humidity = weather
-    earthly = -20 <= temperature <= 60 and 500 <= pressure <= 1200 and 0 <= humidity <= 100
-    return Status.OK if earthly else Status.WEATHER_OUT_OF_RANGE

@@ -118,26 +118,6 @@ class Change(IntEnum):
     SERVER_CLOSING = 998
 
 
-# Formats of the fields behind the command in a request, where it has any.
-ARGUMENTS = {
-    Command.SET_UNITS: "<5I",
-    Command.SET_ENVIRONMENT: "<3d",
-    Command.SET_REFRACTION: "<2d",
-    Command.SET_MEASUREMENT_MODE: "<I",
-    Command.SET_COORDINATE_SYSTEM: "<I",
-    Command.SET_STATIONARY_MODE: "<2i",
-    Command.SET_CONTINUOUS_TIME: "<4i",
-    Command.SET_REFLECTOR: "<i",
-    Command.SET_SEARCH: "<di",
-    Command.SET_SYSTEM_SETTINGS: "<I8i",
-    Command.GO_POSITION: "<3di",
-    Command.POINT_LASER: "<3d",
-    Command.FIND_REFLECTOR: "<d",
-    Command.SET_STATISTIC_MODE: "<2I",
-    Command.GO_AND_MEASURE: "<3d",
-}
-
-
 def reply(command: int, status: int = Status.OK, body: bytes = b"") -> bytes:
     """Return a reply; errors are packets of a type of their own, without body."""
     if status != Status.OK:

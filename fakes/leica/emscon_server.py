@@ -17,36 +17,19 @@ from fakes.leica.emscon_device import EmsconDevice, SampleStream
 from fakes.leica.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires import HOST, Listener, Segments
+from fakes.wires import HOST, Connection, Listener, Segments, Server
 
 
-class EmsconServer:
+class EmsconServer(Server):
     """Serves one tracker on a port, 0 for one that the system chooses."""
 
     def __init__(
         self, device: EmsconDevice, faults: Faults, time: PlantTime, *, port: int = 0
     ) -> None:
         self._device, self._faults, self._time = device, faults, time
-        self._closing = threading.Event()
-        self._listener = Listener("emscon", self._serve, port=port)
-        self.port = self._listener.port
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver."""
-        return {"host": HOST, "port": self.port}
-
-    def restore(self) -> None:
-        """Leave the tracker as it is: its faults pass by themselves."""
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._listener.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._closing.set()
-        self._listener.close()
+        listener = Listener("emscon", self._serve, port=port)
+        self.port = listener.port
+        super().__init__({"host": HOST, "port": self.port}, listener)
 
     def _serve(self, client: socket.socket) -> None:
         session = _Session(client)
@@ -63,8 +46,11 @@ class EmsconServer:
             if not self._let_pass(session, later.duration_s):
                 return
             answer = later.finish()
-            packets = answer.packets
-            session.send(self._damaged(session, packets) if later.measures else b"".join(packets))
+            data = b"".join(answer.packets)
+            if later.measures:
+                self._send_damaged(session, data)
+            else:
+                session.send(data)
         if answer.stream is not None:
             after = self._stream(session, answer.stream, b"".join(answer.packets))
             if after is not None:
@@ -130,12 +116,11 @@ class EmsconServer:
             session.send(reply(command, Status.BUSY))
         return True
 
-    def _damaged(self, session: _Session, packets: list[bytes]) -> bytes:
-        """Return a result's bytes as the faults want them on the wire."""
+    def _send_damaged(self, session: _Session, data: bytes) -> None:
+        """Send a result's bytes as the faults want them on the wire."""
         take = self._faults.take
         if take("tracker.eof") is not None:
             raise ConnectionAbortedError
-        data = b"".join(packets)
         session.results += 1
         late_every, late_s = 5, 0.001  # results that come well after their acknowledgement
         if session.results % late_every == 0:
@@ -150,39 +135,28 @@ class EmsconServer:
         if take("tracker.glued_packets") is not None:
             data = status_change(Change.ENVIRONMENT) + data + status_change(Change.ENVIRONMENT)
         if take("tracker.split_packet") is not None:
-            session.send(data[:5])
-            self._closing.wait(0.02)  # so that both halves are segments of their own
-            data = data[5:]
-        return data
+            session.segments.send_in_two(data, 5)
+        else:
+            session.send(data)
 
 
 class _Session:
     """One client's connection: whole packets in, bytes out."""
 
-    RECEIVE = 4096
-
     def __init__(self, client: socket.socket) -> None:
-        self._client = client
-        self._segments = Segments(client)
+        self._client, self.segments = Connection(client), Segments(client.sendall)
         self._pending = b""
         self.results = 0
 
     def send(self, data: bytes) -> None:
         if data:
-            self._segments.send(data)
+            self.segments.send(data)
 
     def receive(self, timeout_s: float | None) -> bytes | None:
         """Return the next packet, None after the timeout; raises OSError at the end."""
         while (packet := self._take()) is None:
-            self._client.settimeout(timeout_s)
-            try:
-                data = self._client.recv(self.RECEIVE)
-            except TimeoutError:
+            if not (data := self._client.receive(timeout_s)):
                 return None
-            finally:
-                self._client.settimeout(None)
-            if not data:
-                raise ConnectionAbortedError
             self._pending += data
         return packet
 

@@ -11,11 +11,8 @@ one program did not wait for reaches the next one.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
-import select
-import socket
 import threading
 import time as real_time
 from collections.abc import Callable
@@ -29,7 +26,7 @@ from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
-from fakes.wires import HOST, RECEIVE, Connection, LineSession, Listener, SerialEnd, Wire
+from fakes.wires import Connection, LineSession, Listener, SerialLine, Server, Wire
 
 NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
 
@@ -334,7 +331,7 @@ def _ppm(pressure_mbar: float, dry_c: float) -> float:
     return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)
 
 
-class GeocomServer:
+class GeocomServer(Server):
     """Serves one instrument on a port (0: a free one), or on a serial line."""
 
     NOT_DECODED, UNAVAILABLE = 3080, 3081  # communication codes: no request, no such procedure
@@ -351,45 +348,12 @@ class GeocomServer:
     ) -> None:
         self._device, self._faults, self._time = device, faults, time
         self._requests = threading.Lock()
-        self._line: _Line | None = _Line() if serial else None
-        self._listener = None if serial else Listener("geocom", self._serve_client, port=port)
-        self._thread = threading.Thread(target=self._serve_line, name="geocom line", daemon=True)
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver."""
-        if self._line is not None:
-            return {"channel": self._line.path}
-        return {"channel": f"socket://{HOST}:{self._listener.port if self._listener else 0}"}
-
-    def start(self) -> None:
-        """Begin to serve."""
-        if self._listener is not None:
-            self._listener.start()
-        else:
-            self._thread.start()
-
-    def restore(self) -> None:
-        """Leave the instrument as it is: its faults pass by themselves."""
-
-    def close(self) -> None:
-        """Stop serving."""
-        if self._listener is not None:
-            self._listener.close()
-        if self._line is not None:
-            self._line.closing.set()
-            if self._thread.is_alive():
-                self._thread.join()
-            self._line.close()
-
-    def _serve_client(self, client: socket.socket) -> None:
-        self._serve(Connection(client))
-
-    def _serve_line(self) -> None:
-        if self._line is not None:
-            with contextlib.suppress(OSError, Vanished):
-                self._serve(self._line)
-            self._line.close()  # pulled out
+        line = (
+            SerialLine("geocom line", self._serve)
+            if serial
+            else Listener("geocom", lambda client: self._serve(Connection(client)), port=port)
+        )
+        super().__init__({"channel": line.channel}, line)
 
     def _serve(self, wire: Wire) -> None:
         session = _Session(wire)
@@ -477,23 +441,6 @@ class _Session(LineSession):
             return False
         self.lines.clear()
         return True
-
-
-class _Line(SerialEnd):
-    def __init__(self) -> None:
-        super().__init__()
-        self.closing = threading.Event()
-
-    def receive(self, timeout_s: float | None) -> bytes:
-        ends_s = None if timeout_s is None else real_time.monotonic() + timeout_s
-        look_s = 0.05
-        while not self.closing.is_set():
-            left_s = look_s if ends_s is None else min(look_s, ends_s - real_time.monotonic())
-            if left_s <= 0:
-                return b""
-            if select.select([self], [], [], left_s)[0]:
-                return self.recv(RECEIVE)
-        raise ConnectionAbortedError
 
 
 def serve(site: Site, port: int) -> GeocomServer:

@@ -31,7 +31,7 @@ from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array, frame, inverse
-from fakes.wires import HOST, Connection, LineSession, Listener
+from fakes.wires import HOST, Connection, LineSession, Listener, Server
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 
@@ -304,7 +304,7 @@ def _ways_mm(cell: Cell) -> Array:
     return found
 
 
-class T2saServer:
+class T2saServer(Server):
     """Serves one bridge on a port, 0 for one that the system chooses."""
 
     def __init__(
@@ -319,27 +319,16 @@ class T2saServer:
     ) -> None:
         """``folder`` is removed at the end; ``points`` in it is the list that was imported."""
         self._device, self._faults, self._time = device, faults, time
-        self._folder, self._points = folder, points
+        self._folder = folder
         self._turn = threading.Lock()
         self._measuring, self._halted = threading.Lock(), threading.Event()
-        self._listener = Listener("t2sa", self._serve_client, port=port)
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver, and the list of its points."""
-        found: dict[str, object] = {"host": HOST, "port": self._listener.port}
-        return found | ({"points": self._points} if self._points else {})
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._listener.start()
-
-    def restore(self) -> None:
-        """Leave the bridge as it is: its faults pass by themselves."""
+        listener = Listener("t2sa", self._serve_client, port=port)
+        address: dict[str, object] = {"host": HOST, "port": listener.port}
+        super().__init__(address | ({"points": points} if points else {}), listener)
 
     def close(self) -> None:
         """Stop serving."""
-        self._listener.close()
+        super().close()
         if self._folder is not None:
             self._folder.cleanup()
 

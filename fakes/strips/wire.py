@@ -12,11 +12,10 @@ EMCY, or of ``X``).
 
 from __future__ import annotations
 
-import contextlib
-import select
-import socket
 import threading
 from collections.abc import Callable
+from functools import partial
+from typing import ClassVar
 
 from fakes.canopen.slave import (
     INVALID,
@@ -28,12 +27,12 @@ from fakes.canopen.slave import (
     NodeIdentity,
     TransmitPdo,
 )
-from fakes.canopen.slcan_gateway import BusThread, SlcanGateway, is_serial
+from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
-from fakes.wires import HOST, RECEIVE, Listener, Segments, SerialEnd
+from fakes.wires import Connection, Listener, Segments, SerialLine, Server, Wire
 
 
 class StripSensor:
@@ -71,43 +70,28 @@ class StripSensor:
         self.missing = self._faults.take("rail.missing_magnet") is not None
 
 
-ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
+class StripLine(Server):
+    """Serves one strip on a line of its own, or on a TCP ``port``."""
 
-
-class StripLine:
-    """Serves one strip on a line of its own."""
+    ANSWERS: ClassVar = {
+        b"A0": "MSAC501 simulated>",
+        b"A1": "V1.00-simulated>",
+        b"A2": "002014003>",
+    }
 
     def __init__(
         self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
     ) -> None:
-        self._rail, self._faults, self._options = rail, faults, options
+        self._rail, self._faults = rail, faults
         self._lock = threading.Lock()
         self._sensor = StripSensor(rail.poll(), faults)
-        self._listener = Listener("strip", self._serve, port=port) if port else None
-        self._pty = None if port else Pty(self.answers)
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return the channel, as options of the driver."""
-        channel = f"socket://{HOST}:{self._listener.port}" if self._listener else ""
-        if self._pty is not None:
-            channel = self._pty.path
-        return {"strip": self._options | {"driver": "serial", "channel": channel}}
-
-    def start(self) -> None:
-        """Begin to serve."""
-        for each in (self._listener, self._pty):
-            if each is not None:
-                each.start()
-
-    def restore(self) -> None:
-        """Leave the sensor as it is: it has nothing to put right."""
-
-    def close(self) -> None:
-        """Stop serving."""
-        for each in (self._listener, self._pty):
-            if each is not None:
-                each.close()
+        line = (
+            Listener("strip", lambda client: self._serve(Connection(client)), port=port)
+            if port
+            else SerialLine("strip line", self._serve)
+        )
+        stated = options | {"driver": "serial", "channel": line.channel}
+        super().__init__({"strip": stated}, line)
 
     def answers(self, pending: bytes) -> tuple[list[bytes], bytes]:
         """Return the answers to commands, and the bytes of one that is not whole."""
@@ -124,62 +108,20 @@ class StripLine:
         return found, pending
 
     def _answer(self, command: bytes) -> str:
-        if command in ANSWERS:
-            return ANSWERS[command] + ">"
         if command == b"Z":
             self._sensor.strike()
             self._sensor.observe(self._rail.poll())
             return f"{self._sensor.position:+08d}>"
-        gap = 1 << 0
         if command == b"X":
-            return f"0x{gap if self._sensor.missing else 0:02x}>"
-        return "?"
+            return f"0x{self._sensor.missing:02x}>"
+        return self.ANSWERS.get(command, "?")
 
-    def _serve(self, client: socket.socket) -> None:
-        segments, pending = Segments(client), b""
-        while data := client.recv(RECEIVE):
-            answers, pending = self.answers(pending + data)
+    def _serve(self, wire: Wire) -> None:
+        segments, pending = Segments(wire.sendall), b""
+        while True:
+            answers, pending = self.answers(pending + wire.receive(None))
             for answer in answers:
                 segments.send(answer)
-
-
-class Pty:
-    """The sensor at a serial line, which is opened again and again."""
-
-    def __init__(self, answers: Callable[[bytes], tuple[list[bytes], bytes]]) -> None:
-        self._answers = answers
-        self._end = SerialEnd()
-        self.path = self._end.path
-        self._wake, self._waker = socket.socketpair()
-        self._thread = threading.Thread(target=self._run, name="strip line")
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        with contextlib.suppress(OSError):
-            self._waker.send(b"\0")
-        if self._thread.is_alive():
-            self._thread.join()
-        for each in (self._end, self._wake, self._waker):
-            each.close()
-
-    def _run(self) -> None:
-        pending, sent = b"", 0
-        split_every = 5
-        ends: tuple[SerialEnd | socket.socket, ...] = (self._end, self._wake)
-        while True:
-            ready, _, _ = select.select(ends, [], [])
-            if self._wake in ready:
-                return
-            answers, pending = self._answers(pending + self._end.recv(RECEIVE))
-            for answer in answers:
-                sent += 1
-                cut = 1 + sent % (len(answer) - 1) if sent % split_every == 0 else len(answer)
-                for piece in filter(None, (answer[:cut], answer[cut:])):
-                    self._end.sendall(piece)
 
 
 STRIP_NODE = 6
@@ -190,7 +132,6 @@ class RailStrip(CanopenSlave):
     """Node 6: says where the strip sees the slide."""
 
     SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
-    INT16 = range(-(1 << 15), 1 << 15)
     POSITION_ERROR = 1 << 0
 
     def __init__(
@@ -200,7 +141,6 @@ class RailStrip(CanopenSlave):
         self._sensor = StripSensor(slide, faults)
         self._alarms = 0
         self._add_objects()
-        self._add_pdos()
 
     def observe(self, slide: RailState) -> None:
         """Take the slide's state of now."""
@@ -209,11 +149,10 @@ class RailStrip(CanopenSlave):
     def strike(self) -> None:
         """Let the faults of a SYNC come and go."""
         self._sensor.strike()
-        alarms = self.POSITION_ERROR if self._sensor.missing else 0
+        before, self._alarms = self._alarms, self.POSITION_ERROR * self._sensor.missing
         encoder_fault = 0x7305
-        if alarms != self._alarms:
-            self.emergency(encoder_fault if alarms else 0, ErrorKind.DEVICE_PROFILE)
-        self._alarms = alarms
+        if self._alarms != before:
+            self.emergency(encoder_fault * self._sensor.missing, ErrorKind.DEVICE_PROFILE)
 
     def _add_objects(self) -> None:
         add, record = self.dictionary.add, self.dictionary.add_array
@@ -222,7 +161,8 @@ class RailStrip(CanopenSlave):
         step_nm = 10_000  # 6005:01 and 6501, in 0.001 um
         record(0x6005, Entry("I", step_nm, "ro"), Entry("I", self.SPEED_STEP, "ro"))
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
-        add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
+        # 6200h is the profile's name for the event timer of the first TPDO.
+        add(0x6200, 0, Entry("H", 0, write=partial(self.dictionary.set, 0x1800, 5)))
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
         add(0x6501, 0, Entry("H", step_nm, "ro"))  # shorter than the profile's U32, as sold
         add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
@@ -230,26 +170,20 @@ class RailStrip(CanopenSlave):
         add(0x6505, 0, Entry("H", 0, "ro", mappable=True))
         add(0x6506, 0, Entry("H", 0, "ro"))
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
-
-    def _speed(self) -> int:
-        speed = round(self._sensor.velocity_mm_s * 100.0 / self.SPEED_STEP)
-        return min(max(speed, self.INT16[0]), self.INT16[-1])
-
-    def _change_cycle(self, period_ms: int) -> None:
-        # 6200h is the profile's name for the event timer of the first TPDO.
-        self.dictionary.set(0x1800, 5, period_ms)
-
-    def _add_pdos(self) -> None:
-        """Lay out the profile's defaults: 6004 by the cyclic timer, and on SYNC (off)."""
+        # The profile's defaults: 6004 by the cyclic timer, and on SYNC (off).
         position: Mapping = ((0x6004, 0),)
         self.transmit_pdos += [
             TransmitPdo(self.dictionary, 0, 0x180 + STRIP_NODE, position),
             TransmitPdo(self.dictionary, 1, 0x280 + STRIP_NODE | INVALID, position, transmission=1),
         ]
 
+    def _speed(self) -> int:
+        speed, limit = round(self._sensor.velocity_mm_s * 100.0 / self.SPEED_STEP), 1 << 15
+        return min(max(speed, -limit), limit - 1)
 
-class StripBus:
-    """Serves one strip behind a gateway: on TCP, or on the serial line that its channel names.
+
+class StripBus(BusServer):
+    """Serves one strip behind a gateway of its own.
 
     Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
     """
@@ -257,46 +191,20 @@ class StripBus:
     def __init__(
         self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
     ) -> None:
-        self._rail, self._faults, self._options = rail, faults, options
-        serial = is_serial(options.get("channel")) and not port
-        self._gateway = SlcanGateway(Faults(), self._boot, self._hear, port=port, serial=serial)
+        super().__init__("strip bus", Faults(), options, port)
+        self.address = {"strip": options | self.address}
+        self._rail, self._faults = rail, faults
         self._strip = RailStrip(rail.poll(), faults, self._gateway.send)
-        self._booted = False
-        self._bus = BusThread("strip bus", self._gateway, self._wait_s, self._strip.tick)
+        self._nodes[STRIP_NODE] = self._strip
 
-    @property
-    def address(self) -> dict[str, object]:
-        """Return the channel, as options of the driver."""
-        return {"strip": self._options | self._gateway.address(self._options)}
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._bus.start()
-
-    def restore(self) -> None:
-        """Leave the sensor as it is: it has nothing to put right."""
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._bus.close()
-
-    def _wait_s(self) -> float:
-        idle_s = 0.5
-        return min(max(0.0, self._strip.next_s() - self._bus.now_s()), idle_s)
-
-    def _boot(self) -> None:
-        if not self._booted:
-            self._booted = True
-            self._strip.boot(self._bus.now_s())
-
-    def _hear(self, cob_id: int, data: bytes) -> None:
+    def _receive(self, cob_id: int, data: bytes) -> None:
         of_node = (SYNC_COB_ID, 0x600 + STRIP_NODE)
         if cob_id in of_node and self._faults.take("rail.strip_silent") is not None:
             return
         if cob_id == SYNC_COB_ID:
             self._strip.strike()
             self._strip.observe(self._rail.poll())
-        self._strip.receive(cob_id, data, self._bus.now_s())
+        super()._receive(cob_id, data)
 
 
 def strip_wire(

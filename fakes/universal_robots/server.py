@@ -20,7 +20,7 @@ import numpy as np
 
 from fakes.site import Site
 from fakes.universal_robots.controller import UrController
-from fakes.wires import HOST, RECEIVE, Listener, Segments
+from fakes.wires import HOST, RECEIVE, Listener, Segments, Server
 
 
 class Package(IntEnum):
@@ -50,7 +50,7 @@ class _Session:
 
     def __init__(self, client: socket.socket, server: UrServer) -> None:
         self._client, self._server = client, server
-        self._segments = Segments(client)
+        self._segments = Segments(client.sendall)
         self._pending, self._glued, self._sent = b"", b"", 0
         self._outputs: list[tuple[str, str]] = []
         self._layout = struct.Struct("!B")  # of a state
@@ -188,7 +188,7 @@ def _kind(name: str, registers: set[str]) -> str:
     return "DOUBLE" if name in known else "NOT_FOUND"
 
 
-class UrServer:
+class UrServer(Server):
     """Serves one controller; only the port of RTDE can be chosen."""
 
     STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
@@ -197,33 +197,14 @@ class UrServer:
         self.controller, self.faults, self._time = controller, site.faults, site.time
         self._lock, self._writer = threading.Lock(), object()
         self._nobody = self._writer
-        self._rtde = Listener("rtde", self._serve_states, port=port)
-        self._scripts = Listener("scripts", self._serve_scripts)
         self._dashboard = Listener("dashboard", self._serve_dashboard)
-
-    @property
-    def address(self) -> dict[str, object]:
-        """Return where it listens, as options of the driver."""
-        return {
-            "host": HOST,
-            "rtde_port": self._rtde.port,
-            "script_port": self._scripts.port,
-            "dashboard_port": self._dashboard.port,
+        listeners = {
+            "rtde_port": Listener("rtde", self._serve_states, port=port),
+            "script_port": Listener("scripts", self._serve_scripts),
+            "dashboard_port": self._dashboard,
         }
-
-    def start(self) -> None:
-        """Begin to serve."""
-        for each in (self._rtde, self._scripts, self._dashboard):
-            each.start()
-
-    def restore(self) -> None:
-        """Put the controller right, as an operator does."""
-        self.controller.restore()
-
-    def close(self) -> None:
-        """Stop serving."""
-        for each in (self._rtde, self._scripts, self._dashboard):
-            each.close()
+        ports = {name: each.port for name, each in listeners.items()}
+        super().__init__({"host": HOST} | ports, *listeners.values(), restore=controller.restore)
 
     # -- RTDE ---------------------------------------------------------------------------------
 

@@ -127,7 +127,7 @@ class Bus(Asker):
         self.now_s = 0.0
         self.frames: list[tuple[int, bytes]] = []
         self.server._gateway.send = lambda *frame: self.frames.append(frame)  # type: ignore[method-assign]
-        self.server._bus.now_s = lambda: self.now_s
+        self.server.now_s = lambda: self.now_s
         self.server._open()
 
     def send(self, cob_id: int, data: bytes = b"") -> None:

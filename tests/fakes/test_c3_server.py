@@ -10,7 +10,6 @@ import py_openshowvar
 import pytest
 
 from fakes.faults import Faults
-from fakes.kuka import c3_server
 from fakes.kuka.c3_server import C3Server
 from fakes.kuka.controller import KrlController
 from fakes.time import PlantTime
@@ -223,7 +222,7 @@ def test_while_one_connection_gets_no_answer_others_do(
 
 
 def test_idle_clients_are_closed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(c3_server, "IDLE_S", 0.05)
+    monkeypatch.setattr(C3Server, "IDLE_S", 0.05)
     with connected(robot.server.port) as wire, pytest.raises(EOFError):
         exactly(wire, 1)
 

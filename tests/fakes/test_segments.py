@@ -20,7 +20,7 @@ class Wire:
 
 def sent(count: int, size: int = 20) -> list[bytes]:
     wire = Wire()
-    segments_of = Segments(wire)
+    segments_of = Segments(wire.sendall)
     for number in range(count):
         segments_of.send(bytes([number]) * size)
     return wire.pieces

@@ -261,7 +261,7 @@ class MecaServer:
             client.sendall(b"[3001][Another user is already connected, closing connection.]\0")
             return
         try:
-            self._talk(client, Segments(client).send)
+            self._talk(client, Segments(client.sendall).send)
         finally:
             self.controller.disconnected()
             self._free.release()
