@@ -130,7 +130,7 @@ class CellSession:
         """
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
-            if refused := still_refused(self.log, point.key):
+            if refused := still_refused(self.log, point):
                 self._run.add(RetakeRefused(key=point.key, reason=refused))
                 continue
             facts: dict[str, object] = {"nominal_mm": point.nominal_mm}

@@ -160,32 +160,17 @@ class Refusal(msgspec.Struct, frozen=True):
 # -- the server -----------------------------------------------------------------------------------
 
 
-class Engine(Protocol):
-    """The engine as the control channel serves it; every method may come from any thread."""
+class _Runner(Protocol):
+    """`hilcell.run.runner.Runner` as the channel calls it, each method from any thread."""
 
-    def stop(self) -> None:
-        """Stop everything now."""
-
-    def post(self, command: str) -> None:
-        """Queue ``pause``, ``proceed``, ``abort`` or ``lost`` (nobody watches any more)."""
-
-    def gone_on(self, since: int) -> str:
-        """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
-
-    def answer(self) -> str:
-        """Say that the prompt is done; return why that is refused."""
-
-    def retake(self, key: str) -> str:
-        """Have a point re-measured; return why that is refused."""
-
-    def acknowledge(self, made: AlarmsAcknowledged) -> str:
-        """Journal that alarms were acknowledged; return why that is refused."""
-
-    def watched(self, by: int) -> int:
-        """Add ``by`` to the screens that attend; return how many do now."""
-
-    def status(self) -> Status:
-        """Return the run's state."""
+    def stop(self) -> None: ...
+    def post(self, command: str) -> None: ...
+    def gone_on(self, since: int) -> str: ...
+    def answer(self) -> str: ...
+    def retake(self, key: str) -> str: ...
+    def acknowledge(self, made: AlarmsAcknowledged) -> str: ...
+    def watched(self, by: int) -> int: ...
+    def status(self) -> Status: ...
 
 
 class Control:
@@ -194,20 +179,28 @@ class Control:
     Raises `StorageError`, and leaves nothing behind, where its files find no place.
     """
 
-    def __init__(self, folder: Path, engine: Engine) -> None:
+    def __init__(self, folder: Path, engine: _Runner) -> None:
         self._file = folder / ENGINE
         with ExitStack() as undo:
             path = self._listen(engine, undo)
             # By a name that is no text no folder is found: a copy is then not recognised.
             place = os.fsencode(folder.resolve()).decode(errors="replace")
-            _say_where(self._file, EngineFile(os.getpid(), str(path), place))
+            where = msgspec.json.encode(EngineFile(os.getpid(), str(path), place))
+            try:
+                write_whole(self._file, where)  # a reader of half a file takes the engine for gone
+            except NotWritten as error:
+                raise StorageError(
+                    f"the engine could not say where it listens: {error}; make room or mend the "
+                    f"disk, then `{command_on(folder, 'resume')}`",
+                    code="HC-J01",
+                ) from error
             undo.pop_all()
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="control", daemon=True
         )
         self._thread.start()
 
-    def _listen(self, engine: Engine, undo: ExitStack) -> Path:
+    def _listen(self, engine: _Runner, undo: ExitStack) -> Path:
         try:
             self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
             undo.callback(shutil.rmtree, self._private, ignore_errors=True)
@@ -236,25 +229,12 @@ class Control:
             self._file.unlink()
 
 
-def _say_where(file: Path, where: EngineFile) -> None:
-    """Write the file whole: a reader of half a file takes the engine for gone."""
-    try:
-        write_whole(file, msgspec.json.encode(where))
-    except NotWritten as error:
-        raise StorageError(
-            f"the engine could not say where it listens: {error}; make room or mend the disk, "
-            f"then `{command_on(file.parent, 'resume')}`",
-            code="HC-J01",
-        ) from error
-
-
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
     request_queue_size = 128  # while the process stands still
 
-    def __init__(self, path: str, engine: Engine) -> None:
-        self.engine = engine
-        self.connections: set[socket.socket] = set()
+    def __init__(self, path: str, engine: _Runner) -> None:
+        self.engine, self.connections = engine, set[socket.socket]()
         super().__init__(path, _Handler)
 
     def end_connections(self) -> None:
@@ -315,14 +295,10 @@ class _Handler(socketserver.StreamRequestHandler):
                 return engine.acknowledge(
                     AlarmsAcknowledged(codes=list(request.codes), until=request.until)
                 )
-            case "attend" | "leave":
-                self._attend(attends=request.command == "attend")
+            case "attend" | "leave" if self.attends != (request.command == "attend"):
+                self.attends = not self.attends
+                engine.watched(1 if self.attends else -1)
         return ""
-
-    def _attend(self, *, attends: bool) -> None:
-        if attends != self.attends:
-            self.attends = attends
-            self.server.engine.watched(1 if attends else -1)
 
 
 # -- the client -----------------------------------------------------------------------------------
@@ -378,7 +354,9 @@ class EngineClient:
     def stop(self) -> bool:
         """Ask for a stop now, waiting for nothing; return whether the words went out."""
         try:
-            self._forget_answers()
+            with suppress(BlockingIOError):  # else the engine stands still over its next answer
+                while self._stopping.recv(LONGEST_ANSWER):
+                    pass
             self._stopping.sendall(_line(Request("stop")))
         except OSError:
             return False
@@ -425,12 +403,6 @@ class EngineClient:
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
 
-    def _forget_answers(self) -> None:
-        """Make room: an engine whose answers nobody takes would stand still over the next one."""
-        with suppress(BlockingIOError):
-            while self._stopping.recv(LONGEST_ANSWER):
-                pass
-
     def _answer(self) -> bytes:
         """Return the next answer that is owed."""
         while b"\n" not in self._read:
@@ -473,14 +445,11 @@ def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> S
 
 def stop_engine(folder: Path) -> bool:
     """Ask the engine of a run for a stop by a new connection; return whether it was there."""
-    try:
-        client = EngineClient.of_run(folder)
-    except EngineSilent:
-        return False
-    if client is None:
-        return False
-    with closing(client):
-        return client.stop()
+    with suppress(EngineSilent):
+        if client := EngineClient.of_run(folder):
+            with closing(client):
+                return client.stop()
+    return False
 
 
 def _missing(folder: Path) -> str:

@@ -8,7 +8,7 @@ import platform
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -32,21 +32,15 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
 from hilcell.journal.words import offset_min
-from hilcell.model.events import RetakeAsked, SessionOrdered
+from hilcell.model.events import ChangesAccepted, RetakeAsked, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL
 from hilcell.model.records import Ended
 from hilcell.ports import Clock, HilcellError
-from hilcell.run.cell_lock import (
-    CellLocked,
-    lock_of_device,
-    lock_of_name,
-    locked,
-    locks_folder,
-)
+from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked, locks_folder
 from hilcell.run.control import Control
 from hilcell.run.order import Attendance, Order, Resume
-from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, accepted, cell_file
+from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, cell_file
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import note_signals, stopped_by_signals
 from hilcell.typed import Json
@@ -58,20 +52,11 @@ RUNS_LOOKED_AT = 5  # for poses that were driven before
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
 
 
-class Output(Protocol):
-    """Prints a run as it goes; it is entered while the run lives."""
+class _Output(AbstractContextManager[object], Protocol):
+    """Prints a run's records as it goes, and is entered while the run lives."""
 
-    def __enter__(self) -> object:
-        """Start printing."""
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Stop printing."""
-
-    def take(self, record: Record) -> None:
-        """Print one record of the journal."""
-
-    def skip_measured(self, keys: Iterable[str]) -> None:
-        """Count the points that a resumed run already has."""
+    def take(self, record: Record) -> None: ...
+    def skip_measured(self, keys: Iterable[str]) -> None: ...
 
 
 class Ending(NamedTuple):
@@ -127,7 +112,7 @@ class Engine:
             self._say(f"warning: {note}")
         return next_order(rows)
 
-    def run(self, output: Output) -> Ending:
+    def run(self, output: _Output) -> Ending:
         """Run to an end, and write the calibration."""
         journal, log = self.journal, self.journal.log
         journal.listen(output.take)
@@ -320,7 +305,9 @@ class ResumedEngine(Engine):
     def agree(self) -> None:
         """Journal that the operator agrees to all changes."""
         changes = self.plan.changes
-        accepted(self.journal, changes.inputs, "the operator")
+        if changes.inputs:
+            agreed = ChangesAccepted(changes=list(changes.inputs), by="the operator")
+            self.journal.append("event", "", agreed)
         self.plan = replace(self.plan, changes=Changes(accepted=changes.accepted))
 
     def _begin(self) -> None:

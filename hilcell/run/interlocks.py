@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeVar
 
+import msgspec
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
@@ -21,11 +21,8 @@ from hilcell.run.control import Interlock
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
 OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take their own
-RAIL_BLOCKED, ROBOT_BLOCKED, MEASURE_BLOCKED = (
-    "rail move blocked",
-    "robot move blocked",
-    "measurement blocked",
-)
+RAIL_BLOCKED, ROBOT_BLOCKED = "rail move blocked", "robot move blocked"
+MEASURE_BLOCKED = "measurement blocked"
 # By device: a reading that is too old, and a motion where there should be none.
 TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}
 MOVES = {"Rail": "HC-R41", "Robot": "HC-B31"}
@@ -66,8 +63,7 @@ def time_of(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
 
 def seen(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
     """Return a reading of the other device: it rests, and is held or where it may be."""
-    when = time_of(reading, now_s)
-    facts = {"taken_s": when.taken_s, "age_s": when.age_s, "ended_s": when.ended_s}
+    facts = msgspec.structs.asdict(time_of(reading, now_s))
     if isinstance(reading, RobotReading):
         state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}
     else:
@@ -197,38 +193,32 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
 # -- for faces ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """The cell as displayed: last readings, devices that move now, the station that is held."""
+def overview(
+    cell: Cell,
+    rail: RailReading | None,
+    robot: RobotReading | None,
+    *,
+    rail_moves: bool,
+    robot_moves: bool,
+    station: Station | None,
+    now_s: float,
+) -> list[Interlock]:
+    """Return for each interlock its name and what blocks it, for faces.
 
-    rail: RailReading | None
-    robot: RobotReading | None
-    rail_moves: bool
-    robot_moves: bool
-    station: Station | None
-    now_s: float
-
-
-def overview(cell: Cell, sight: Sight) -> list[Interlock]:
-    """Return for each interlock its name and what blocks it, from last readings, for faces."""
+    By last readings, devices that move now, and the station that is held.
+    """
 
     def held(operation: str) -> None:
-        if not cell.has_rail:
-            return
-        _check_known("Rail", operation, sight.rail, sight.rail_moves, sight.now_s)
-        if sight.rail is not None:
-            check_held(cell, sight.rail, sight.station, operation)
+        if cell.has_rail:
+            reading = _known("Rail", operation, rail, rail_moves, now_s)
+            check_held(cell, reading, station, operation)
 
     def parked() -> None:
-        _check_known("Robot", RAIL_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
-        if sight.robot is not None:
-            check_safe_pose(cell, sight.robot)
+        check_safe_pose(cell, _known("Robot", RAIL_BLOCKED, robot, robot_moves, now_s))
 
     def at_rest() -> None:
         held(MEASURE_BLOCKED)
-        _check_known("Robot", MEASURE_BLOCKED, sight.robot, sight.robot_moves, sight.now_s)
-        if sight.robot is not None:
-            _check_still(sight.robot, MEASURE_BLOCKED)
+        _check_still(_known("Robot", MEASURE_BLOCKED, robot, robot_moves, now_s), MEASURE_BLOCKED)
 
     of_rail = [_judged("rail move", parked)] if cell.has_rail else []
     return [
@@ -238,28 +228,18 @@ def overview(cell: Cell, sight: Sight) -> list[Interlock]:
     ]
 
 
-def _check_known(
-    device: str,
-    operation: str,
-    reading: RailReading | RobotReading | None,
-    moves: bool,
-    now_s: float,
-) -> None:
+def _known(device: str, operation: str, reading: R | None, moves: bool, now_s: float) -> R:
+    """Return a device's last reading, unless it moves now or the reading says nothing any more."""
+    name = device.lower()
     if moves:
-        raise Blocked(
-            MOVES[device], device, operation, f"the {device.lower()} is moving", wanted="at rest"
-        )
+        raise Blocked(MOVES[device], device, operation, f"the {name} is moving", wanted="at rest")
     if reading is None:
-        raise Blocked(TOO_OLD[device], device, operation, f"the {device.lower()} was not read yet")
+        raise Blocked(TOO_OLD[device], device, operation, f"the {name} was not read yet")
     age_s = now_s - reading.taken_s
     if not -0.001 <= age_s <= OVERVIEW_AGE_S:  # it is read again before anything moves
-        raise Blocked(
-            TOO_OLD[device],
-            device,
-            operation,
-            f"the {device.lower()} was last read {age_s:.0f} s ago",
-            fields={"age_s": age_s},
-        )
+        found = f"the {name} was last read {age_s:.0f} s ago"
+        raise Blocked(TOO_OLD[device], device, operation, found, fields={"age_s": age_s})
+    return reading
 
 
 def _judged(name: str, check: Callable[[], None]) -> Interlock:

@@ -16,8 +16,8 @@ from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
-from hilcell.journal.log import Log, RunJournal, other_assets
-from hilcell.model.events import Asset, ChangesAccepted, Connected
+from hilcell.journal.log import Log, other_assets
+from hilcell.model.events import Asset, Connected
 from hilcell.ports import DeviceRefused, HilcellError, Identity
 from hilcell.run.procedure import Plan, Procedure
 
@@ -195,9 +195,3 @@ def _words(asset: Asset | None) -> str:
         return "none"
     firmware = f", firmware {asset.firmware}" if asset.firmware else ""
     return f"{asset.maker} {asset.model}, serial {asset.serial}{firmware}".lstrip()
-
-
-def accepted(journal: RunJournal, changes: Sequence[str], by: str) -> None:
-    """Journal that somebody, or an option, has accepted changes."""
-    if changes:
-        journal.append("event", "", ChangesAccepted(changes=list(changes), by=by))

@@ -46,7 +46,7 @@ from hilcell.model.events import (
 from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status
-from hilcell.run.interlocks import Sight, overview
+from hilcell.run.interlocks import overview
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import NONE, Changes
 from hilcell.run.signals import COMMANDS, signals_as_commands
@@ -60,7 +60,10 @@ WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 
 
 class Runner:
-    """Performs one procedure on one cell, once, from idle to finished, aborted or faulted."""
+    """Performs one procedure on one cell, once, from idle to finished, aborted or faulted.
+
+    ``fault`` is what has ended the run, where something did.
+    """
 
     def __init__(
         self,
@@ -97,7 +100,7 @@ class Runner:
         self._unwatched = False
         if unattended or not ordered:
             self._worker.screen_known.set()
-        self._fault: Exception | None = None
+        self.fault: Exception | None = None
         self._clock = clock
         self._unclosed: dict[str, Exception] | None = None  # None: the devices are still open
         self._life = StateMachine(RUN, journal)
@@ -120,17 +123,12 @@ class Runner:
                 self._stop.set()
                 self._safe_stop.wait()
                 self._close_devices()
-                self._fault = error
+                self.fault = error
                 return EXIT_STORAGE
             finally:
                 self._worker.release()
                 if self._unclosed is not None:
                     self._safe_stop.dismiss()
-
-    @property
-    def fault(self) -> Exception | None:
-        """Return what ended the run, where something did."""
-        return self._fault
 
     @property
     def unclosed(self) -> dict[str, Exception]:
@@ -191,6 +189,7 @@ class Runner:
     def status(self) -> Status:
         """Return the run's state as every answer carries it."""
         state, asked = self._known_state(), self._gate.closed or self.log.state in PASSING
+        monitor, session = self._worker.monitor, self._worker.session
         return Status(
             run=self._journal.run,
             state=state,
@@ -199,9 +198,17 @@ class Runner:
             unattended=self._unattended,
             screens=self._screens,
             pausing=asked and state in ("checking", "running"),
-            devices=self._worker.monitor.status(),
-            link=self._link(),
-            interlocks=overview(self._cell, self._sight()),
+            devices=monitor.status(),
+            link=asdict(self._worker.devices.rail.statistics()),
+            interlocks=overview(
+                self._cell,
+                monitor.rail_reading,
+                monitor.robot_reading,
+                rail_moves=monitor.rail.moving,
+                robot_moves=monitor.robot.moving,
+                station=None if session is None else session.held,
+                now_s=self._clock.pc_s(),
+            ),
             prompt=self._worker.prompt(),
             retakes=list(self.log.retakes),
         )
@@ -210,21 +217,6 @@ class Runner:
         """Return the state as clients know it, for whom ``pausing`` is no state but a flag."""
         life = (change.to for change in reversed(self.log.life))
         return next((state for state in life if state not in PASSING), "idle")
-
-    def _link(self) -> dict[str, int]:
-        """Return the statistics of the rail's wire."""
-        return asdict(self._worker.devices.rail.statistics())
-
-    def _sight(self) -> Sight:
-        monitor, session = self._worker.monitor, self._worker.session
-        return Sight(
-            monitor.rail_reading,
-            monitor.robot_reading,
-            monitor.rail.moving,
-            monitor.robot.moving,
-            None if session is None else session.held,
-            self._clock.pc_s(),
-        )
 
     # -- the main thread: messages ------------------------------------------------------------
 
@@ -271,7 +263,7 @@ class Runner:
         match message:
             case Started():
                 self._go_on("start")
-            case AtRest() if self._gate.resting and self._life.allows("rest"):
+            case AtRest() if self._gate.resting and self._life.may_trigger("rest"):
                 self._life.fire("rest", reason=self._why_paused)
             case Halted(reason):
                 self._pause(reason)
@@ -299,11 +291,11 @@ class Runner:
             case "proceed" if self.log.state == "suspended":
                 self._asking.answer()  # proven by a look as every answer
             case "proceed" if self._gate.closed and self.log.state != "aborting":
-                if self._life.allows("proceed"):  # not yet where the worker still connects
+                if self._life.may_trigger("proceed"):  # not yet where the worker still connects
                     self._life.fire("proceed", by="command")
                 self._gate.open()
             case "abort":
-                if self._life.allows("abort"):  # else it was asked for before
+                if self._life.may_trigger("abort"):  # else it was asked for before
                     self._life.fire("abort")
             case _:
                 refused = CommandRefused(command=command, state=self._known_state())
@@ -315,7 +307,7 @@ class Runner:
     def _pause(self, reason: str) -> None:
         self._why_paused = reason
         self._gate.close()
-        if self._life.allows("pause"):  # not yet while devices are connected: see `_go_on`
+        if self._life.may_trigger("pause"):  # not yet while devices are connected: see `_go_on`
             self._life.fire("pause")
 
     def _look_for_screens(self, *, lost: bool) -> None:
@@ -335,7 +327,7 @@ class Runner:
     def _stop_worker(self, command: str) -> Exception:
         self._stop.set()
         self._note(SafeStopSent(**facts_of_problems(self._left_moving(self._safe_stop.wait()))))
-        if self._life.allows("stop"):
+        if self._life.may_trigger("stop"):
             self._life.fire("stop")
         if self._worker.ended_within(WORKER_S):
             return Stopped(f"stopped by {'the operator' if command == 'stop' else 'SIGTERM'}")
@@ -348,10 +340,10 @@ class Runner:
         )
 
     def _end(self, error: Exception | None) -> int:
-        self._fault = error
+        self.fault = error
         if isinstance(error, StorageError):
             raise error
-        if isinstance(error, Stopped) and self._life.allows("stop"):
+        if isinstance(error, Stopped) and self._life.may_trigger("stop"):
             self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
@@ -362,18 +354,20 @@ class Runner:
         problems = self._close_devices()
         left = facts_of_problems(self._left_moving(problems))
         self._note(Closed(took_s=time.monotonic() - began_s, **left))
-        self._journal.append("event", "", LinkCounted(**self._link()))
+        self._journal.append(
+            "event", "", LinkCounted(**asdict(self._worker.devices.rail.statistics()))
+        )
         self._journal.read_back()  # a result is computed only from what is kept
         if error is None or isinstance(error, Stopped):
             # A person who reads "finished", or has aborted the run, goes near.
-            self._fault = error = not_at_rest(self.unclosed) or error
+            self.fault = error = not_at_rest(self.unclosed) or error
         if error is None:
             try:
                 return self._finish()
             except StorageError:  # of a run that has finished: there is no fault to enter
                 raise
             except Exception as caught:  # noqa: BLE001 - a result that cannot be computed is a fault
-                self._fault = error = caught
+                self.fault = error = caught
         self._fail(error)
         code = exit_code(error)
         if code == EXIT_REFUSED and self.log.moved:
@@ -385,7 +379,7 @@ class Runner:
 
     def _left_moving(self, problems: dict[str, Exception]) -> dict[str, Exception]:
         """Return problems of stopping and closing; devices whose recording has ended have none."""
-        ended = isinstance(self._fault, RecordingEnded)
+        ended = isinstance(self.fault, RecordingEnded)
         if problems and not ended:
             try:
                 self._clock.check()
@@ -420,7 +414,7 @@ class Runner:
         try:
             self._journal.append("event", "", event)
         except StorageError as error:
-            self._fault = self._fault or error
+            self.fault = self.fault or error
 
 
 def finish(procedure: Procedure, journal: RunJournal, result: Json | None = None) -> int:

@@ -81,11 +81,13 @@ CALIBRATION = Table(
 class StateMachine:
     """A table that `transitions` runs over a journal; fired by one thread, read by any."""
 
+    trigger: Callable[..., bool]
+    may_trigger: Callable[[str], bool]
+
     def __init__(self, table: Table, journal: Records) -> None:
         self.table, self._journal = table, journal
-        self._model = _Model(table, journal)
         Machine(
-            self._model,
+            self,
             states=[*table.states],
             initial=self.state,
             transitions=[[trigger, [*sources], to] for trigger, sources, to in table.rows],
@@ -96,12 +98,12 @@ class StateMachine:
 
     @property
     def state(self) -> str:
-        """Return the state's name."""
-        return self._model.state
+        """Return the state's name, as the log has it."""
+        return self._journal.log.states[self.table.name]
 
-    def allows(self, trigger: str) -> bool:
-        """Return whether ``trigger`` has a row for this state."""
-        return self._model.may_trigger(trigger)
+    @state.setter
+    def state(self, state: str) -> None:
+        """Do nothing: the record was written, and the log has applied it."""
 
     def fire(self, trigger: str, **facts: object) -> None:
         """Take a transition, with ``facts`` in its record.
@@ -110,7 +112,7 @@ class StateMachine:
         written; then the state stays.
         """
         try:
-            self._model.trigger(trigger, **facts)
+            self.trigger(trigger, **facts)
         except MachineError as error:
             raise TransitionRefused(
                 f"{self.table.name} is {self.state}: {trigger!r} is not possible now"
@@ -120,24 +122,6 @@ class StateMachine:
         transition, trigger = cast("Transition", event.transition), event.event  # one was found
         body = {"machine": self.table.name, "from": transition.source, "to": transition.dest}
         self._journal.append("state", "", body | {"trigger": trigger.name} | event.kwargs)
-
-
-class _Model:
-    """The model that `transitions` moves: its state is the log's."""
-
-    trigger: Callable[..., bool]
-    may_trigger: Callable[[str], bool]
-
-    def __init__(self, table: Table, journal: Records) -> None:
-        self._name, self._log = table.name, journal.log
-
-    @property
-    def state(self) -> str:
-        return self._log.states[self._name]
-
-    @state.setter
-    def state(self, state: str) -> None:
-        """Do nothing: the record was written, and the log has applied it."""
 
 
 def mermaid(table: Table) -> str:
@@ -153,9 +137,6 @@ def mermaid(table: Table) -> str:
 
 # -- points that may be measured again -------------------------------------------------------------
 
-UNTIL_FITTED = ("grid", "repeatability")
-ALWAYS = ("validate",)
-
 
 def retake_refusal(log: Log, key: str) -> str:
     """Return why a point may not be re-measured, or nothing where it may."""
@@ -164,23 +145,15 @@ def retake_refusal(log: Log, key: str) -> str:
         return f"{key[:80]}: no such point was measured in this run"
     if key in log.retakes:
         return f"{key}: waits already to be re-measured"
-    return _bound(log, point)
+    return still_refused(log, point)
 
 
-def still_refused(log: Log, key: str) -> str:
-    """Return why a point that waits may no longer be re-measured, or nothing where it may."""
-    return _bound(log, log.points[key])
-
-
-def _bound(log: Log, point: Point) -> str:
-    if point.id.kind in ALWAYS and _repeatable(point):
-        return ""
-    if not (point.id.kind in UNTIL_FITTED and _repeatable(point)):
+def still_refused(log: Log, point: Point) -> str:
+    """Return why a point may no longer be re-measured, or nothing where it may."""
+    kind, repeatable = point.id.kind, point.commanded_deg is not None and bool(point.station)
+    if not (repeatable and kind in ("grid", "repeatability", "validate")):
         return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
-    if log.calibration in CALIBRATION.states[CALIBRATION.states.index("fitted") :]:
+    fitted = CALIBRATION.states[CALIBRATION.states.index("fitted") :]
+    if kind != "validate" and log.calibration in fitted:
         return f"{point.key}: the correction was built with it; start a new run"
     return ""
-
-
-def _repeatable(point: Point) -> bool:
-    return point.commanded_deg is not None and bool(point.station)

@@ -54,7 +54,8 @@ def close_all(devices: Devices) -> dict[str, Exception]:
 def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
     """Return the error of devices that move and could not be left at rest; None without any."""
     found = [
-        f"{device.lower()} could not be confirmed {AT_REST[device]}: {_summary(error)}"
+        f"{device.lower()} could not be confirmed {AT_REST[device]}: "
+        f"{error.summary if isinstance(error, DeviceError) else error}"
         for device, error in problems.items()
         if device in AT_REST
     ]
@@ -63,11 +64,6 @@ def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
     act = "it may still move: look at it, and use the E-stop before anybody goes near"
     expected = "rail held, robot at rest"
     return DeviceError("HC-C32", "Cell", "close", "; ".join(found), wanted=expected, act=act)
-
-
-def _summary(error: Exception) -> str:
-    """Return an error's words without its own advice."""
-    return error.summary if isinstance(error, DeviceError) else str(error)
 
 
 class Left(TypedDict):

@@ -16,7 +16,13 @@ from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
 from hilcell.journal.log import RunJournal
-from hilcell.model.events import AnswerRefused, Connected, DeviceBack, DeviceLost
+from hilcell.model.events import (
+    AnswerRefused,
+    ChangesAccepted,
+    Connected,
+    DeviceBack,
+    DeviceLost,
+)
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
@@ -24,13 +30,14 @@ from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
-from hilcell.run.run_plan import NONE, Changes, accepted, changed_assets
+from hilcell.run.run_plan import NONE, Changes, changed_assets
 
 REST_S = 0.02
 
 
 class PauseGate:
-    """Open at first. ``reached`` is called when the worker stands before the closed gate.
+    """Open at first. ``reached`` is called when the worker stands before the closed gate, where it
+    is ``resting``.
 
     A gate that opens and closes again at once must find the worker either resting or gone, never
     in between, and an open gate is never reported as reached; so a thread that changes or reports
@@ -42,23 +49,18 @@ class PauseGate:
         self._lock = threading.Lock()
         self._open = threading.Event()
         self._open.set()
-        self._resting = False
+        self.resting = False
 
     @property
     def closed(self) -> bool:
         """Whether the worker may not pass."""
         return not self._open.is_set()
 
-    @property
-    def resting(self) -> bool:
-        """Whether the worker waits here."""
-        return self._resting
-
     def close(self) -> None:
         """Let the worker wait when it comes here next."""
         with self._lock:
             self._open.clear()
-            if self._resting:
+            if self.resting:
                 self._reached()
 
     def open(self) -> None:
@@ -75,11 +77,11 @@ class PauseGate:
     def _passed(self) -> bool:
         with self._lock:
             if self._open.is_set():
-                self._resting = False
-            elif not self._resting:
-                self._resting = True
+                self.resting = False
+            elif not self.resting:
+                self.resting = True
                 self._reached()
-            return not self._resting
+            return not self.resting
 
 
 # A person who walks through the beam is gone in seconds, a lamp that dazzles the tracker in an
@@ -125,8 +127,6 @@ class UnattendedWait:
 
 ENDED = "the run has ended"
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
-
-Answers = list["Future[str]"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +249,10 @@ class Worker:
         self._await_screen()
         self._send(Started())
         if changes:
-            self._agree(changes)
+            if not self._changes.accepted:  # the operator sees what has changed
+                self._pause(f"not as before: {'; '.join(changes)}")
+            by = "--accept-changes" if self._changes.accepted else "the operator"
+            self._journal.append("event", "", ChangesAccepted(changes=changes, by=by))
             self._journal.append("event", "", connected)  # only now the next resume's measure
         self._checkpoint()
         self.session = CellSession(
@@ -262,14 +265,6 @@ class Worker:
             pause=self._pause,
         )
         self._procedure.perform(self.session)
-
-    def _agree(self, changes: list[str]) -> None:
-        """Wait until the operator, who sees what has changed, has the run go on."""
-        by = "--accept-changes"
-        if not self._changes.accepted:
-            by = "the operator"
-            self._pause(f"not as before: {'; '.join(changes)}")
-        accepted(self._journal, changes, by)
 
     def _claim(self, identities: list[Identity]) -> None:
         """Lock each device by its serial number: another run may reach it by another address.
@@ -343,7 +338,11 @@ class Worker:
         looked_s = -LOOK_S
         while True:
             self._at_rest()
-            answers, due = self._waited(looked_s)
+            if self._unattended:
+                answers, due = self.asking.waited(0.0), self._wait.look_due()
+            else:
+                answers = self.asking.waited(REST_S)
+                due = time.monotonic() - looked_s >= LOOK_S
             if not (answers or due):
                 continue
             seen, proven = self._look(prompt, look, answers)
@@ -356,15 +355,8 @@ class Worker:
                     raise error
                 raise unanswered(prompt, cause) from cause
 
-    def _waited(self, looked_s: float) -> tuple[Answers, bool]:
-        """Wait a moment; return the answers that came, and whether it is time for a look."""
-        if self._unattended:
-            return self.asking.waited(0.0), self._wait.look_due()
-        answers = self.asking.waited(REST_S)
-        return answers, time.monotonic() - looked_s >= LOOK_S
-
     def _look(
-        self, prompt: Prompt, look: Callable[[], Look], answers: Answers
+        self, prompt: Prompt, look: Callable[[], Look], answers: list[Future[str]]
     ) -> tuple[Look, bool]:
         """Look, and judge by it the answers that came before; return whether to go on.
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.cell.file import load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import RailReading, RobotReading
+from hilcell.run.control import Interlock
 from hilcell.run.interlocks import (
     Blocked,
-    Sight,
     check_joint_limits,
     check_strip,
     overview,
@@ -110,7 +110,7 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
         check_joint_limits(CELL, joints, "vertex 3")
 
 
-def sight(**changes: Any) -> Sight:
+def seen_now(cell: Cell, **changes: Any) -> list[Interlock]:
     values: dict[str, Any] = {
         "rail": rail(),
         "robot": robot(),
@@ -119,15 +119,15 @@ def sight(**changes: Any) -> Sight:
         "station": S1100,
         "now_s": 10.1,
     }
-    return Sight(**(values | changes))
+    return overview(cell, **(values | changes))
 
 
 def blocked(**changes: Any) -> set[str]:
-    return {each.name for each in overview(CELL, sight(**changes)) if each.blocked}
+    return {each.name for each in seen_now(CELL, **changes) if each.blocked}
 
 
 def test_a_robot_on_the_floor_has_no_interlocks_of_a_rail() -> None:
-    found = overview(load_cell("fixed"), sight(rail=None, station=None))
+    found = seen_now(load_cell("fixed"), rail=None, station=None)
     assert {each.name: each.blocked for each in found} == {"robot move": "", "measurement": ""}
 
 

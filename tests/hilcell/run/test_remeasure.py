@@ -73,7 +73,7 @@ def test_a_point_never_measured_is_refused_and_one_that_waits() -> None:
     log.take(Record(3, "", "event", "", {"what": "retake asked", "key": "key"}))
     assert list(log.retakes) == ["key"]
     assert "key" in retake_refusal(log, "key")
-    assert still_refused(log, "key") == ""
+    assert still_refused(log, log.points["key"]) == ""
     log.take(Record(4, "", "point", "key", POINT | {"station": "S1100"}))
     assert list(log.retakes) == []
 
