@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 from hilcell.errors import EXIT_REFUSED
-from hilcell.journal.journal import Record
-from hilcell.model.events import CalibrationRevoked, CalibrationUsed
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import (
     VALIDATION,
@@ -61,31 +59,6 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
         elif not words and self.kind == "made" and not self.validated:
             words = "not validated"
         return "; ".join(filter(None, (words, SUSPECTED if self.suspected else "")))
-
-
-class CalibrationReader:
-    """Gathers the facts from the records of a journal, in their order."""
-
-    def __init__(self) -> None:
-        self._verdicts: dict[str, Verdict] = {}
-        self._used = self._revoked = ""
-        self.moved = False  # the cell
-
-    def take(self, record: Record) -> None:
-        """Add one record; raises `msgspec.ValidationError`."""
-        self.moved = self.moved or record.kind == "intent"
-        match record.fact if record.kind in ("event", "verdict") else None:
-            case Verdict() as verdict:
-                self._verdicts[record.key] = verdict
-            case CalibrationUsed(run=run):
-                self._used = run
-            case CalibrationRevoked(reason=reason):
-                self._revoked = reason
-
-    @property
-    def facts(self) -> CalibrationFacts:
-        """Return what the records have said."""
-        return facts_of(self._verdicts, self._used, self._revoked)
 
 
 def facts_of(

@@ -23,25 +23,20 @@ from datetime import UTC, datetime, timedelta
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
 from hilcell.errors import HilcellError, one_line
-from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
+from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
 from hilcell.journal.journal import ABSENT, FETCH, NeverBegan, Record, StorageError
-from hilcell.journal.runs import (
-    JOURNAL,
-    is_run,
-    live_engine,
-    read_records,
-    run_folders,
-    unusable,
-)
+from hilcell.journal.runs import JOURNAL, is_run, live_engine, read_records, run_folders, unusable
 from hilcell.journal.states import OVER, RunState
-from hilcell.model.events import Connected, SessionOrdered
+from hilcell.model.events import CalibrationRevoked, CalibrationUsed, Connected, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.records import Ended, StateChanged
 from hilcell.model.results import Place
+from hilcell.model.verdicts import Verdict
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
@@ -50,11 +45,7 @@ BUSY_S = 2.0  # another process writes; without its leave the journals are read 
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
-LARGEST_ROW = 2**20  # bytes
-# As bytes: damage is noticed by the seal.
-_STORED = """
-SELECT CAST(name AS BLOB), CAST(stamp AS BLOB), CAST(row AS BLOB), CAST(seal AS BLOB) FROM run
-"""
+T = TypeVar("T")
 _TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
 
 
@@ -333,25 +324,9 @@ class _Result(msgspec.Struct):
     campaign: _Fit = msgspec.field(default_factory=_Fit)
 
 
-class SessionReader:
-    """Gathers from a journal's records which session the last one is, and when it began (UTC, ms).
-
-    A session takes its number before it begins: one that is refused has none.
-    """
-
-    def __init__(self) -> None:
-        self.order, self.began = FolderOrder(), ""
-        self._taken = self.order
-
-    def take(self, record: Record) -> None:
-        """Add one record; raises `msgspec.ValidationError`."""
-        match record.fact if record.kind in ("plan", "event", "state") else None:
-            case PlanRecord(order=order):
-                self.order = self._taken = order
-            case SessionOrdered(folder=folder, number=number, after=after):
-                self._taken = FolderOrder(folder, number, after)
-            case StateChanged(to="checking"):
-                self.order, self.began = self._taken, f"{record.t[:23]}Z"
+def _facts(records: Iterable[Record], kind: type[T]) -> list[tuple[Record, T]]:
+    """Return the records of a type; raises `msgspec.ValidationError`."""
+    return [(record, record.fact) for record in records if isinstance(record.fact, kind)]
 
 
 def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
@@ -361,76 +336,53 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 
     `Log` says the same and more, but loads arrays and all points for it.
     """
-    plan: tuple[Record, PlanRecord] | None = None
-    end: Record | None = None
-    state: RunState = "idle"
-    why = ""
-    simulated = False
-    points: set[str] = set()
-    reader, sessions = CalibrationReader(), SessionReader()
-    for record in records:
-        reader.take(record)
-        sessions.take(record)
-        if record.kind == "point":
-            points.add(record.key)
-        match record.fact if record.kind in ("plan", "state", "event", "end") else None:
-            case PlanRecord() as inputs:
-                plan = record, inputs
-            case Ended():
-                end = record
-            case Connected(devices=devices):
-                simulated = simulated or any(each.simulated for each in devices)
-            case StateChanged(machine="run", to=to, reason=why):
-                state = typed(to, RunState)
-                end = None if state == "checking" else end
-    if plan is None:
+    records = list(records)
+    told = [each for each in records if each.kind not in ("intent", "frame", "point")]
+    plans = _facts(told, PlanRecord)
+    if not plans:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
-    row = _row(name, *plan, state, end, why, len(points))
-    simulated = row.simulated or simulated
-    return msgspec.structs.replace(
-        row,
-        simulated=simulated,
-        session=sessions.began,
-        moved=reader.moved,
-        facts=reader.facts,
-        order=sessions.order,
-    )
-
-
-def _row(
-    name: str,
-    plan: Record,
-    inputs: PlanRecord,
-    state: str,
-    end: Record | None,
-    why: str,
-    points: int,
-) -> RunRow:
-    last = end.fact if end is not None and isinstance(end.fact, Ended) else None
-    before_mean_mm, chosen_mean_mm, chosen_max_mm = (
-        _figures(last.result, inputs.grid_station) if last is not None else (None, None, None)
+    plan, inputs = plans[-1]
+    life = [each for each in _facts(told, StateChanged) if each[1].machine == "run"]
+    states: list[RunState] = ["idle", *(typed(change.to, RunState) for _, change in life)]
+    began = next((record for record, change in reversed(life) if change.to == "checking"), plan)
+    ends = [each for each in _facts(told, Ended) if each[0].seq > began.seq]
+    end, last = ends[-1] if ends else (None, None)
+    # A session takes its number before it begins: one that is refused has none.
+    ordered = [each for record, each in _facts(told, SessionOrdered) if record.seq < began.seq]
+    orders = [inputs.order]
+    orders += [FolderOrder(each.folder, each.number, each.after) for each in ordered]
+    verdicts = {record.key: each for record, each in _facts(told, Verdict)}
+    used = ["", *(each.run for _, each in _facts(told, CalibrationUsed))]
+    revoked = ["", *(each.reason for _, each in _facts(told, CalibrationRevoked))]
+    devices = [device for _, each in _facts(told, Connected) for device in each.devices]
+    before_mean_mm, chosen_mean_mm, chosen_max_mm = _figures(
+        {} if last is None else last.result, inputs.grid_station
     )
     return RunRow(
         name=name,
         begun=_seconds(plan.t),
+        session="" if began is plan else f"{began.t[:23]}Z",
         origin=hashlib.sha256(msgspec.json.encode(plan)).hexdigest(),
-        state=state,
-        ended=_seconds(end.t) if end is not None else "",
-        reason=why or (last.reason if last is not None else ""),
+        state=states[-1],
+        ended="" if end is None else _seconds(end.t),
+        reason=(life[-1][1].reason if life else "") or ("" if last is None else last.reason),
         procedure=inputs.procedure,
         cell=inputs.cell_name,
         serial=inputs.serial,
         operator=inputs.operator,
         job=inputs.job,
         seed=inputs.seed,
-        simulated=inputs.simulated,
+        simulated=inputs.simulated or any(each.simulated for each in devices),
         machine_seed=inputs.machine_seed,
+        moved=any(each.kind == "intent" for each in records),
         replayed=inputs.replayed,
-        points=points,
-        exit=last.exit if last is not None else None,
+        points=len({each.key for each in records if each.kind == "point"}),
+        exit=None if last is None else last.exit,
         before_mean_mm=before_mean_mm,
         chosen_mean_mm=chosen_mean_mm,
         chosen_max_mm=chosen_max_mm,
+        facts=facts_of(verdicts, used[-1], revoked[-1]),
+        order=orders[-1],
     )
 
 
@@ -501,7 +453,9 @@ def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     """Return the rows whose journals are still the files that they were read from."""
     rows: dict[str, RunRow] = {}
     with _spared(index), closing(_opened(index)) as base:
-        stored = base.execute(_STORED).fetchall()
+        # As bytes: damage is noticed by the seal.
+        parts = ", ".join(f"CAST({each} AS BLOB)" for each in ("name", "stamp", "row", "seal"))
+        stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608
         if any(seal != _seal(*sealed) for *sealed, seal in stored):
             raise sqlite3.DatabaseError(f"{index}: a row is not the one that was stored")
         texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]
@@ -554,7 +508,7 @@ def _opened(index: Path) -> sqlite3.Connection:
     base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
         base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_ROW)
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**20)  # bytes of a row
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
             base.execute("BEGIN IMMEDIATE")
             base.execute("DROP TABLE IF EXISTS run")
