@@ -9,14 +9,7 @@ import msgspec
 
 from hilcell.errors import EXIT_REFUSED
 from hilcell.model.outcome import Outcome
-from hilcell.model.verdicts import (
-    VALIDATION,
-    ChangedSince,
-    Judged,
-    PoseTested,
-    Rechecked,
-    Verdict,
-)
+from hilcell.model.verdicts import VALIDATION, ChangedSince, Judged, PoseTested, Rechecked, Verdict
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log

@@ -17,14 +17,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from hilcell.errors import HilcellError, one_line
-from hilcell.journal.journal import (
-    FETCH,
-    NeverBegan,
-    Record,
-    StorageError,
-    is_there,
-    read_journal,
-)
+from hilcell.journal.journal import FETCH, NeverBegan, Record, StorageError, is_there, read_journal
 from hilcell.typed import decoded
 
 if TYPE_CHECKING:

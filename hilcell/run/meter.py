@@ -15,13 +15,7 @@ from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
 from hilcell.model.events import NoReadingOf, ReadingTime, Seated
 from hilcell.model.point import Point, PointId, Readings
-from hilcell.ports import (
-    Array,
-    DeviceError,
-    NoReading,
-    RobotReading,
-    TrackerReading,
-)
+from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
 from hilcell.run.interlocks import check_held, check_strip, time_of
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt

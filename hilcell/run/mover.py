@@ -24,14 +24,7 @@ from hilcell.model.events import (
     StreamRecorded,
     StripBack,
 )
-from hilcell.ports import (
-    Array,
-    DeviceError,
-    Rail,
-    RailReading,
-    RobotReading,
-    StripLost,
-)
+from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
 from hilcell.run.collision import (
     ComingPoses,
     FirstPass,

@@ -16,13 +16,7 @@ from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
 from hilcell.journal.log import RunJournal
-from hilcell.model.events import (
-    AnswerRefused,
-    ChangesAccepted,
-    Connected,
-    DeviceBack,
-    DeviceLost,
-)
+from hilcell.model.events import AnswerRefused, ChangesAccepted, Connected, DeviceBack, DeviceLost
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
