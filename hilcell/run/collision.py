@@ -11,7 +11,6 @@ the grid's cube and the circles of the base frame. There, and nowhere else, the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -59,7 +58,7 @@ def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
 
 def check_path(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
     """Refuse a plan's ways between joints (6,) or (N, 6) at ``station``; raises `Blocked`."""
-    _refuse_unclear(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
+    check_way(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
 
 
 def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
@@ -147,9 +146,15 @@ def below(cell: Cell, joints_rad: Array) -> Array:
     return beside
 
 
-def check_way(cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str) -> None:
-    """Refuse a motion between joints (6,) with the slide at ``rail_mm``; raises `Blocked`."""
-    _refuse_unclear(cell, rail_mm, from_rad, to_rad, what, 0.0)
+def check_way(
+    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, more_mm: float = 0.0
+) -> None:
+    """Refuse motions between joints (6,) or (N, 6) with the slide at ``rail_mm``.
+
+    Raises `Blocked`. A plan is stricter by ``more_mm``.
+    """
+    start, end = posture(rail_mm, np.atleast_2d(from_rad)), posture(rail_mm, np.atleast_2d(to_rad))
+    _refuse_ways(cell, start, end, what, more_mm)
 
 
 def stops_on_way(
@@ -177,13 +182,6 @@ def _proven(around: Surroundings, rail_mm: float, *stops_rad: Array) -> Bools:
     """Return which ways between one stop (6,) and the next are proven clear."""
     stops = posture(rail_mm, np.array(stops_rad))
     return around.prove(stops[:-1], stops[1:]).clear
-
-
-def _refuse_unclear(
-    cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, more_mm: float
-) -> None:
-    start, end = posture(rail_mm, np.atleast_2d(from_rad)), posture(rail_mm, np.atleast_2d(to_rad))
-    _refuse_ways(cell, start, end, what, more_mm)
 
 
 def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float) -> None:
@@ -233,20 +231,13 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
 RESERVE_MM = 5.0  # beyond the wanted clearance; a plan's legs have 10
 
 
-@dataclass(frozen=True, slots=True)
-class Coming:
-    """A pose: from which posture (7,) its ways are proven, if they are; `leaves_cube`."""
-
-    start: Array | None
-    leaves_cube: bool
-
-
 class ComingPoses:
     """Knows the poses by their joints, to the last bit."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        self._coming: dict[bytes, Coming] = {}
+        # From which posture (7,) its ways are proven, if they are; whether it leaves the cube.
+        self._coming: dict[bytes, tuple[Array | None, bool]] = {}
 
     def expect(self, rail_mm: float, joints_rad: Array) -> None:
         """Prove the ways from the safe pose to joints (N, 6) in turn, each from below."""
@@ -260,7 +251,7 @@ class ComingPoses:
         to_below, from_there = proof.clear.reshape(2, -1)
         clear = to_below & from_there
         self._coming = {
-            joints.tobytes(): Coming(stops[0, n] if clear[n] else None, bool(leaves))
+            joints.tobytes(): (stops[0, n] if clear[n] else None, bool(leaves))
             for n, (joints, leaves) in enumerate(
                 zip(joints_rad, leaves_cube(cell, joints_rad), strict=True)
             )
@@ -268,17 +259,17 @@ class ComingPoses:
 
     def clear(self, rail_mm: float, from_rad: Array, to_rad: Array) -> bool:
         """Whether the ways from joints (6,) to others, from below, are within the reserve."""
-        coming, around = self._coming.get(to_rad.tobytes()), self._cell.surroundings
-        if coming is None or coming.start is None or around is None:
+        start, _ = self._coming.get(to_rad.tobytes(), (None, True))
+        around = self._cell.surroundings
+        if start is None or around is None:
             return False
-        return around.apart_mm(coming.start, posture(rail_mm, from_rad)) <= RESERVE_MM
+        return around.apart_mm(start, posture(rail_mm, from_rad)) <= RESERVE_MM
 
     def leaves_cube(self, joints_rad: Array) -> bool:
         """Return `leaves_cube` of joints (6,)."""
-        coming = self._coming.get(joints_rad.tobytes())
-        if coming is None:
-            return bool(leaves_cube(self._cell, joints_rad[None])[0])
-        return coming.leaves_cube
+        if (coming := self._coming.get(joints_rad.tobytes())) is not None:
+            return coming[1]
+        return bool(leaves_cube(self._cell, joints_rad[None])[0])
 
 
 # Outside of the cube the volumes are only as right as the cell file. So the robot goes there slowly
@@ -302,23 +293,19 @@ class FirstPass:
         usual = cell.robot.speed_percent
         if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
             return usual
-        if any(
-            driven.has(strip_mm, joints_rad) for driven in (self._run.log.driven, *self._earlier)
-        ):
+        known = (self._run.log.driven, *self._earlier)
+        if any(driven.has(strip_mm, joints_rad) for driven in known):
             return usual
         slow = min(cell.robot.first_pass_percent, usual)
         if not self._announced:
             self._announced = True
-            self._announce(what, slow)
+            self._run.add(FirstPassBegun(key=what, speed_percent=slow))
+            if self._run.cell.pauses_at_first_pass:
+                self._run.pause(
+                    f"{what}: the robot leaves the grid's cube, to where it was never driven in "
+                    f"this cell, at {slow:g} %; clear the cell and stay at the E-stop"
+                )
         return slow
-
-    def _announce(self, what: str, percent: float) -> None:
-        self._run.add(FirstPassBegun(key=what, speed_percent=percent))
-        if self._run.cell.pauses_at_first_pass:
-            self._run.pause(
-                f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
-                f"cell, at {percent:g} %; clear the cell and stay at the E-stop"
-            )
 
     @cached_property
     def _earlier(self) -> list[Driven]:

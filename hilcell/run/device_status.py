@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TypeVar
+from contextlib import AbstractContextManager, contextmanager
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -35,8 +35,7 @@ from hilcell.ports import (
 from hilcell.run.control import DeviceStatus
 
 REFRESH_S = 0.5
-
-
+D = TypeVar("D", Rail, Robot, Tracker)
 Reading = TypeVar("Reading", RailReading, RobotReading, TrackerReading)
 
 
@@ -124,9 +123,9 @@ class CellMonitor:
         self.rail_reading: RailReading | None = None
         self.robot_reading: RobotReading | None = None
         self.devices = Devices(
-            _WatchedRail(devices.rail, self),
-            _WatchedRobot(devices.robot, self),
-            _WatchedTracker(devices.tracker, self),
+            _WatchedRail(devices.rail, self.rail, self),
+            _WatchedRobot(devices.robot, self.robot, self),
+            _WatchedTracker(devices.tracker, self.tracker, self),
             devices.rail_rides,
         )
         self._refreshed_s = 0.0
@@ -190,118 +189,96 @@ class CellMonitor:
         return {name: monitor.status() for name, monitor in monitors.items()}
 
 
-class _WatchedRail:
-    """Satisfies `hilcell.ports.Rail`."""
+class _Watched(Generic[D]):
+    """A device as the run uses it. Its statistics, stop and close are not watched."""
 
-    def __init__(self, rail: Rail, monitor: CellMonitor) -> None:
-        self._rail, self._monitor = rail, monitor
+    def __init__(self, device: D, own: DeviceMonitor, monitor: CellMonitor) -> None:
+        self._device, self._own, self._monitor = device, own, monitor
 
-    @contextmanager
-    def _watch(self, *, moving: bool = False) -> Iterator[None]:
-        with self._monitor.rail.call(moving=moving):
-            try:
-                with self._monitor.strip.watch(moving=moving):
-                    yield
-            except StripLost as lost:
-                self._monitor.strip.reason = str(lost)
-                raise
+    def _call(self, *, moving: bool = False) -> AbstractContextManager[None]:
+        return self._own.call(moving=moving)
 
     def connect(self) -> list[Identity]:
-        with self._watch():
-            return self._monitor.rail.identified(self._rail.connect())
-
-    def home(self) -> None:
-        with self._watch(moving=True):
-            self._rail.home()
-
-    def move_to(self, position_mm: float) -> None:
-        with self._watch(moving=True):
-            self._rail.move_to(position_mm)
-
-    def settle(self) -> RailReading:
-        with self._watch(moving=True):
-            return self._monitor.take_rail(self._rail.settle())
-
-    def read(self) -> RailReading:
-        with self._watch():
-            return self._monitor.take_rail(self._rail.read())
-
-    def hold(self) -> None:
-        with self._watch():
-            self._rail.hold()
-
-    def statistics(self) -> LinkStatistics:
-        return self._rail.statistics()
+        with self._call():
+            return self._own.identified(self._device.connect())
 
     def stop(self) -> None:
-        self._rail.stop()
+        self._device.stop()
 
     def close(self) -> None:
-        self._rail.close()
+        self._device.close()
 
 
-class _WatchedRobot:
+class _WatchedRail(_Watched[Rail]):
+    """Satisfies `hilcell.ports.Rail`."""
+
+    @contextmanager
+    def _call(self, *, moving: bool = False) -> Iterator[None]:
+        strip = self._monitor.strip
+        with self._own.call(moving=moving):
+            try:
+                with strip.watch(moving=moving):
+                    yield
+            except StripLost as lost:
+                strip.reason = str(lost)
+                raise
+
+    def home(self) -> None:
+        with self._call(moving=True):
+            self._device.home()
+
+    def move_to(self, position_mm: float) -> None:
+        with self._call(moving=True):
+            self._device.move_to(position_mm)
+
+    def settle(self) -> RailReading:
+        with self._call(moving=True):
+            return self._monitor.take_rail(self._device.settle())
+
+    def read(self) -> RailReading:
+        with self._call():
+            return self._monitor.take_rail(self._device.read())
+
+    def hold(self) -> None:
+        with self._call():
+            self._device.hold()
+
+    def statistics(self) -> LinkStatistics:
+        return self._device.statistics()
+
+
+class _WatchedRobot(_Watched[Robot]):
     """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
 
-    def __init__(self, robot: Robot, monitor: CellMonitor) -> None:
-        self._robot, self._monitor = robot, monitor
-
-    def connect(self) -> list[Identity]:
-        with self._monitor.robot.call():
-            return self._monitor.robot.identified(self._robot.connect())
-
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        with self._monitor.robot.call(moving=True):
-            return self._monitor.take_robot(self._robot.move_to(joints_rad, speed_percent))
+        with self._call(moving=True):
+            return self._monitor.take_robot(self._device.move_to(joints_rad, speed_percent))
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
-        sweeps = sweeps_of(self._robot)
-        with (
-            self._monitor.robot.watch(moving=True),
-            sweeps.sweep(axis, end_rad, speed_rad_s) as sweep,
-        ):
+        sweeps = sweeps_of(self._device)
+        with self._own.watch(moving=True), sweeps.sweep(axis, end_rad, speed_rad_s) as sweep:
             yield sweep
 
     def read(self) -> RobotReading:
-        with self._monitor.robot.call():
-            return self._monitor.take_robot(self._robot.read())
-
-    def stop(self) -> None:
-        self._robot.stop()
-
-    def close(self) -> None:
-        self._robot.close()
+        with self._call():
+            return self._monitor.take_robot(self._device.read())
 
 
-class _WatchedTracker:
+class _WatchedTracker(_Watched[Tracker]):
     """Satisfies `hilcell.ports.Tracker`, and `Streams` and `TwoFaces` where its tracker does."""
 
-    def __init__(self, tracker: Tracker, monitor: CellMonitor) -> None:
-        self._tracker, self._monitor = tracker, monitor
-
-    def connect(self) -> list[Identity]:
-        with self._monitor.tracker.call():
-            return self._monitor.tracker.identified(self._tracker.connect())
-
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        with self._monitor.tracker.call():
-            return self._monitor.take_tracker(self._tracker.measure(near_mm, reflector, samples))
+        with self._call():
+            return self._monitor.take_tracker(self._device.measure(near_mm, reflector, samples))
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        turning = turning_over(self._tracker)
-        with self._monitor.tracker.call():
-            found = turning.measure_back(near_mm, reflector, samples)
-            return self._monitor.take_tracker(found)
+        turning = turning_over(self._device)
+        with self._call():
+            return self._monitor.take_tracker(turning.measure_back(near_mm, reflector, samples))
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
-        streams = streams_of(self._tracker)
-        with self._monitor.tracker.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
+        streams = streams_of(self._device)
+        with self._own.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
             yield stream
-
-    def stop(self) -> None:
-        self._tracker.stop()
-
-    def close(self) -> None:
-        self._tracker.close()

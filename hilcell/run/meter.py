@@ -58,12 +58,20 @@ class Meter:
     def _reading(
         self, key: str, near_mm: Array, samples: int, *, back: bool = False
     ) -> TrackerReading:
-        """Return one measurement; raises `NoReading`."""
+        """Return one measurement; raises `NoReading`, and `DeviceError` for an older one."""
         tracker = self._run.devices.tracker
         take = turning_over(tracker).measure_back if back else tracker.measure
         reflector, began_s = self._run.cell.tracker.reflector, self._run.clock.pc_s()
         reading = take(near_mm, reflector, samples)
-        _check_fresh(key, reading, began_s)
+        if not reading.taken_s >= began_s:
+            raise DeviceError(
+                "HC-T31",
+                "Tracker",
+                f"measure {key}",
+                f"result is {began_s - reading.taken_s:.3f} s older than its request",
+                act="an answer of an earlier measurement was still under way; resume",
+                fields={"point": key, "late_s": began_s - reading.taken_s},
+            )
         return reading
 
     def _look(self, key: str, near_mm: Array) -> Look:
@@ -218,15 +226,3 @@ class Meter:
         near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
         prompt = borrow_prompt(self._run.cell, place, nest.name, near_mm)
         self._run.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)
-
-
-def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:
-    if not reading.taken_s >= began_s:
-        raise DeviceError(
-            "HC-T31",
-            "Tracker",
-            f"measure {key}",
-            f"result is {began_s - reading.taken_s:.3f} s older than its request",
-            act="an answer of an earlier measurement was still under way; resume",
-            fields={"point": key, "late_s": began_s - reading.taken_s},
-        )

@@ -49,20 +49,11 @@ from hilcell.run.run_context import RunContext
 # same side, and only the strip, read at rest, says where the slide is.
 
 
-@dataclass(frozen=True, slots=True)
-class Approach:
-    """A held station: the reading at rest and how many approaches it took."""
+def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
+    """Bring the slide to ``station`` from below; return how many approaches that took.
 
-    station: str
-    reading: RailReading
-    tries: int
-
-
-def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach:
-    """Bring the slide to ``station`` from below; raises `DeviceError` when it does not hold.
-
-    Raises `StripLost` for a strip that does not follow at all. Every approach must shrink the
-    error; the side of approach never changes.
+    Every approach must shrink the error; the side of approach never changes. Raises `DeviceError`
+    when it does not hold, `StripLost` for a strip that does not follow at all.
     """
     command_mm = station.rail_mm
     error_mm = float("inf")
@@ -74,7 +65,7 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach
         _check_strip_follows(table, station, before, reading)
         found_mm = station.strip_mm - reading.strip_mm
         if abs(found_mm) <= table.strip_tolerance_mm + 1e-9:
-            return Approach(station.name, reading, tries)
+            return tries
         if not abs(found_mm) < abs(error_mm):
             break
         error_mm = found_mm
@@ -269,7 +260,7 @@ class Mover:
             self._run.add(StationFoundHeld(station=station.name))
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
-        approach = approach_station(self._run.devices.rail, self._run.cell.rail, station)
+        tries = approach_station(self._run.devices.rail, self._run.cell.rail, station)
         self._hold_rail()
         reading = self._run.devices.rail.read()
         check_strip(self._run.cell, reading, station, "hold")
@@ -277,7 +268,7 @@ class Mover:
         self._run.add(
             StationHeld(
                 station=station.name,
-                tries=approach.tries,
+                tries=tries,
                 strip_mm=reading.strip_mm,
                 rail_mm=reading.position_mm,
                 began=began,

@@ -20,8 +20,6 @@ from hilcell.ports import Array, Clock
 from hilcell.run.control import PromptStatus
 
 LOOK_S = 0.5
-NOTHING_ASKED = "nothing is asked now"
-SEE = "see that nothing is in the line of sight, and that the reflector is clean and sits well"
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,7 +75,7 @@ class Asking:
         future: Future[str] = Future()
         with self._lock:
             if self._prompt is None:
-                future.set_result(NOTHING_ASKED)
+                future.set_result("nothing is asked now")
             else:
                 self._answers.append(future)
                 self._asked.set()
@@ -171,6 +169,7 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
 
 
 FLANGE = "flange"
+_SEE = "see that nothing is in the line of sight, and that the reflector is clean and sits well"
 OTHER_BALL_MM = 20.0  # a ball of another size has its centre elsewhere in the same nest
 
 
@@ -232,7 +231,7 @@ def beam_prompt(
     """
     entry = entry_of(error.code, error.device)
     found = entry.title if entry.specific else error.found
-    advice = error.act or SEE
+    advice = error.act or _SEE
     return Prompt(
         title=f"No good reading of {place}",
         text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",

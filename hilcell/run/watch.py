@@ -19,6 +19,7 @@ While the run is suspended the tracker looks at a floor nest for its weather sta
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, NoReturn
 
@@ -26,7 +27,7 @@ import numpy as np
 
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
-from hilcell.cell.file import Cell, Nest, Station
+from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, positions_mm, run_noise
 from hilcell.journal.set_ups import PROOFS, world_key
@@ -62,7 +63,6 @@ from hilcell.run.states import retake_refusal
 
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 STRAIGHT_MM = 0.5  # a way between stations by the strip: its error, the rail's tilt and lean
-PLACE = "the room"
 
 
 class BlockLost(Exception):
@@ -125,8 +125,11 @@ class Watch:
         if self._framed:
             self.prove()
             return
-        self._discard_begun(number)
-        nests = self._measured(_nest_ids(cell, number))
+        ids = _nest_ids(cell, number)
+        # Since an engine before this one measured them, the tracker may have moved.
+        if begun := [id.key for id in ids if self._run.log.find(id)]:
+            self._run.add(WorldFramedAgain(invalid=begun))
+        nests = self._measured(ids)
         measured_mm = positions_mm(nests)
         if not number:
             check_places(cell, measured_mm)
@@ -137,12 +140,6 @@ class Watch:
         T = world_from_tracker(cell, measured_mm)
         keys = [nest.key for nest in nests]
         self._run.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
-
-    def _discard_begun(self, number: int) -> None:
-        """Discard nests that an engine before this one measured: the tracker may have moved."""
-        ids = _nest_ids(self._run.cell, number)
-        if begun := [id.key for id in ids if self._run.log.find(id)]:
-            self._run.add(WorldFramedAgain(invalid=begun))
 
     def prove(self) -> None:
         """Prove that the tracker stands where {W} was framed.
@@ -195,8 +192,12 @@ class Watch:
 
     def _controls(self) -> list[Point]:
         """Measure all floor nests as control points."""
-        log, nests = self._run.log, self._run.cell.layout.floor
-        return self._measured([_control_id(log, nest) for nest in nests])
+        log, names = self._run.log, [nest.name for nest in self._run.cell.layout.floor]
+        kinds = (*PROOFS, LENGTH)
+        before = Counter(point.id.nest for kind in kinds for point in log.measured(kind))
+        return self._measured(
+            [PointId("control", session=log.session, turn=before[n], nest=n) for n in names]
+        )
 
     def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
         """Frame {W} at a new set-up, of a tracker that stands elsewhere than it did ``before``."""
@@ -378,7 +379,7 @@ class Watch:
             title="Wait for the room's temperature",
             text=f"{cause.found}. The run goes on by itself when the air is {cause.wanted}; close "
             "doors and gates, look at the heating.",
-            place=PLACE,
+            place="the room",
             expected_mm=(x, y, z),
             limit_mm=self._run.cell.tracker.find_radius_mm,
             reason=f"room temperature: {cause.found}, wanted {cause.wanted}",
@@ -428,13 +429,6 @@ class Watch:
 def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
     """Return the identities of the points that frame {W} at a set-up."""
     return [PointId("world", number=set_up or None, nest=nest.name) for nest in cell.layout.floor]
-
-
-def _control_id(log: Log, nest: Nest) -> PointId:
-    """Return the identity of the nest's next control point."""
-    before = (point for kind in (*PROOFS, LENGTH) for point in log.measured(kind))
-    turn = sum(point.id.nest == nest.name for point in before)
-    return PointId("control", session=log.session, turn=turn, nest=nest.name)
 
 
 def _rests_on(log: Log, point: Point) -> str:

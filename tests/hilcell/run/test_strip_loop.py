@@ -57,8 +57,8 @@ def test_it_converges_and_always_comes_from_below(
     offset_mm: float, backlash_mm: float, gain: float
 ) -> None:
     slide = Slide(offset_mm, backlash_mm, gain)
-    approach = approach_station(slide, CELL.rail, S1100)
-    assert abs(approach.reading.strip_mm - S1100.strip_mm) <= 0.01 + 1e-9
+    approach_station(slide, CELL.rail, S1100)
+    assert abs(slide.settle().strip_mm - S1100.strip_mm) <= 0.01 + 1e-9
     for low, high in zip(slide.moves[0::2], slide.moves[1::2], strict=True):
         assert math.isclose(high - low, CELL.rail.back_off_mm)
 
