@@ -337,24 +337,24 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     `Log` says the same and more, but loads arrays and all points for it.
     """
     records = list(records)
-    told = [each for each in records if each.kind not in ("intent", "frame", "point")]
-    plans = _facts(told, PlanRecord)
+    facts = [each for each in records if each.kind not in ("intent", "frame", "point")]
+    plans = _facts(facts, PlanRecord)
     if not plans:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
     plan, inputs = plans[-1]
-    life = [each for each in _facts(told, StateChanged) if each[1].machine == "run"]
+    life = [each for each in _facts(facts, StateChanged) if each[1].machine == "run"]
     states: list[RunState] = ["idle", *(typed(change.to, RunState) for _, change in life)]
     began = next((record for record, change in reversed(life) if change.to == "checking"), plan)
-    ends = [each for each in _facts(told, Ended) if each[0].seq > began.seq]
+    ends = [each for each in _facts(facts, Ended) if each[0].seq > began.seq]
     end, last = ends[-1] if ends else (None, None)
     # A session takes its number before it begins: one that is refused has none.
-    ordered = [each for record, each in _facts(told, SessionOrdered) if record.seq < began.seq]
+    ordered = [each for record, each in _facts(facts, SessionOrdered) if record.seq < began.seq]
     orders = [inputs.order]
     orders += [FolderOrder(each.folder, each.number, each.after) for each in ordered]
-    verdicts = {record.key: each for record, each in _facts(told, Verdict)}
-    used = ["", *(each.run for _, each in _facts(told, CalibrationUsed))]
-    revoked = ["", *(each.reason for _, each in _facts(told, CalibrationRevoked))]
-    devices = [device for _, each in _facts(told, Connected) for device in each.devices]
+    verdicts = {record.key: each for record, each in _facts(facts, Verdict)}
+    used = ["", *(each.run for _, each in _facts(facts, CalibrationUsed))]
+    revoked = ["", *(each.reason for _, each in _facts(facts, CalibrationRevoked))]
+    devices = [device for _, each in _facts(facts, Connected) for device in each.devices]
     before_mean_mm, chosen_mean_mm, chosen_max_mm = _figures(
         {} if last is None else last.result, inputs.grid_station
     )
