@@ -147,20 +147,15 @@ def _named(column: int, step: float) -> tuple[str, float]:
     return f"{name} of joint {row + 1}", float(np.degrees(step)) if "deg" in name else step
 
 
-class SolvedByFactoryLinks(HilcellError):
-    """A program of Cartesian points for a controller that solves them with links of its own."""
-
-    code = "HC-C10"
-
-
 def check_links(calibration: Calibration, name: str) -> None:
     """Refuse to correct the Cartesian points of a program that the controller solves with other
-    links than the calibration was learnt with; raises `SolvedByFactoryLinks`.
+    links than the calibration was learnt with; raises `HilcellError`.
     """
     if calibration.provenance.links == "factory":
-        raise SolvedByFactoryLinks(
+        raise HilcellError(
             f"{name}: its points are Cartesian, and this robot's controller solves them with links "
             "that its factory has measured; the calibration was learnt with those of the cell "
             "file, so each point would be millimetres off; `hilcell prepare HOLES.csv` writes a "
-            "program of joints"
+            "program of joints",
+            code="HC-C10",
         )

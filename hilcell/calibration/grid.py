@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from statistics import NormalDist
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,17 +26,12 @@ from numpy.typing import ArrayLike
 from hilcell.cell.file import Cell, coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.model import Measured, MeasuredArm, StaticPoses
-from hilcell.geometry.frames import (
-    apply,
-    inverse,
-    matrix,
-)
+from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.readings import Readings
 from hilcell.identification.sweeps import curve_of
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId
-from hilcell.ports import HilcellError
 
 ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's
 
@@ -121,7 +117,7 @@ def grid_pairs(log: Log) -> Pairs:
     points = log.select("grid")
     i, j, k = np.array([point.id.vertex for point in points]).T
     nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
-    return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
+    return Pairs.of(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
 
 
 def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
@@ -174,12 +170,6 @@ def _terms(shape: tuple[int, ...]) -> Array:
     return np.column_stack(columns)
 
 
-class SimilarityError(HilcellError):
-    """Poses or bins of which no similarity can be stated."""
-
-    code = "HC-C21"
-
-
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Every two of a set of poses: distances of joints and of tool points, difference of errors.
@@ -192,58 +182,19 @@ class Pairs:
     cartesian_mm: Array
     difference_mm: Array
 
-    @property
-    def similarity(self) -> Array:
-        """Return eq 8's similarity (P,) in 1/mm."""
-        return _inverted(self.difference_mm)
+    @classmethod
+    def of(cls, joints_rad: Array, points_mm: Array, errors_mm: Array) -> Self:
+        """Return all N (N - 1) / 2 pairs of poses: joints (N, 6), points and errors (N, 3)."""
+        one, other = np.triu_indices(len(joints_rad), 1)
+        sets = (joints_rad, points_mm, errors_mm)
+        return cls(*(np.linalg.norm(each[one] - each[other], axis=1) for each in sets))
 
 
-@dataclass(frozen=True, slots=True)
-class Binned:
-    """Mean difference of errors over bins of a distance, each (K,); NaN in empty bins."""
-
-    centre: Array
-    difference_mm: Array
-    count: Ints
-
-    @property
-    def similarity(self) -> Array:
-        """Return eq 8's similarity (K,) in 1/mm of the mean difference."""
-        return _inverted(self.difference_mm)
-
-
-def similarity_pairs(joints_rad: ArrayLike, points_mm: ArrayLike, errors_mm: ArrayLike) -> Pairs:
-    """Return all N (N - 1) / 2 pairs of poses: joints (N, 6), nominal points and errors (N, 3).
-
-    Raises `SimilarityError` for fewer than two poses, unequal lengths or values not finite.
+def binned(distance: Array, difference_mm: Array, edges: Array) -> tuple[Array, Array, Ints]:
+    """Return middles, mean differences and counts (K,) over rising ``edges`` (K + 1,) of a distance
+    (P,); a bin holds its lower edge, the last one its upper edge too, an empty one's mean is NaN.
     """
-    sets = [np.asarray(each, dtype=float) for each in (joints_rad, points_mm, errors_mm)]
-    count = len(sets[0])
-    if [each.shape for each in sets] != [(count, 6), (count, 3), (count, 3)] or count < 2:
-        found = ", ".join(str(each.shape) for each in sets)
-        raise SimilarityError(f"similarity: shapes {found}, wanted (N, 6), (N, 3), (N, 3), N >= 2")
-    if not all(np.isfinite(each).all() for each in sets):
-        raise SimilarityError("similarity: joints, points and errors must be finite")
-    one, other = np.triu_indices(count, 1)
-    return Pairs(*(np.linalg.norm(each[one] - each[other], axis=1) for each in sets))
-
-
-def binned(distance: Array, difference_mm: Array, edges: ArrayLike) -> Binned:
-    """Return the mean difference over ``edges`` (K + 1,) of a distance (P,), the data of a plot.
-
-    A bin holds its lower edge, the last one its upper edge too. Raises `SimilarityError` where
-    the edges do not rise.
-    """
-    limits = np.asarray(edges, dtype=float)
-    if limits.ndim != 1 or len(limits) < 2 or not (np.diff(limits) > 0).all():
-        raise SimilarityError(f"similarity: edges {limits} of bins, wanted two or more that rise")
-    count, _ = np.histogram(distance, limits)
-    total, _ = np.histogram(distance, limits, weights=difference_mm)
+    count, _ = np.histogram(distance, edges)
+    total, _ = np.histogram(distance, edges, weights=difference_mm)
     mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-    return Binned((limits[1:] + limits[:-1]) / 2, mean, count)
-
-
-def _inverted(difference_mm: Array) -> Array:
-    return np.divide(
-        1.0, difference_mm, out=np.full_like(difference_mm, np.inf), where=difference_mm != 0
-    )
+    return (edges[1:] + edges[:-1]) / 2, mean, count

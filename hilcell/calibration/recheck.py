@@ -43,12 +43,6 @@ Verdict = Literal["valid", "update", "redo"]
 WORDS = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
 
 
-class NotJudged(HilcellError):
-    """Errors that cannot be judged."""
-
-    code = "HC-C21"
-
-
 @dataclass(frozen=True, eq=False)
 class Rechecked:
     """Errors e = actual - target (N, 3) at targets (N, 3), both in {B}, with their covariance.
@@ -77,14 +71,6 @@ class Rechecked:
         count = len(self.own_mm2)
         blocks = self.covariance_mm2.reshape(count, 3, count, 3)
         return np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
-
-    def check(self) -> None:
-        """Raise `NotJudged` where the poses are too few or their errors no numbers."""
-        count = len(self.errors_mm)
-        if not count >= FEWEST:
-            raise NotJudged(f"re-check: {counted(count, 'pose')}, expected at least {FEWEST}")
-        if not np.isfinite(self.errors_mm).all():
-            raise NotJudged("re-check: an error is not finite; measure again")
 
     def drift(self) -> tuple[float, float]:
         """Return the root of the errors' mean square beyond the predicted one, and its u.
@@ -169,10 +155,14 @@ class Judgement:
 
 
 def judged(found: Rechecked) -> Judgement:
-    """Judge the errors; raises `NotJudged`."""
+    """Judge the errors; raises `HilcellError` for too few, and for one that is no number."""
     bumped_mm, bumped_rad = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
-    found.check()
     count = len(found.errors_mm)
+    if not count >= FEWEST:
+        problem = f"re-check: {counted(count, 'pose')}, expected at least {FEWEST}"
+        raise HilcellError(problem, code="HC-C21")
+    if not np.isfinite(found.errors_mm).all():
+        raise HilcellError("re-check: an error is not finite; measure again", code="HC-C21")
     J = motion_columns(found.targets_mm)
     C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
     weighted = np.linalg.solve(C, np.column_stack([J, e]))
@@ -250,7 +240,7 @@ def rechecked_run(log: Log) -> Judgement:
 
 
 def rechecked(log: Log) -> Rechecked:
-    """Return errors and covariance of the measured poses, in the calibration's {B}."""
+    """Return errors and covariance of the measured poses."""
     return as_predicted(log, log.select(KIND), log.cell.grid.station)
 
 
@@ -267,14 +257,6 @@ def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
         J @ found.common @ J.T,
         poses[:, :3, :3],
     )
-
-
-def final_verdict(log: Log, found: Judgement) -> Verdict:
-    """Return the verdict: redo, where no update brings the errors into tolerance."""
-    if found.verdict == "redo":
-        return "redo"
-    errors_mm = found.left_mm if found.verdict == "update" else rechecked(log).errors_mm
-    return found.verdict if judged_errors(log, errors_mm).holds else "redo"
 
 
 class CheckedPose(msgspec.Struct, frozen=True):
@@ -380,9 +362,13 @@ def recheck_result(log: Log) -> RecheckResult:
     """Return the result of a run that has measured its poses; raises `HilcellError`."""
     found, judgement = rechecked(log), rechecked_run(log)
     calibration, as_found = used(log), judged_errors(log, found.errors_mm)
+    verdict = judgement.verdict
+    left_mm = judgement.left_mm if verdict == "update" else found.errors_mm
+    if not judged_errors(log, left_mm).holds:
+        verdict = "redo"  # no update brings the errors into tolerance
     air_c, points, bounds_mm = log.temperatures_c(), log.select(KIND), bounds95_mm(found.each_mm2)
     result = RecheckResult(
-        verdict=final_verdict(log, judgement),
+        verdict=verdict,
         calibration=calibration.provenance.latest,
         station=log.cell.grid.station,
         points=len(found.errors_mm),

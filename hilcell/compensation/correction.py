@@ -20,60 +20,31 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 
 
-class CorrectionError(HilcellError):
-    """An error map that changes too fast to be inverted."""
-
-    code = "HC-C21"
-
-
 def corrected(
-    grid: Grid,
-    poses: Array,
-    model: ErrorModel,
-    steps: int = 2,
+    grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
     names: Sequence[str] | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Return commands (N, 3) for target poses (N, 4, 4), in the grid's frame.
 
     The commanded orientation is the target's. Every target must be inside. Its command may leave
     the grid by the error itself; there the model is asked at the nearest point of the grid's
-    face. Raises `OutsideGrid`, and `CorrectionError` where the steps do not shrink.
+    face. Raises `OutsideGrid`, and `HilcellError` where the steps do not shrink.
 
     Steps are compared with the first and not with the one before: inverse distances have a kink
     at every vertex and jump at every face between cells, by up to a third of what the outer
     vertices of both differ. So a command that has come to within micrometres may cross a face
     and move by that jump once more.
     """
-    commands = _settled(grid, poses, model, steps, names, turned=False)
-    return commands[:, :3, 3]
+    return corrected_poses(grid, poses, model, steps, names, turned=False)[:, :3, 3]
 
 
 def corrected_poses(
-    grid: Grid,
-    poses: Array,
-    model: ErrorModel,
-    steps: int = 2,
-    names: Sequence[str] | None = None,
-) -> Array:
-    """Return commands (N, 4, 4) for target poses (N, 4, 4), in the grid's frame.
-
-    As `corrected`; the orientation is corrected as well where the model predicts its error, and is
-    the target's where it does not.
+    grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
+    names: Sequence[str] | None = None, *, turned: bool = True,
+) -> Array:  # fmt: skip
+    """Return commands (N, 4, 4) as `corrected` does; with ``turned`` the orientation is corrected
+    as well, where the model predicts its error.
     """
-    return _settled(grid, poses, model, steps, names, turned=True)
-
-
-def _settled(
-    grid: Grid,
-    poses: Array,
-    model: ErrorModel,
-    steps: int,
-    names: Sequence[str] | None,
-    *,
-    turned: bool,
-) -> Array:
-    if steps < 1:
-        raise CorrectionError(f"correction: {steps} steps, wanted 1 or more")
     targets, R, at = poses[:, :3, 3], poses[:, :3, :3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)
@@ -98,10 +69,11 @@ def _check_contraction(
     bad = np.flatnonzero(~(moved_mm <= contraction**step * first_mm + negligible_mm))
     if len(bad):
         n = bad[0]
-        raise CorrectionError(
+        raise HilcellError(
             f"correction: {len(bad)} of {len(moved_mm)} targets do not settle: "
             f"{names[n] if names else f'target {n + 1}'} moves by {moved_mm[n]:.3f} mm in step "
             f"{step + 1} after {first_mm[n]:.3f} mm in the first, wanted below "
             f"{contraction**step:.0%}; the error map jumps there: look for outliers on the "
-            "vertices around it"
+            "vertices around it",
+            code="HC-C21",
         )

@@ -191,21 +191,6 @@ def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
     )
 
 
-class TargetError(HilcellError):
-    """Targets that cannot be corrected."""
-
-    code = "HC-C10"
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Joints (N, 6) for N poses, which of them were found (N,), and which in several postures."""
-
-    joints_rad: Array
-    found: Bools
-    several: Bools
-
-
 @dataclass(frozen=True, eq=False)
 class Reach:
     """Poses and joints of a nominal arm with a tool: its base in the root, measured joints.
@@ -228,19 +213,20 @@ class Reach:
     def joints(self, poses: Array, names: Sequence[str]) -> Array:
         """Return nominal joints (N, 6) for poses in the root, in the posture that was measured.
 
-        Raises `TargetError` where none is found, and where several postures were measured.
+        Raises `HilcellError` where none is found, and where several postures were measured.
         """
         if not self._one_posture:
-            raise TargetError(
+            raise HilcellError(
                 "the measured poses have several postures (elbow, wrist), and a pose does not say "
-                "which the robot takes there; give joints"
+                "which the robot takes there; give joints",
+                code="HC-C10",
             )
         joints, lost = np.empty((len(poses), 6)), np.zeros(len(poses), dtype=bool)
         at_once = 512  # poses of one search
         for first in range(0, len(poses), at_once):
             part = slice(first, first + at_once)
-            found = self._searched(poses[part], enough=1)
-            joints[part], lost[part] = found.joints_rad, ~found.found
+            joints[part], found, _ = self._searched(poses[part], enough=1)
+            lost[part] = ~found
         refuse(
             lost, names, "poses are not reached in the posture of measured ones",
             "check frame, tool and units, or give joints",
@@ -250,7 +236,7 @@ class Reach:
     def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
         """Return nominal joints (N, 6) for poses a correction away from joints (N, 6).
 
-        Raises `TargetError` where a joint turns far or leaves its limits.
+        Raises `HilcellError` where a joint turns far or leaves its limits.
         """
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
         # of a joint by a correction: beyond, the wrist is singular there
@@ -270,11 +256,14 @@ class Reach:
 
     @cached_property
     def _one_posture(self) -> bool:
-        """Return whether the measured poses are reached in no other measured posture."""
-        return not self._searched(self.poses(self.known_rad), enough=self.STARTS).several.any()
+        """Whether the measured poses are reached in no other measured posture."""
+        return not self._searched(self.poses(self.known_rad), enough=self.STARTS)[2].any()
 
-    def _searched(self, poses: Array, enough: int) -> Found:
-        """Search from the nearest measured poses in turn, until ``enough`` of them lead there."""
+    def _searched(self, poses: Array, enough: int) -> tuple[Array, Bools, Bools]:
+        """Search from the nearest measured poses in turn, until ``enough`` of them lead there.
+
+        Returns joints (N, 6), which poses were found (N,), and which in several postures (N,).
+        """
         wanted = inverse(self.base) @ poses
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
         several = np.zeros(len(poses), dtype=bool)
@@ -285,14 +274,11 @@ class Reach:
             found, arrived = refined(self.arm, wanted[left], start[left])
             good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
             at, found = left[good], found[good]
-            other = (
-                np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi)).max(axis=1)
-                > other_rad
-            )
-            several[at] |= other & (count[at] > 0)
+            apart_rad = np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi))
+            several[at] |= (apart_rad.max(axis=1) > other_rad) & (count[at] > 0)
             joints[at] = np.where(count[at, None] > 0, joints[at], found)
             count[at] += 1
-        return Found(joints, count > 0, several)
+        return joints, count > 0, several
 
     def _nearest(self, poses: Array) -> Array:
         """Return the joints (N, S, 6) of the `STARTS` measured poses that are nearest."""
@@ -321,7 +307,7 @@ class RobotTargets:
 
 
 def targets_of(names: list[str], values: Array, reach: Reach) -> RobotTargets:
-    """Return targets stated as x, y, z, a, b, c (N, 6); raises `TargetError`."""
+    """Return targets stated as x, y, z, a, b, c (N, 6); raises `HilcellError`."""
     poses = poses_from_zyx(values)
     return RobotTargets(names, poses, reach.joints(poses, names))
 
@@ -329,7 +315,7 @@ def targets_of(names: list[str], values: Array, reach: Reach) -> RobotTargets:
 def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
     """Read poses or joints; returns targets and whether they were joints.
 
-    Raises `SettingsError` with every problem and its line, and `TargetError`.
+    Raises `SettingsError` with every problem and its line, and `HilcellError`.
     """
     rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
     values = np.array(rows.values)
@@ -346,15 +332,12 @@ def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
 
 
 def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
-    """Raise `TargetError` naming the first bad targets."""
-    if not bad.any():
-        return
-    most = 5
-    first = np.flatnonzero(bad)[:most]
-    count = int(np.count_nonzero(bad))
-    more = ", ..." if count > most else ""
-    named = ", ".join(names[int(n)] for n in first)
-    raise TargetError(f"{count} of {len(bad)} {what}: {named}{more}; {act}")
+    """Raise `HilcellError` naming the first bad targets."""
+    if (count := int(np.count_nonzero(bad))) > 0:
+        most = 5
+        named = ", ".join(names[n] for n in np.flatnonzero(bad)[:most])
+        more = ", ..." if count > most else ""
+        raise HilcellError(f"{count} of {len(bad)} {what}: {named}{more}; {act}", code="HC-C10")
 
 
 def with_tool_point(arm: Arm, point_mm: Array) -> Arm:
@@ -388,7 +371,7 @@ class Controller:
 
     @property
     def root(self) -> Array:
-        """Return the robot's root frame in the tracker's (4, 4)."""
+        """The robot's root frame in the tracker's (4, 4)."""
         return self.base @ inverse(self.robot.base)
 
     @property

@@ -392,12 +392,6 @@ def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
     return best_mm * (1.0 - ROUNDING)
 
 
-class CutError(HilcellError):
-    """A linear program that the solver gave up."""
-
-    code = "HC-C10"
-
-
 class _Program:
     """Shares of edges between holes and a hub, the last node, at distance 0 from each."""
 
@@ -416,7 +410,7 @@ class _Program:
     def solve(self) -> float:
         """Find shares and prices for the cuts so far, and return the length of these shares.
 
-        Raises `CutError` where there are none.
+        Raises `HilcellError` where there are none.
         """
         edges, count = self.edges, len(self.edges)
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
@@ -432,7 +426,7 @@ class _Program:
             method="highs",
         )
         if not found.success:
-            raise CutError(f"lower bound: {found.message}")
+            raise HilcellError(f"lower bound: {found.message}", code="HC-C10")
         self.share, self._node_price = found.x, found.eqlin.marginals
         self._cut_price = np.maximum(-found.ineqlin.marginals, 0.0)
         return float(found.fun)

@@ -30,18 +30,12 @@ from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.inverse import posture, reachable, status_of
-from hilcell.geometry.kinematics import Arm, Bools, forward
+from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
 NEAR_SHARE = 0.5  # of the stand-off, that ways between holes keep at least
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part
-
-
-class WayError(HilcellError):
-    """A way of a program that comes too near to the part, or to what stands in the cell."""
-
-    code = "HC-C10"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,50 +48,46 @@ class Drilling:
     standoff_mm: float
 
     STEP_MM = 5.0  # between places of a straight way at which joints are computed
-
     DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where ways need it
 
     @property
     def arm(self) -> Arm:
-        """Return the arm with the tip as its tool point."""
+        """The arm with the tip as its tool point."""
         return self.tip.arm(self.cell.robot.arm())
 
     def straight_rad(self, names: Sequence[str], command: Array) -> Array:
         """Return the joints (N, K, 6) from the stand-off straight to commands (N, 6) in {W}.
 
-        Raises `WayError` naming the holes on whose ways the arm leaves its limits.
+        Raises `HilcellError` naming the holes on whose ways the arm leaves its limits.
         """
         count = 1 + int(np.ceil(self.standoff_mm / self.STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(command, back_mm)
-        robot = self.cell.robot
-        known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
-        self._refuse_unreached(names, back_mm, reachable(self.arm, poses, *known))
-        return posture(self.arm, poses, *known)
+        reached = reachable(self.arm, poses, *self._posture)
+        if bad := np.flatnonzero(~reached.all(axis=1)).tolist():
+            lines = (
+                f"{names[n]}: beyond the arm's reach or a joint limit from "
+                f"{back_mm[~reached[n]].min():.0f} mm in front of the hole"
+                for n in bad
+            )
+            raise HilcellError(
+                f"the arm does not reach the stand-off of {self.standoff_mm:g} mm at {len(bad)} of "
+                f"{counted(len(names), 'hole')}:\n{indented(lines)}\n"
+                "shorten it (--standoff, or standoff_mm of the tool), or move the part",
+                code="HC-C10",
+            )
+        return posture(self.arm, poses, *self._posture)
 
-    def _refuse_unreached(self, names: Sequence[str], back_mm: Array, reached: Bools) -> None:
-        """Raise `WayError` naming the holes whose ways (N, K) are not all within reach."""
-        bad = np.flatnonzero(~reached.all(axis=1)).tolist()
-        if not bad:
-            return
-        first = [back_mm[~reached[n]].min() for n in bad]
-        lines = (
-            f"{names[n]}: beyond the arm's reach or a joint limit from {off_mm:.0f} mm in front "
-            "of the hole"
-            for n, off_mm in zip(bad, first, strict=True)
-        )
-        raise WayError(
-            f"the arm does not reach the stand-off of {self.standoff_mm:g} mm at {len(bad)} of "
-            f"{counted(len(names), 'hole')}:\n{indented(lines)}\n"
-            "shorten it (--standoff, or standoff_mm of the tool), or move the part"
-        )
+    @property
+    def _posture(self) -> tuple[int, Array, Array]:
+        robot = self.cell.robot
+        return robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
 
     def drawn_back_rad(self, command: Array) -> Iterator[Array]:
         """Yield the joints (6,) behind the stand-off of a command (6,), nearest first, as far as
         the arm reaches.
         """
-        robot, back_mm = self.cell.robot, self.standoff_mm + np.array(self.DRAWN_BACK_MM)
-        known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
+        back_mm, known = self.standoff_mm + np.array(self.DRAWN_BACK_MM), self._posture
         (poses,) = self._drawn_back(command[None], back_mm)
         yield from posture(self.arm, poses[reachable(self.arm, poses, *known)], *known)
 
@@ -126,7 +116,7 @@ def station_program(
     Between holes the tip keeps half of the stand-off at least. Where the direct way is not clear,
     it is drawn back farther first, at the hole before, at the next one, or at both. At each
     stand-off it comes from below on every axis, by ``robot.approach_deg``, as every pose of the
-    calibration did. Raises `WayError` where the arm leaves its limits, or no such way is clear.
+    calibration did. Raises `HilcellError` where the arm leaves its limits, or no way is clear.
     """
     robot = drilling.cell.robot
     straight_rad = drilling.straight_rad(names, command)
@@ -155,9 +145,10 @@ def station_program(
             to = f"the way to {names[n]}" if n < len(names) else "the way back to the safe pose"
             problems.append(f"{to}: {why}")
     if problems:
-        raise WayError(
+        raise HilcellError(
             f"{station}: ways of its program are not clear:\n{indented(problems)}\n"
-            "change --standoff, robot.safe_deg, the holes or keep_out of the cell file"
+            "change --standoff, robot.safe_deg, the holes or keep_out of the cell file",
+            code="HC-C10",
         )
     return StationProgram(
         station=station,
@@ -178,11 +169,7 @@ def station_program(
 
 
 def _way(
-    clearance: Clearance,
-    start: Array,
-    end: Array,
-    before: Iterable[Array],
-    after: Iterable[Array],
+    clearance: Clearance, start: Array, end: Array, before: Iterable[Array], after: Iterable[Array]
 ) -> tuple[list[Array], str]:
     """Return the stops (M, 6) of a clear way between joints (6,), and why there is none, or "".
 
@@ -247,7 +234,11 @@ class Clearance:
         self._around = self._around_tool = self._to_wrist = None
         if (envelope := cell.robot.envelope) is not None:
             shape, layout = cell.robot.arm(), cell.layout
-            longer = replace(envelope, capsule=[*envelope.capsule, _tool_line(arm)])
+            x_mm, y_mm, z_mm = arm.tool[:3, 3].tolist()  # all that is known of a tool's body
+            line = CapsuleTable(
+                link=LINKS, from_mm=(0.0, 0.0, 0.0), to_mm=(x_mm, y_mm, z_mm), radius_mm=LEAST_MM
+            )
+            longer = replace(envelope, capsule=[*envelope.capsule, line])
             if others := [box.table for box in self._others]:
                 self._around = Surroundings(shape, envelope, layout, others)
                 self._around_tool = Surroundings(shape, longer, layout, others)
@@ -292,22 +283,14 @@ class Clearance:
         flanges = forward(self._arm, joints_rad) @ inverse(self._arm.tool)
         line_mm = np.concatenate([np.outer(shares, x_mm).T, np.ones((1, len(shares)))])
         places_mm = np.swapaxes((flanges @ line_mm)[:, :3], 1, 2).reshape(-1, 3)
-        return next(
-            (
-                f"the tool passes through keep-out {box.table.name}"
-                for box in self._others
-                if box.contains(apply(self._T_W_B, places_mm))
-            ),
-            "",
-        )
+        through = (box for box in self._others if box.contains(apply(self._T_W_B, places_mm)))
+        return next((f"the tool passes through keep-out {box.table.name}" for box in through), "")
 
     def _passes_through(self, tip_mm: Array) -> str:
-        for box in self._carriers:
-            if box.contains(tip_mm):
-                return f"the tip passes through keep-out {box.table.name}, on which holes lie"
-        for box in self._others:
-            if box.contains(tip_mm):
-                return f"the tip passes through keep-out {box.table.name}"
+        for boxes, why in ((self._carriers, ", on which holes lie"), (self._others, "")):
+            for box in boxes:
+                if box.contains(tip_mm):
+                    return f"the tip passes through keep-out {box.table.name}{why}"
         return ""
 
     def _collides(self, around: Surroundings | None, starts_rad: Array, ends_rad: Array) -> str:
@@ -334,14 +317,6 @@ class Clearance:
 
     def _tip_mm(self, joints_rad: Array) -> Array:
         return apply(self._T_W_B, forward(self._arm, joints_rad)[:, :3, 3])
-
-
-def _tool_line(arm: Arm) -> CapsuleTable:
-    """Return what is known of a tool's body: it reaches from the flange to its tip."""
-    x_mm, y_mm, z_mm = arm.tool[:3, 3].tolist()
-    return CapsuleTable(
-        link=LINKS, from_mm=(0.0, 0.0, 0.0), to_mm=(x_mm, y_mm, z_mm), radius_mm=LEAST_MM
-    )
 
 
 @dataclass(frozen=True, eq=False)

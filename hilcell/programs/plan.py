@@ -76,8 +76,7 @@ def plan(
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
     With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
-    corrected. ``say`` is called with each step of a plan that takes long. Raises
-    `UnreachableHoles`.
+    corrected. ``say`` is called with each step of a plan that takes long. Raises `HilcellError`.
     """
     slow_holes = 500  # whose plan takes seconds
     candidates = _candidates(cell, free=free)
@@ -161,23 +160,17 @@ def _at_station(
     )
 
 
-class CoverError(HilcellError):
-    """Holes that no set of stations covers."""
-
-    code = "HC-C10"
-
-
 def fewest(ok: Bools, burden: Array) -> Ints:
     """Return the columns of ``ok`` (N, S), a least number of them, that reach every row.
 
     ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is made less
-    than one station costs. Raises `CoverError` where a row is reached by none.
+    than one station costs. Raises `HilcellError` where a row is reached by none.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
 
     rows = np.unique(ok, axis=0)
     if not rows.any(axis=1).all():
-        raise CoverError("set cover: some holes are reached from no station")
+        raise HilcellError("set cover: some holes are reached from no station", code="HC-C10")
     cost = 1.0 + burden / (2.0 * len(burden))
     found = milp(
         cost,
@@ -188,14 +181,8 @@ def fewest(ok: Bools, burden: Array) -> Ints:
     )
     chosen = np.flatnonzero(found.x > 0.5) if found.x is not None else np.array([], dtype=int)
     if not ok[:, chosen].any(axis=1).all():
-        raise CoverError(f"set cover: not solved: {found.message}")
+        raise HilcellError(f"set cover: not solved: {found.message}", code="HC-C10")
     return chosen
-
-
-class UnreachableHoles(HilcellError):
-    """Holes that no candidate station can serve."""
-
-    code = "HC-C10"
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +198,7 @@ def reach(
 ) -> Reach:
     """Return which holes each station reaches, and corrects where ``served`` says so.
 
-    Raises `UnreachableHoles` with the reasons.
+    Raises `HilcellError` with the reasons.
     """
     room_rad = np.empty((len(holes.names), len(stations)))
     turn = np.empty(room_rad.shape, dtype=int)
@@ -275,10 +262,11 @@ def _refuse_unreached(
         count = counted(len(ok), "hole")
         places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
         hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
-        raise UnreachableHoles(
+        raise HilcellError(
             f"{len(bad)} of {count} cannot be drilled from {places} in the robot's posture "
             f"(robot.status = {cell.robot.status}):\n{named}\n"
-            f"{_act(holes, bad, stations, served)}{hint}"
+            f"{_act(holes, bad, stations, served)}{hint}",
+            code="HC-C10",
         )
 
 

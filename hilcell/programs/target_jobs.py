@@ -138,17 +138,20 @@ class StationTargets(TargetFiles):
         program = load_program(source)
         if program is not None:
             check_links(released.calibration, source.name)
-        root = root_of(released.calibration, station, program)
+        known_station = station in released.calibration.stations
+        root = None
+        if stands_in_root(program) and known_station:
+            root = released.calibration.base(station)
         if program is None:
             names, listed = _listed(source, say)
         else:
             names, listed = program.names, program.values()
-        nominal = taken_in(root, listed)  # in {W}
+        nominal = _taken_in(root, listed)  # in {W}
         released.refuse_corrected(source, names, nominal[:, :3], listed[:, :3])
         known = released.cell if cell is None and program is None else cell
         tip = _tip(known, tool, program, source)
-        if program is not None and station in released.calibration.stations:
-            check_base(released.calibration, station, program.base, nominal)  # a cause of the next
+        if program is not None and known_station:
+            _check_base(released.calibration, station, program.base, nominal)  # a cause of the next
         try:
             targets = released.corrected(station, names, nominal, tip, known)
         except OutsideGrid as error:  # the unit of a program is that of its format
@@ -156,7 +159,7 @@ class StationTargets(TargetFiles):
             raise OutsideGrid(f"{source.name}: {error}{hint}") from error
         if program is not None:
             _check_program(released, targets, program, source, cell, tip, strokes, say)
-        stated = targets.command if root is None else taken_in(inverse(root), targets.command)
+        stated = targets.command if root is None else _taken_in(inverse(root), targets.command)
         points = [(nominal[:, :3], targets.command[:, :3])]
         if root is not None:  # as the program has them, which another station's correction reads
             points.append((listed[:, :3], stated[:, :3]))
@@ -226,14 +229,13 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
 
     A file that is no list may be a program of an unknown format.
     """
-    lists = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
     from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
 
     try:
         names, targets = read_targets(source)
     except SettingsError as error:
         suffix = source.suffix.lower()
-        if suffix in lists:
+        if suffix in ("", ".csv", ".txt"):  # read as a list of targets without a remark
             raise
         known = ", ".join(suffixes()) or "none"
         hint = f"no format of programs is installed for {suffix} (installed: {known})"
@@ -296,7 +298,7 @@ def _check_program(
         status = cell.robot.status
         check_posture(status, statuses_of(program, status))
         if rides_on_robot(cell):
-            check_slide(cell.station_named(station), slide_of(program))
+            _check_slide(cell.station_named(station), slide_of(program))
         T_W_B = released.calibration.base(station)
         program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
     elif program.needs_arm:
@@ -313,28 +315,15 @@ class StrokeError(HilcellError):
     code = "HC-C10"
 
 
-class ProgramError(HilcellError):
-    """A program whose base, posture or place on the rail is not that of its calibration."""
-
-    code = "HC-C10"
-
-
-def root_of(calibration: Calibration, station: str, program: Program | None) -> Array | None:
-    """Return {B} in {W} (4, 4) at the station where a program's targets stand in {B}, else None."""
-    if not stands_in_root(program) or station not in calibration.stations:
-        return None
-    return calibration.base(station)
-
-
-def taken_in(T: Array | None, values: Array) -> Array:
+def _taken_in(T: Array | None, values: Array) -> Array:
     """Return targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
     return values if T is None else zyx_from_pose(T @ poses_from_zyx(values))
 
 
-def check_base(
+def _check_base(
     calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
 ) -> None:
-    """Raise `ProgramError` where a program sets a base by numbers that is not {W} at the station.
+    """Raise `HilcellError` where a program sets a base by numbers that is not {W} at the station.
 
     ``stated`` is None where it sets none by numbers. A controller's base is relative to its own
     root, {B}, so {W} is the inverse of the calibrated T_W_B. Judged where ``targets`` (N, 6) would
@@ -352,35 +341,38 @@ def check_base(
         words = ",".join(
             f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
         )
-        raise ProgramError(
+        raise HilcellError(
             f"{stated.where}: the base set there is not the world frame {{W}} of the targets at "
-            f"{station}: it puts them up to {worst:.3f} mm elsewhere, wanted <= {base_mm:g} mm; "
-            f"set {{{words}}}, as calibrated, and take the targets in {{W}}"
+            f"{station}: it puts them up to {worst:.3f} mm elsewhere, expected <= "
+            f"{base_mm:g} mm; set {{{words}}}, as calibrated, and take the targets in {{W}}",
+            code="HC-C10",
         )
 
 
 def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
-    """Raise `ProgramError` naming targets with another posture than the calibrated ``status``.
+    """Raise `HilcellError` naming targets with another posture than the calibrated ``status``.
 
     A robot's errors are those of its joints: in another posture they are others, of millimetres.
     """
     other = [f"{where}: S {s}" for where, s in stated if s & POSTURE_BITS != status & POSTURE_BITS]
     if other:
-        raise ProgramError(
+        raise HilcellError(
             f"{len(other)} of {counted(len(stated), 'target')} in another posture than the "
             f"calibrated one, S {status}: no correction is known there; state them in that posture,"
-            f" or measure theirs (robot.status of a cell)\n{indented(other)}"
+            f" or measure theirs (robot.status of a cell)\n{indented(other)}",
+            code="HC-C10",
         )
 
 
-def check_slide(station: Station, stated: tuple[str, float] | None) -> None:
-    """Raise `ProgramError` where a program moves the slide elsewhere than to its station."""
+def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
+    """Raise `HilcellError` where a program moves the slide elsewhere than to its station."""
     slide_mm = 5.0  # a program's place is the drive's, and the strip's decides: no other station
     if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
         place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
-        raise ProgramError(
+        raise HilcellError(
             f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
-            f"{station.name}: correct the program for the station that it drives to"
+            f"{station.name}: correct the program for the station that it drives to",
+            code="HC-C10",
         )
 
 
@@ -425,7 +417,14 @@ def check_strokes(
         return StrokeMiss()
     names, at = [each.where for each in strokes], np.array([each.target for each in strokes])
     shifts_mm = np.array([each.shift_mm for each in strokes])
-    _refuse_long(lengths_mm(shifts_mm), limits.longest_mm, names)
+    long_mm = lengths_mm(shifts_mm)
+    if len(bad := np.flatnonzero(~(long_mm <= limits.longest_mm + ROUNDING_MM))):
+        lines = [f"{names[n]}: {long_mm[n]:.3f} mm" for n in bad.tolist()]
+        raise StrokeError(
+            f"{len(bad)} of {len(names)} strokes lead away from their point by more than "
+            f"{limits.longest_mm:.6g} mm; shorten them, or declare their length with "
+            f"--allow-stroke MM\n{indented(lines)}"
+        )
     T_B_W = inverse(calibration.base(station))
     ends = poses_from_zyx(targets[at])
     ends[:, :3, 3] += shifts_mm
@@ -469,16 +468,6 @@ def _missed(
     sent_mm = [way @ each.T for way, each in zip(ways, turn, strict=True)]
     total_mm = change_mm + np.concatenate(sent_mm) - np.concatenate(ways)
     return np.split(total_mm, np.cumsum(counts)[:-1])
-
-
-def _refuse_long(found_mm: Array, longest_mm: float, names: Sequence[str]) -> None:
-    bad = np.flatnonzero(~(found_mm <= longest_mm + ROUNDING_MM))
-    if len(bad):
-        raise StrokeError(
-            f"{len(bad)} of {len(names)} strokes lead away from their point by more than "
-            f"{longest_mm:.6g} mm; shorten them, or declare their length with --allow-stroke MM\n"
-            + indented([f"{names[n]}: {found_mm[n]:.3f} mm" for n in bad.tolist()])
-        )
 
 
 def _refuse_missed(

@@ -202,8 +202,9 @@ def fig_similarity(facts: Facts) -> Drawn | None:
     ):
         ax.plot(distance[::every], pairs.difference_mm[::every], ".", color=MUTED, alpha=0.35,
                 markersize=2, label="a pair of vertices")  # fmt: skip
-        means = binned(distance, pairs.difference_mm, np.linspace(0.0, distance.max(), 13))
-        ax.plot(means.centre, means.difference_mm, color=COLOURS[Sent.CHOSEN], label="mean")
+        edges = np.linspace(0.0, distance.max(), 13)
+        middles, means, _ = binned(distance, pairs.difference_mm, edges)
+        ax.plot(middles, means, color=COLOURS[Sent.CHOSEN], label="mean")
         ax.set_xlabel(name)
     axes[0, 0].set_ylabel("difference of errors, mm")
     _legend_above(axes[0, -1])

@@ -9,7 +9,6 @@ import pytest
 from hilcell.calibration import recheck as module
 from hilcell.calibration.in_use import Visited
 from hilcell.calibration.recheck import (
-    NotJudged,
     Rechecked,
     judged,
     suspicions,
@@ -18,7 +17,7 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from procedures.plan import joints_for
 
 RNG = np.random.default_rng(230)
@@ -116,7 +115,7 @@ def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> 
         "targets_mm": TARGETS_MM, "errors_mm": np.zeros((7, 3)), "own_mm2": OWN_MM2,
         "common_mm2": COMMON_MM2, "orientations": LEVEL,
     }  # fmt: skip
-    with pytest.raises(NotJudged, match=said):
+    with pytest.raises(HilcellError, match=said):
         judged(Rechecked(**(values | change)))
 
 

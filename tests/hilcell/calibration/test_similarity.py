@@ -1,18 +1,10 @@
 """Eq 8 as written, and what it says of a robot with link errors: joints rule, points do not."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from numpy.typing import ArrayLike
 
-from hilcell.calibration.grid import (
-    Pairs,
-    SimilarityError,
-    binned,
-    similarity_pairs,
-)
+from hilcell.calibration.grid import Pairs, binned
 from hilcell.cell.file import load_cell
 from hilcell.geometry.inverse import posture
 from hilcell.geometry.jacobian import PARAMETERS, parameter_jacobian
@@ -23,27 +15,12 @@ ARM = CELL.robot.arm()
 LIMITS = CELL.robot.margin_limits_rad
 HOME = np.radians(CELL.robot.home_deg)
 seeds = st.integers(0, 2**32 - 1)
-errors = arrays(float, (3,), elements=st.floats(-5, 5))
 
 
-@given(errors, errors)
-def test_eq_8(one: np.ndarray, other: np.ndarray) -> None:
-    found = similarity_of(one, other)
-    assert found == similarity_of(other, one)
-    if (one == other).all():
-        assert found == np.inf
-    elif np.linalg.norm(one - other) > 1e-150:
-        assert found == pytest.approx(1 / np.linalg.norm(one - other))
-
-
-def test_equal_errors_are_infinitely_similar() -> None:
-    same, other = [1.0, 2.0, 3.0], [1.0, 2.0, 5.0]
-    assert [similarity_of(same, each) for each in (same, other)] == [np.inf, 0.5]
-
-
-def similarity_of(one: ArrayLike, other: ArrayLike) -> float:
-    errors_mm = np.array([one, other])
-    return float(similarity_pairs(np.zeros((2, 6)), np.zeros((2, 3)), errors_mm).similarity[0])
+def test_the_difference_of_eq_8_is_in_mm() -> None:
+    errors_mm = np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 5.0]])
+    pairs = Pairs.of(np.zeros((3, 6)), np.zeros((3, 3)), errors_mm)
+    assert pairs.difference_mm.tolist() == [0.0, 2.0, 2.0]
 
 
 def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
@@ -55,7 +32,7 @@ def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
 
 
 def pairs_of(joints: np.ndarray, seed: int) -> Pairs:
-    return similarity_pairs(joints, forward(ARM, joints)[:, :3, 3], errors_of(joints, seed))
+    return Pairs.of(joints, forward(ARM, joints)[:, :3, 3], errors_of(joints, seed))
 
 
 def free_joints(rng: np.random.Generator, count: int = 300) -> np.ndarray:
@@ -79,23 +56,21 @@ def clouds(rng: np.random.Generator) -> np.ndarray:
 @given(seeds)
 def test_similarity_falls_with_joint_distance(seed: int) -> None:
     pairs = pairs_of(clouds(np.random.default_rng(seed)), seed)
-    bins = binned(pairs.joint_rad, pairs.difference_mm, [0.0, 0.1, 0.2, 0.4, 20.0])
-    known = bins.similarity[bins.count > 20]
-    assert len(known) >= 3
-    assert (np.diff(known) < 0).all()
-    assert known[0] > 4 * known[-1]  # far poses differ alike, however far
+    edges = np.array([0.0, 0.1, 0.2, 0.4, 20.0])
+    _, difference_mm, count = binned(pairs.joint_rad, pairs.difference_mm, edges)
+    known_mm = difference_mm[count > 20]
+    assert len(known_mm) >= 3
+    assert (np.diff(known_mm) > 0).all()
+    assert known_mm[-1] > 4 * known_mm[0]  # far poses differ alike, however far
 
 
 @settings(max_examples=8)
 @given(seeds)
 def test_at_one_orientation_and_configuration_points_stand_for_joints(seed: int) -> None:
     pairs = pairs_of(fixed_joints(np.random.default_rng(seed)), seed)
-    joint = binned(pairs.joint_rad, pairs.difference_mm, np.quantile(pairs.joint_rad, QUARTERS))
-    point = binned(
-        pairs.cartesian_mm, pairs.difference_mm, np.quantile(pairs.cartesian_mm, QUARTERS)
-    )
-    assert (np.diff(joint.similarity) < 0).all()
-    assert (np.diff(point.similarity) < 0).all()
+    for distance in (pairs.joint_rad, pairs.cartesian_mm):
+        _, found_mm, _ = binned(distance, pairs.difference_mm, np.quantile(distance, QUARTERS))
+        assert (np.diff(found_mm) > 0).all()
     assert np.corrcoef(pairs.joint_rad, pairs.cartesian_mm)[0, 1] > 0.7
 
 
@@ -107,12 +82,13 @@ def test_at_free_orientation_and_configuration_they_do_not() -> None:
     rng = np.random.default_rng(5)
     joints = np.vstack([same_point(rng) for _ in range(40)])
     pairs = pairs_of(joints, 5)
-    point = binned(pairs.cartesian_mm, pairs.difference_mm, [0.0, 1.0, 200.0, 4000.0])
+    edges_mm, edges_rad = np.array([0.0, 1.0, 200.0, 4000.0]), np.array([0.0, 0.3, 20.0])
+    _, point_mm, _ = binned(pairs.cartesian_mm, pairs.difference_mm, edges_mm)
     same = pairs.cartesian_mm < 1.0
-    joint = binned(pairs.joint_rad[same], pairs.difference_mm[same], [0.0, 0.3, 20.0])
-    assert (joint.count > 100).all()
-    assert point.similarity[0] < 2 * point.similarity[-1]
-    assert joint.similarity[0] > 4 * joint.similarity[1]
+    _, joint_mm, count = binned(pairs.joint_rad[same], pairs.difference_mm[same], edges_rad)
+    assert (count > 100).all()
+    assert point_mm[-1] < 2 * point_mm[0]
+    assert joint_mm[1] > 4 * joint_mm[0]
 
 
 def same_point(rng: np.random.Generator) -> np.ndarray:
@@ -126,25 +102,3 @@ def same_point(rng: np.random.Generator) -> np.ndarray:
     turn[:, 1, 0], turn[:, 0, 1], turn[:, 2, 2] = np.sin(roll), -np.sin(roll), 1.0
     turned[:, :3, :3] = turned[:, :3, :3] @ turn
     return posture(ARM, turned, CELL.robot.status, LIMITS, HOME)
-
-
-@pytest.mark.parametrize("edges", [[1.0], [1.0, 1.0], [2.0, 1.0], [0.0, np.nan]])
-def test_edges_that_do_not_rise_are_refused(edges: list[float]) -> None:
-    with pytest.raises(SimilarityError, match="edges"):
-        binned(np.ones(3), np.ones(3), edges)
-
-
-@pytest.mark.parametrize(
-    ("joints", "points", "errors_mm"),
-    [
-        (np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3))),
-        (np.zeros((3, 6)), np.zeros((2, 3)), np.zeros((3, 3))),
-        (np.full((3, 6), np.nan), np.zeros((3, 3)), np.zeros((3, 3))),
-    ],
-    ids=["one pose", "other shapes", "not finite"],
-)
-def test_what_makes_no_pairs_is_refused(
-    joints: np.ndarray, points: np.ndarray, errors_mm: np.ndarray
-) -> None:
-    with pytest.raises(SimilarityError):
-        similarity_pairs(joints, points, errors_mm)

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hilcell.compensation.correction import CorrectionError, corrected
+from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid, OutsideGrid
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix
 from hilcell.geometry.kinematics import Array
+from hilcell.ports import HilcellError
 from tests.hilcell.compensation.models import Kind, exact, level
 
 ErrorAt = Callable[[Array], Array]
@@ -97,12 +98,12 @@ def test_a_map_that_jumps_is_refused() -> None:
     def error_at(at_mm: Array) -> Array:
         return np.where(at_mm > 1500.0, 20.0, -20.0) * [1.0, 0, 0]
 
-    with pytest.raises(CorrectionError, match="hole 7"):
+    with pytest.raises(HilcellError, match="hole 7"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(error_at), names=["hole 7"])
 
 
 def test_a_map_without_a_value_is_refused() -> None:
-    with pytest.raises(CorrectionError, match="target 1"):
+    with pytest.raises(HilcellError, match="target 1"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(lambda at_mm: at_mm * np.nan))
 
 

@@ -10,11 +10,11 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import write_rows, write_targets
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
+from hilcell.ports import HilcellError
 from hilcell.programs.arm_targets import (
     JOINT_HEADER,
     Reach,
     RobotTargets,
-    TargetError,
     joint_rows,
     read_robot_targets,
     targets_of,
@@ -52,7 +52,7 @@ def test_a_pose_takes_the_posture_of_the_nearest_measured_one() -> None:
 def test_a_pose_out_of_reach_is_refused() -> None:
     far = reach().poses(joints(3))
     far[1, :3, 3] += 9000.0
-    with pytest.raises(TargetError, match=r"1 of 3 .*: b"):
+    with pytest.raises(HilcellError, match=r"1 of 3 .*: b"):
         reach().joints(far, list("abc"))
 
 
@@ -70,7 +70,7 @@ def test_poses_are_refused_where_several_postures_were_measured() -> None:
     flipped[:, 3:] += [np.pi, 0.0, -np.pi]
     flipped[:, 4] *= -1.0
     here = replace(reach(), known_rad=np.concatenate([reach().known_rad, flipped]))
-    with pytest.raises(TargetError, match="postures"):
+    with pytest.raises(HilcellError, match="postures"):
         here.joints(here.poses(joints(2)), ["a", "b"])
 
 
@@ -96,7 +96,7 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
     start[1, 4] = 1e-5
     poses = reach().poses(start)
     poses[:, :3, 3] += [0.0, 2.0, 0.0]
-    with pytest.raises(TargetError, match=r"1 of 2 .*5 deg: b"):
+    with pytest.raises(HilcellError, match=r"1 of 2 .*5 deg: b"):
         reach().near(poses, start, ["a", "b"])
 
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.programs.plan import CoverError, fewest
+from hilcell.ports import HilcellError
+from hilcell.programs.plan import fewest
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 8), st.floats(0.1, 0.9))
@@ -36,5 +37,5 @@ def test_burden_never_buys_a_station() -> None:
 
 
 def test_a_hole_reached_from_nowhere_is_refused() -> None:
-    with pytest.raises(CoverError, match="station"):
+    with pytest.raises(HilcellError, match="station"):
         fewest(np.array([[True, True], [False, False]]), np.zeros(2))
