@@ -22,7 +22,6 @@ from hilcell.calibration.budget import (
 )
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.file import calibration_so_far
-from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
 from hilcell.calibration.measurement_budget import Budget, Contribution
@@ -55,16 +54,17 @@ def target_budget(log: Log, run: str) -> TargetBudget:
     calibration = calibration_so_far(log, run)
     if calibration is None:
         return TargetBudget(_why_none(log))
-    names = [station.name for station in log.cell.station]
+    names, points_mm = [station.name for station in log.cell.station], dict[str, float]()
     try:
-        return TargetBudget(
-            "",
-            {name: cube_bounds(calibration, name) for name in names},
-            coverages(calibration, log, places(log.cell)),
-            _points_mm(calibration, log, names),
-        )
+        in_use = {name: cube_bounds(calibration, name) for name in names}
+        coverage = coverages(calibration, log, places(log.cell))
+        for name in names:
+            if (judged := validated(calibration, log, name)) is not None:
+                keys = [point.key for point in validation_points(log, name)]
+                points_mm |= dict(zip(keys, judged.bounds_mm.tolist(), strict=True))
     except NoBound as reason:
         return TargetBudget(reason.reason)
+    return TargetBudget("", in_use, coverage, points_mm)
 
 
 def _why_none(log: Log) -> str:
@@ -77,16 +77,6 @@ def _why_none(log: Log) -> str:
         return no_fit
     stations = [each.name for each in log.cell.station if f"station.{each.name}" not in log.frames]
     return f"the run ended before it framed {' and '.join(stations)}"
-
-
-def _points_mm(calibration: Calibration, log: Log, names: list[str]) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for name in names:
-        judged = validated(calibration, log, name)
-        if judged is not None:
-            keys = [point.key for point in validation_points(log, name)]
-            found |= dict(zip(keys, judged.bounds_mm.tolist(), strict=True))
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +93,7 @@ class Placed:
 
     def validated(self, of: Callable[[Coverage], float]) -> float | None:
         """Return a figure of the validation."""
-        return None if self.coverage is None else of(self.coverage)
+        return None if self.coverage is None else float(of(self.coverage))
 
 
 def place_words(place: str) -> str:
@@ -115,11 +105,7 @@ def placed(budget: TargetBudget) -> list[Placed]:
     """Return the bounds and what validation found of them, place by place."""
     names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
     return [
-        Placed(
-            place_words(name),
-            budget.in_use.get(name),
-            budget.coverage.get(name),
-        )
+        Placed(place_words(name), budget.in_use.get(name), budget.coverage.get(name))
         for name in names
     ]
 
@@ -137,22 +123,13 @@ def bounds_sheet(budget: TargetBudget) -> Table:
         Column("bound in use, max", lambda row: row.use(np.max), "mm", ".3f"),
         Column("targets", partial(Placed.validated, of=len), form=".0f"),
         Column("inside", partial(Placed.validated, of=attrgetter("inside")), form=".0f"),
-        Column(
-            "share inside", lambda row: row.validated(lambda each: 100 * each.share), "%", ".1f"
-        ),
-        Column(
-            "validation bound, mean",
-            lambda row: row.validated(lambda each: float(each.bounds_mm.mean())),
-            "mm",
-            ".3f",
-        ),
-        Column(
-            "validation bound, max",
-            lambda row: row.validated(lambda each: float(each.bounds_mm.max())),
-            "mm",
-            ".3f",
-        ),
-    )
+        Column("share inside", lambda row: row.validated(lambda each: 100 * each.share),
+               "%", ".1f"),
+        Column("validation bound, mean", lambda row: row.validated(lambda c: c.bounds_mm.mean()),
+               "mm", ".3f"),
+        Column("validation bound, max", lambda row: row.validated(lambda c: c.bounds_mm.max()),
+               "mm", ".3f"),
+    )  # fmt: skip
     return Table(columns, placed(budget), "95 % bounds of corrected targets", note)
 
 
@@ -212,7 +189,13 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
     """Return the table, nothing where the run allows neither budget; ``hidden`` are errors that no
     line has in it, in words.
     """
-    rows = [] if budget is None else [*error_rows(budget), _error_sum(budget)]
+    rows = []
+    if budget is not None:
+        words = (
+            f"U = {COVERAGE_FACTOR:.2f} u = {budget.U_mm:.3f} mm along the error; 3-D position: "
+            f"{K_3D:.2f} u = {K_3D * budget.u_mm:.3f} mm (95 %)"
+        )
+        rows = [*error_rows(budget), Row(ERROR_SUM, words, "", budget.u_mm, 100.0, is_sum=True)]
     note = (
         "Type A: from scatter that this run measured; B: from the certificate that is named, else "
         "an assumption that the cell file states. Sensitivity 1: every source is a length at the "
@@ -223,6 +206,9 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
         bounds = targets.in_use[targets.worst]
         radii_mm = bounds.radii_mm
         words = f"3-D 95 % bound: mean {radii_mm.mean():.3f} mm, largest {radii_mm.max():.3f} mm"
+        freedoms = (f"{p.name} {p.freedom:.0f}" for p in bounds.parts if p.freedom < math.inf)
+        estimated = ", ".join(freedoms)  # what is not taken as known
+        freedom = f"Degrees of freedom: {estimated}; others known." if estimated else ""
         rows += [
             *target_rows(bounds),
             Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0, is_sum=True),
@@ -230,7 +216,7 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
         notes.append(
             f"Corrected target: at {targets.worst}, where bounds are largest; root mean square "
             "over the volume, at any temperature that “Valid for” allows; an estimate of several "
-            f"limits is the half-width that gives the same u. {_freedom(bounds)}"
+            f"limits is the half-width that gives the same u. {freedom}"
         )
     notes += [f"In no line, because no run shows it: {each}." for each in hidden]
     title = "Uncertainty budget for one coordinate (GUM, JCGM 100:2008)"
@@ -273,14 +259,6 @@ def target_rows(bounds: Bounds) -> list[Row]:
     ]
 
 
-def _error_sum(budget: Budget) -> Row:
-    words = (
-        f"U = {COVERAGE_FACTOR:.2f} u = {budget.U_mm:.3f} mm along the error; 3-D position: "
-        f"{K_3D:.2f} u = {K_3D * budget.u_mm:.3f} mm (95 %)"
-    )
-    return Row(ERROR_SUM, words, "", budget.u_mm, 100.0, is_sum=True)
-
-
 def _whole_mm(bounds: Bounds) -> float:
     return math.sqrt(sum(part.u_mm**2 for part in bounds.parts))
 
@@ -309,9 +287,3 @@ def _one_direction(covariances_mm2: Array) -> bool:
     small, middle, large = np.linalg.eigvalsh(covariances_mm2).sum(axis=0)
     negligible = 1e-9  # share of the largest variance
     return bool(large > 0.0 and small + middle <= negligible * large)
-
-
-def _freedom(bounds: Bounds) -> str:
-    """Return the degrees of freedom of those estimates that are not taken as known."""
-    found = [f"{each.name} {each.freedom:.0f}" for each in bounds.parts if each.freedom < math.inf]
-    return f"Degrees of freedom: {', '.join(found)}; others known." if found else ""

@@ -42,11 +42,20 @@ class Item:
 
 def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> list[Item]:
     """Return the items in the standard's order."""
-    inputs, cell = facts.inputs, facts.cell
+    inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
     measured_air = bool(facts.log.temperatures_c())
     kinds = ("tracker", "strip")
     found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
-    answers = _Answers(facts)
+    serial = "" if robot is None else f", serial {robot.serial}"
+    begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
+    dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
+    results, results_part = "none: nothing was measured", POSES if tests_poses(facts) else STATIONS
+    if facts.log.points:
+        air = ", temperatures °C" if measured_air else ""
+        results = f"the tables of this report; lengths mm, angles °{air}"
+    deviations = [f"a calibration was used although {why}" for why in inputs.accepted]
+    deviations += PoseReport(facts).departures()
+    revoked = f"REVOKED: {facts.revoked}; " if facts.revoked else ""
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration", cell.certificate.laboratory),
@@ -56,14 +65,14 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.2.1 e", "Job", inputs.job),
         Item("7.8.2.1 f", "Method", procedure_words(facts), UNCERTAINTY),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
-             f"{cell.robot.name}{answers.robot_serial()}; {_stands(cell)}"),
+             f"{cell.robot.name}{serial}; {_stands(cell)}"),
         Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
-        Item("7.8.2.1 i", "Date of measurement", answers.dates()),
+        Item("7.8.2.1 i", "Date of measurement", dates),
         Item("7.8.2.1 j", "Date of issue"),
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
-        Item("7.8.2.1 m", "Results and units", answers.results(), answers.results_part()),
-        Item("7.8.2.1 n", "Deviations from the method", answers.deviations()),
+        Item("7.8.2.1 m", "Results and units", results, results_part),
+        Item("7.8.2.1 n", "Deviations from the method", "; ".join(deviations) or "none recorded"),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
         Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
@@ -73,8 +82,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
         Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
         Item("7.8.2.1 l", "Validity",
-             answers.revoked() + "the results relate only to the item "
-             + answers.limits_of_validity()),
+             f"{revoked}the results relate only to the item {_limits_of_validity(facts)}"),
     ]  # fmt: skip
 
 
@@ -111,19 +119,18 @@ def procedure_words(facts: Facts) -> str:
 
 def _correction_words(facts: Facts) -> str:
     """Return how a validated correction was found, from its journal."""
-    log, here = facts.log, facts.cell.grid.station
-    poses, touched = len(log.select("pose")), log.select("touch")
-    reflectors, errors = len(facts.cell.robot.seats_mm), "Position errors of the flange reflector"
+    log, reflectors = facts.log, len(facts.cell.robot.seats_mm)
+    measured = "Position errors of the flange reflector"
     if reflectors > 1:
-        errors = "Position and orientation errors of the tool, "
-        errors += f"by {reflectors} reflectors on the flange,"
-    measured = (
-        f"{errors} measured by laser tracker at "
-        f"{len(log.select('grid'))} vertices of a grid at {here}"
+        measured = "Position and orientation errors of the tool, "
+        measured += f"by {reflectors} reflectors on the flange,"
+    measured += (
+        f" measured by laser tracker at {len(log.select('grid'))} vertices of a grid at "
+        f"{facts.cell.grid.station}"
     )
     if turned := len(log.select(ORIENTED)):
         measured += f", at {turned} in other orientations"
-    if poses:
+    if poses := len(log.select("pose")):
         measured += f" and at {poses} poses chosen by the errors found there"
     found = [measured]
     if log.curves:
@@ -134,55 +141,19 @@ def _correction_words(facts: Facts) -> str:
     found.append(MODELS[log.method].text if log.method in MODELS else "corrected")
     if len(facts.cell.station) > 1:
         found.append("transferred to the other stations by station frames")
-    if touched:
-        stations = ", ".join(sorted({point.station for point in touched}))
+    if touched := {point.station for point in log.select("touch")}:
+        stations = ", ".join(sorted(touched))
         found.append(f"the base found again by touch poses on the visit of {stations}")
     return "; ".join([*found, "validated on targets sent and measured."])
 
 
-@dataclass(frozen=True, eq=False)
-class _Answers:
-    """Answers to the clauses of the standard, for one run."""
-
-    facts: Facts
-
-    def robot_serial(self) -> str:
-        found = [asset.serial for asset in self.facts.log.assets if asset.kind == "robot"]
-        return f", serial {found[0]}" if found else ""
-
-    def dates(self) -> str:
-        first, last = (
-            in_zone(self.facts.records[0].t, self.facts.zone).date().isoformat(),
-            self.facts.date,
-        )
-        return first if first == last else f"{first} to {last}"
-
-    def results(self) -> str:
-        """Return where the results stand, and their units."""
-        if not self.facts.log.points:
-            return "none: nothing was measured"
-        air = ", temperatures °C" if self.facts.log.temperatures_c() else ""
-        return f"the tables of this report; lengths mm, angles °{air}"
-
-    def limits_of_validity(self) -> str:
-        """Return for what the results hold: the first page states the volume of a calibration."""
-        if not (_calibrated(self.facts) or FirstPage(self.facts).validity_facts()):
-            return "described and to its state when it was measured"
-        if self.facts.log.temperatures_c():
-            return "calibrated, in the volume, orientation and temperatures stated here"
-        return "calibrated, in the volume and orientation stated here; no temperature was measured"
-
-    def results_part(self) -> str:
-        """Return the part of the report with the tables of results."""
-        return POSES if tests_poses(self.facts) else STATIONS
-
-    def deviations(self) -> str:
-        found = [f"a calibration was used although {why}" for why in self.facts.inputs.accepted]
-        found += PoseReport(self.facts).departures()
-        return "; ".join(found) or "none recorded"
-
-    def revoked(self) -> str:
-        return f"REVOKED: {self.facts.revoked}; " if self.facts.revoked else ""
+def _limits_of_validity(facts: Facts) -> str:
+    """Return for what the results hold: the first page states the volume of a calibration."""
+    if not (_calibrated(facts) or FirstPage(facts).validity_facts()):
+        return "described and to its state when it was measured"
+    if facts.log.temperatures_c():
+        return "calibrated, in the volume, orientation and temperatures stated here"
+    return "calibrated, in the volume and orientation stated here; no temperature was measured"
 
 
 def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
+from hilcell.clean import counted
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.words import happened_words, in_words, in_zone, key_words
@@ -76,16 +77,9 @@ class _Course:
 
     facts: Facts
 
-    def columns(self) -> tuple[Column[Line], ...]:
-        """Return the columns: local time, with UTC in brackets where that is another."""
-        name = self.facts.zone.tzname(None)
-        time = "UTC" if not self.facts.inputs.utc_offset_min else f"{name} (UTC)"
-        return Column(time, attrgetter("t")), Column("course in words", attrgetter("words"))
-
     def lines(self) -> Iterator[Line]:
         """Yield each line with its time in the journal; a step says how many points it gave."""
-        log, last, steps = Log(), "", _Steps()
-        found: list[Line] = []
+        log, last, steps, found = Log(), "", _Steps(), list[Line]()
         # of the next session, and written before it
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
@@ -99,9 +93,8 @@ class _Course:
             if starts:
                 steps.leave()
             if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
-                found.append(
-                    Line(record.t, f"Measured again: {key_words(record.key, self.facts.log)}.")
-                )
+                again = key_words(record.key, self.facts.log)
+                found.append(Line(record.t, f"Measured again: {again}."))
             else:
                 steps.take(record, log)
             if not isinstance(record.fact, before_it_goes_on):
@@ -183,20 +176,18 @@ def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
 def course(facts: Facts) -> Table:
     """Return how the run went."""
     counts = Counter(r.fact.what for r in facts.records if isinstance(r.fact, Event | OtherEvent))
+    slide = f", {counts['slide proven']} that the slide did" if facts.cell.has_rail else ""
     note = (
-        f"{facts.log.session} start{'s' if facts.log.session != 1 else ''} of an engine. Not "
-        f"listed: {counts['tracker proven']} proofs that the tracker stood still"
-        + (f", {counts['slide proven']} that the slide did." if facts.cell.has_rail else ".")
+        f"{counted(facts.log.session, 'start')} of an engine. Not listed: "
+        f"{counts['tracker proven']} proofs that the tracker stood still{slide}."
     )
-    own = _Course(facts)
-    lines = _dated(own.lines(), facts)
-    return Table(
-        own.columns(),
-        lines,
-        "Course of the run",
-        note,
-        lambda line: "stop" if line.stop else "",
+    name = facts.zone.tzname(None)  # UTC in brackets where that is another
+    columns: tuple[Column[Line], ...] = (
+        Column(f"{name} (UTC)" if facts.inputs.utc_offset_min else "UTC", attrgetter("t")),
+        Column("course in words", attrgetter("words")),
     )
+    lines = _dated(_Course(facts).lines(), facts)
+    return Table(columns, lines, "Course of the run", note, lambda row: "stop" if row.stop else "")
 
 
 def _dated(lines: Iterator[Line], facts: Facts) -> Iterator[Line]:
@@ -245,7 +236,7 @@ class _Steps:
         """Return the words of a line; "" of a step that did nothing."""
         if line not in self._idle:
             count = self._counts[line]
-            return f"{text} {count} point{'s' if count > 1 else ''}." if count else text
+            return f"{text} {counted(count, 'point')}." if count else text
         return f"{text} Computed again, nothing measured." if line in self._computed else ""
 
 
@@ -280,7 +271,6 @@ def _starts(fact: Fact) -> bool:
 def _cut_off(log: Log) -> str:
     """Return how the session before ended, which did not end by itself."""
     newest = [*log.points][-1:]
-    since = f" after {key_words(newest[0], log)}" if newest else " before its first point"
-    return (
-        f"Engine gone without notice (killed, or power lost){since}, while the run was {log.state}."
-    )
+    since = f"after {key_words(newest[0], log)}" if newest else "before its first point"
+    how = "Engine gone without notice (killed, or power lost)"
+    return f"{how} {since}, while the run was {log.state}."

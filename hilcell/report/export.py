@@ -36,7 +36,7 @@ class Measured:
     error_mm: Array | None
     zyx: Array | None
     bound_mm: float | None
-    turned_deg: float | None = None
+    turned_deg: float | None
 
     @property
     def settled_s(self) -> float | None:
@@ -104,10 +104,17 @@ def points(facts: Facts) -> list[Measured]:
     world = facts.log.matrix("world") if "world" in facts.log.frames else None
     bounds_mm = target_budget(facts.log, facts.run).points_mm
     turns_deg = _turns_deg(facts.log)
-    return [
-        _measured(wrote[key], point, world, bounds_mm.get(key), turns_deg.get(key))
-        for key, point in facts.log.points.items()
-    ]
+    found = []
+    for key, point in facts.log.points.items():
+        record = wrote[key]
+        world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
+        known = world_mm is not None and point.nominal_mm is not None
+        error_mm = world_mm - np.array(point.nominal_mm) if known else None
+        said = record.body.get("pose")
+        zyx = None if said is None else zyx_from_pose(np.array(said))
+        figures = bounds_mm.get(key), turns_deg.get(key)
+        found.append(Measured(record, point, world_mm, error_mm, zyx, *figures))
+    return found
 
 
 def _turns_deg(log: Log) -> dict[str, float]:
@@ -118,21 +125,6 @@ def _turns_deg(log: Log) -> dict[str, float]:
     turned = turned_of(log, list(log.points.values()), seats)
     keys = (point.key for point in turned.points)
     return dict(zip(keys, turned.angles_deg.tolist(), strict=True))
-
-
-def _measured(
-    record: Record,
-    point: Point,
-    world: Array | None,
-    bound_mm: float | None,
-    turned_deg: float | None,
-) -> Measured:
-    world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
-    known = world_mm is not None and point.nominal_mm is not None
-    error_mm = world_mm - np.array(point.nominal_mm) if known else None
-    said = record.body.get("pose")
-    pose = None if said is None else zyx_from_pose(np.array(said))
-    return Measured(record, point, world_mm, error_mm, pose, bound_mm, turned_deg)
 
 
 def points_table(facts: Facts) -> Table:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from operator import attrgetter, itemgetter
@@ -15,7 +14,7 @@ from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import Budget, budget_of
-from hilcell.cell.file import Cell, Station
+from hilcell.cell.file import Cell
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
@@ -49,57 +48,38 @@ from hilcell.report.drawings.figures import POSE_TEST, drawings
 from hilcell.report.drawings.over_time import air, floor_moves
 from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import (
-    FirstPage,
-    instruments,
-    verdicts,
-)
+from hilcell.report.first_page import FirstPage, instruments, verdicts
 from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.tables import Tables, worst
 
 
-@dataclass(frozen=True, slots=True)
-class Range:
-    """From where to where the volume reaches along one axis."""
-
-    name: str
-    low_mm: float
-    high_mm: float
-
-
-def corners_mm(cell: Cell, station: Station) -> Array:
-    """Return the corners (8, 3) of a station's volume in {W}, of the nominal layout."""
-    centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
-    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    return apply(cell.layout.nominal_base(station.rail_mm), centre + signs * half)
-
-
 def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
     """Return the table; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
-    places = {station.name: corners_mm(cell, station) for station in cell.station}
+    centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
+    cube_mm = centre + np.array([*product((-1.0, 1.0), repeat=3)]) * half
+    places = {s.name: apply(cell.layout.nominal_base(s.rail_mm), cube_mm) for s in cell.station}
     every = np.concatenate(list(places.values()))
     far_m = np.linalg.norm(every - tracker_mm, axis=1) / 1000
     note = f"Tracker to corners: {far_m.min():.1f} to {far_m.max():.1f} m."
-    columns: tuple[Column[Range], ...] = (
-        Column("in {W}, mm", attrgetter("name")),
-        Column("from", attrgetter("low_mm"), form=".0f"),
-        Column("to", attrgetter("high_mm"), form=".0f"),
-    )
     lows = np.array([corners.min(axis=0) for corners in places.values()])
     highs = np.array([corners.max(axis=0) for corners in places.values()])
-    found = []
+    found = list[tuple[str, float, float]]()
     most_stations = 4  # one by one
     same_mm = 0.5
     for n, axis in enumerate("xyz"):
         low, high = lows[:, n], highs[:, n]
-        if max(np.ptp(low), np.ptp(high)) <= same_mm:
-            found.append(Range(axis, float(low.min()), float(high.max())))
-        elif len(places) > most_stations:
-            words = f"{axis}, {len(places)} stations"
-            found.append(Range(words, float(low.min()), float(high.max())))
+        same = max(np.ptp(low), np.ptp(high)) <= same_mm
+        if same or len(places) > most_stations:
+            words = axis if same else f"{axis}, {len(places)} stations"
+            found.append((words, float(low.min()), float(high.max())))
         else:
             rows = zip(places, low.tolist(), high.tolist(), strict=True)
-            found += [Range(f"{axis}, {name}", *ends) for name, *ends in rows]
+            found += [(f"{axis}, {name}", *ends) for name, *ends in rows]
+    columns: tuple[Column[tuple[str, float, float]], ...] = (
+        Column("in {W}, mm", itemgetter(0)),
+        Column("from", itemgetter(1), form=".0f"),
+        Column("to", itemgetter(2), form=".0f"),
+    )
     return Table(columns, found, "Calibrated volume", note)
 
 
@@ -135,10 +115,7 @@ def models(facts: Facts) -> Table:
     fit = facts.log.verdict(Fitted)
     columns: tuple[Column[tuple[str | float | None, ...]], ...] = (
         Column("model", itemgetter(0)),
-        *(
-            Column(name, itemgetter(n), "mm", ".3f")
-            for n, name in enumerate(Figures._fields, start=1)
-        ),
+        *(Column(name, itemgetter(n), "mm", ".3f") for n, name in enumerate(Figures._fields, 1)),
     )
     if fit is None:
         return Table(columns, (), "Choice of the correction")
@@ -178,13 +155,9 @@ WORDS = (
 def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
     """Return the words that stand in a page, with their meaning in such a cell."""
     text = re.sub(r"<[^>]*>", " ", html)
-    without_rail = {"Station": "place of the robot, on the floor"}
-    own = {} if has_rail else without_rail
-    return [
-        (name, own.get(name, meaning))
-        for name, pattern, meaning in WORDS
-        if re.search(pattern, text)
-    ]
+    own = {} if has_rail else {"Station": "place of the robot, on the floor"}
+    shown = ((name, meaning) for name, pattern, meaning in WORDS if re.search(pattern, text))
+    return [(name, own.get(name, meaning)) for name, meaning in shown]
 
 
 PARTS = {
@@ -201,10 +174,12 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     ``pages`` says on which page each part begins, where that is known: on paper.
     """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
-    page_of = _Page(facts)
     tables = Tables(facts)
-    own = Table((), ()) if page_of.has_tables() else tables.own_table()
-    drawn = page_of.drawings(targets)
+    measured_here = tests_poses(facts) or any(
+        validation(facts.log, stations) for stations in places(facts.cell).values()
+    )
+    own = Table((), ()) if measured_here else tables.own_table()  # the report has its own of them
+    drawn = _drawn(facts, targets)
     accuracy, judged, worst_ones = tables.accuracy(), verdicts(facts), worst(facts, targets)
     placed = [accuracy, tables.orientation(), tables.stations(), tables.touches()]
     frames = [tables.frames(), tables.circles()]
@@ -216,123 +191,90 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         "drift": drawn["nests"] or drawn["air"],
     }
     stations_title = ", ".join(name for name, there in named.items() if there).capitalize()
-    return (
-        environment("hilcell.report")
-        .get_template("report.html.j2")
-        .render(
-            **page_of.first_page(budget, targets),
-            **drawn,
-            facts=facts,
-            version=__version__,
-            pages=pages or {},
-            parts=PARTS | {"stations": stations_title},
-            words_of=partial(words_of, has_rail=facts.cell.has_rail),
-            controls=sum(each.group == CONTROL for each in facts.log.points.values()),
-            page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
-            certificate=certificate(facts, budget, targets),
-            pose_sheets=PoseReport(facts).sheets(),
-            has_part=lambda name, body: f' id="{name}"' in body,
-            station_sheets=[*placed, *frames, worst_ones],
-            own_sheet=own,
-            empty=not (own or accuracy or judged),
-            curve_sheet=curves(facts),
-            paper_sheet=tables.paper_rows(),
-            budget_sheet=budget_sheet(budget, targets, page_of.hidden(targets)),
-            bounds_sheet=bounds_sheet(targets),
-            models=models(facts),
-            verdicts=judged,
-            targets=targets,
-            record_sheets=[
-                course(facts),
-                tables.remeasured(),
-                tables.devices(),
-                tables.conditions(),
-                tables.groups(),
-                tables.software(),
-            ],
-        )
+    turns_over = TWO_FACES[0] in facts.log.verdicts
+    hidden = [] if targets.missing else unseen(facts.cell, turns_over=turns_over)
+    return environment("hilcell.report").get_template("report.html.j2").render(
+        **_first_page(facts, budget, targets),
+        **drawn,
+        facts=facts,
+        version=__version__,
+        pages=pages or {},
+        parts=PARTS | {"stations": stations_title},
+        words_of=partial(words_of, has_rail=facts.cell.has_rail),
+        controls=sum(each.group == CONTROL for each in facts.log.points.values()),
+        page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
+        certificate=certificate(facts, budget, targets),
+        pose_sheets=PoseReport(facts).sheets(),
+        has_part=lambda name, body: f' id="{name}"' in body,
+        station_sheets=[*placed, *frames, worst_ones],
+        own_sheet=own,
+        empty=not (own or accuracy or judged),
+        curve_sheet=curves(facts),
+        paper_sheet=tables.paper_rows(),
+        budget_sheet=budget_sheet(budget, targets, hidden),
+        bounds_sheet=bounds_sheet(targets),
+        models=models(facts),
+        verdicts=judged,
+        targets=targets,
+        record_sheets=[
+            course(facts), tables.remeasured(), tables.devices(), tables.conditions(),
+            tables.groups(), tables.software(),
+        ],
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Page:
-    """The page of one run."""
+def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
+    page, (kind, words) = FirstPage(facts), standing(facts)
+    lead = facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
+    if facts.log.calibration == "validated" and not facts.is_paper:
+        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
+        turned = bool(facts.cell.robot.more_smr_mm)
+        errors = "position and orientation errors of the tool" if turned else (
+            "position errors of the tool point"
+        )  # fmt: skip
+        lead = f"{robot}: {errors} and their correction"
+    return {
+        "title": title(facts),
+        "kind": kind,
+        "standing": words,
+        "lead": lead,
+        "word": page.verdict_word(),
+        "sentence": sentence(facts),
+        "conformity": conformity_words(facts),
+        "results": page.results_sheet(targets),
+        "turn_results": page.turn_results(),
+        "strip": strip(page.nearest_results(targets), facts.inputs.simulated),
+        "uncertainty": page.uncertainty_words(budget),
+        "item": page.item_facts(measured(facts)),
+        "validity": page.validity_facts(),
+        "instruments": instruments(facts),
+        "turns": Tables(facts).orientation_words(),
+        "conditions": conditions_words(facts),
+        "method": procedure_words(facts),
+        "departures": PoseReport(facts).departures(),
+    }
 
-    facts: Facts
 
-    @property
-    def _page(self) -> FirstPage:
-        return FirstPage(self.facts)
-
-    def hidden(self, targets: TargetBudget) -> list[str]:
-        """Return the errors of corrected targets that the run could not see."""
-        return (
-            []
-            if targets.missing
-            else unseen(self.facts.cell, turns_over=TWO_FACES[0] in self.facts.log.verdicts)
-        )
-
-    def first_page(self, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
-        kind, words = standing(self.facts)
-        return {
-            "title": title(self.facts),
-            "measured": measured(self.facts),
-            "kind": kind,
-            "standing": words,
-            "lead": self.lead(),
-            "word": self._page.verdict_word(),
-            "sentence": sentence(self.facts),
-            "conformity": conformity_words(self.facts),
-            "results": self._page.results_sheet(targets),
-            "turn_results": self._page.turn_results(),
-            "strip": strip(self._page.nearest_results(targets), self.facts.inputs.simulated),
-            "uncertainty": self._page.uncertainty_words(budget),
-            "item": self._page.item_facts(measured(self.facts)),
-            "validity": self._page.validity_facts(),
-            "instruments": instruments(self.facts),
-            "turns": Tables(self.facts).orientation_words(),
-            "conditions": conditions_words(self.facts),
-            "method": procedure_words(self.facts),
-            "departures": PoseReport(self.facts).departures(),
-        }
-
-    def drawings(self, targets: TargetBudget) -> dict[str, object]:
-        simulated, at_mm, drawn = (
-            self.facts.inputs.simulated,
-            tracker_mm(self.facts),
-            drawings(self.facts),
-        )
-        return {
-            "plan": plan_view(self.facts.cell, at_mm, simulated),
-            "side": side_view(self.facts.cell, at_mm, simulated),
-            "volume": volume_sheet(self.facts.cell, at_mm) if self._page.validity_facts() else None,
-            "order": in_order(self.facts),
-            "enlarged": enlarged(self.facts, targets),
-            "vectors": vectors(self.facts),
-            "variance": variance_bar(targets, simulated),
-            "nests": floor_moves(self.facts),
-            "air": air(self.facts),
-            "histogram": over_bound(self.facts, targets),
-            "curve_plots": curve_plots(self.facts),
-            "pose_drawings": [each for each in drawn if each.name in POSE_TEST],
-            "drawings": [each for each in drawn if each.name not in POSE_TEST],
-        }
-
-    def has_tables(self) -> bool:
-        """Whether targets were validated or poses tested: the report has its own tables of them."""
-        return tests_poses(self.facts) or any(
-            validation(self.facts.log, stations) for stations in places(self.facts.cell).values()
-        )
-
-    def lead(self) -> str:
-        """Return what the report is about, in a line."""
-        position_errors = "position errors of the tool point"
-        if self.facts.log.calibration == "validated" and not self.facts.is_paper:
-            robot = "Robot on a rail" if self.facts.cell.has_rail else "Robot"
-            turned = bool(self.facts.cell.robot.more_smr_mm)
-            errors = "position and orientation errors of the tool" if turned else position_errors
-            return f"{robot}: {errors} and their correction"
-        return self.facts.procedure.summary[:1].upper() + self.facts.procedure.summary[1:]
+def _drawn(facts: Facts, targets: TargetBudget) -> dict[str, object]:
+    world = facts.log.matrix("world") if "world" in facts.log.frames else None
+    tracker_mm = (facts.cell.tracker.pose.matrix() if world is None else world)[:3, 3]
+    simulated, drawn = facts.inputs.simulated, drawings(facts)
+    valid = FirstPage(facts).validity_facts()
+    return {
+        "plan": plan_view(facts.cell, tracker_mm, simulated),
+        "side": side_view(facts.cell, tracker_mm, simulated),
+        "volume": volume_sheet(facts.cell, tracker_mm) if valid else None,
+        "order": in_order(facts),
+        "enlarged": enlarged(facts, targets),
+        "vectors": vectors(facts),
+        "variance": variance_bar(targets, simulated),
+        "nests": floor_moves(facts),
+        "air": air(facts),
+        "histogram": over_bound(facts, targets),
+        "curve_plots": curve_plots(facts),
+        "pose_drawings": [each for each in drawn if each.name in POSE_TEST],
+        "drawings": [each for each in drawn if each.name not in POSE_TEST],
+    }
 
 
 def standing(facts: Facts) -> tuple[str, str]:
@@ -372,12 +314,6 @@ def sentence(facts: Facts) -> str:
             shown = "Neither that the robot keeps its limits is shown nor the contrary"
             return f"{only}{shown}{FirstPage(facts).deciding()}."
     return "No correction was judged against limits in this run."
-
-
-def tracker_mm(facts: Facts) -> Array:
-    """Return where the tracker stood in {W}, (3,)."""
-    T = facts.log.matrix("world") if "world" in facts.log.frames else None
-    return (facts.cell.tracker.pose.matrix() if T is None else T)[:3, 3]
 
 
 def measured(facts: Facts) -> str:
