@@ -74,10 +74,7 @@ class Tui(Signature):
     """The technician's screen: start, attach to or look at runs."""
 
     run: Annotated[
-        str,
-        Word(
-            "a run's name, its beginning, or `last` (default: the live one, else the form)", "RUN"
-        ),
+        str, Word("a run's name, its beginning, or `last` (default: live, else the form)", "RUN")
     ] = ""
     runs: Runs
     cell: CellName = "paper"
@@ -93,11 +90,7 @@ class Tui(Signature):
     ascii: Annotated[bool, Argument("no shapes beyond ASCII")] = False
     slow: Annotated[bool, Argument("for thin links: once a second")] = False
     keys: Annotated[
-        str,
-        Argument(
-            "other keys (default: keys.toml in the user's configuration, where it exists)",
-            "FILE.toml",
-        ),
+        str, Argument("other keys (default: keys.toml in the user's configuration)", "FILE.toml")
     ] = ""
 
 
@@ -111,10 +104,7 @@ class Plan(Signature):
     free: Annotated[bool, Argument("stations anywhere along the rail, too")] = False
     output: Annotated[str, Output("CSV: station,order,name", "OUT")] = ""
     calibration: Annotated[
-        str,
-        Argument(
-            "a run or calibration.json: no hole where `compensate` would refuse it", "CALIBRATION"
-        ),
+        str, Argument("a run or calibration.json: no hole that it cannot correct", "CALIBRATION")
     ] = ""
     release: Release
     json: Json = False
@@ -148,11 +138,7 @@ class Compensate(Signature):
     calibration: Annotated[str, Word("a run or calibration.json", "CALIBRATION")]
     targets: Annotated[
         str,
-        Word(
-            f"nominal targets in {{W}}, header {TARGETS}; or a robot program of an installed "
-            "format",
-            "TARGETS.csv|PROGRAM",
-        ),
+        Word(f"targets in {{W}}, header {TARGETS}; or a robot program", "TARGETS.csv|PROGRAM"),
     ]
     allow_stroke: Annotated[
         float,
@@ -175,10 +161,7 @@ class Compensate(Signature):
     station: Annotated[str, Argument("where they are reached", "S")]
     output: Annotated[str, Output("corrected targets, or program", "OUT")]
     cell: Annotated[
-        str,
-        Argument(
-            "refuse a calibration of another cell, and turns of the joints that change", "CELL"
-        ),
+        str, Argument("refuse a calibration of another cell, and changed joint turns", "CELL")
     ] = ""
     settings: Settings = ()
     tool: ToolName = ""
@@ -282,8 +265,7 @@ class Doctor(Signature):
     """Check this PC before a run; nothing moves."""
 
     cell: Annotated[
-        str,
-        Argument("also connect once to each device of a real cell that no run is using", "CELL"),
+        str, Argument("also connect once to each unused device of a real cell", "CELL")
     ] = ""
     settings: Settings = ()
     runs: Runs
@@ -298,24 +280,12 @@ class Sim(Signature):
     seed: Annotated[int, Argument("of the machine (default: 1)", "N", seed_of)] = 1
     machine_seed: MachineSeed = None
     truth: Annotated[bool, Argument("the control channel answers what is true; for tests")] = False
-    speed: Annotated[
-        float,
-        Argument("of its time: a factor, or as fast as it goes (default: 1)", "X|max", speed_of),
-    ] = 1.0
-    faults: Annotated[
-        str,
-        Argument("faults to inject, TOML: docs/training.md has their names and their form", "FILE"),
-    ] = ""
-    train: Annotated[bool, Argument("offer faults from a menu, for technicians to practise")] = (
-        False
-    )
+    speed: Annotated[float, Argument("a factor of real time (default: 1)", "X|max", speed_of)] = 1.0
+    faults: Annotated[str, Argument("faults to inject, TOML (docs/training.md)", "FILE")] = ""
+    train: Annotated[bool, Argument("offer faults from a menu, to practise")] = False
     ports: Annotated[
         dict[str, int] | None,
-        Argument(
-            "TCP ports of rail, robot, tracker, control (default: free ones)",
-            "NAME=PORT,...",
-            ports_of,
-        ),
+        Argument("of rail, robot, tracker, control (default: free)", "NAME=PORT,...", ports_of),
     ] = None
 
 
@@ -360,11 +330,7 @@ class RunStudy(Signature):
     ] = None
     output: Annotated[
         str,
-        Output(
-            "folder of results (default: FILE-results); of a report its file "
-            "(default: DIR/report.html)",
-            "OUT",
-        ),
+        Output("folder of results (default: FILE-results), or the report (DIR/report.html)", "OUT"),
     ] = ""
     dry_run: Annotated[bool, Argument("list the cases only")] = False
     json: Json = False
