@@ -76,11 +76,7 @@ PORTS: Mapping[str, type] = {"rails": Rail, "robots": Robot, "trackers": Tracker
 
 
 def load_entry(group: str, name: str) -> Any:
-    """Return the object of the entry point ``name`` of ``hilcell.<group>``.
-
-    Raises `SettingsError` where it is not installed, cannot be loaded, two packages have it, or a
-    driver lacks a part of its port.
-    """
+    """Return the entry point ``name`` of ``hilcell.<group>``, loaded; raises `SettingsError`."""
     entries = _entries(group)
     found = {entry.value: entry for entry in entries if entry.name == name}
     if not found:
@@ -112,10 +108,7 @@ def _entries(group: str) -> EntryPoints:
 
 @cache
 def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoints]:
-    """Return hilcell's entry points by group; ``path`` is where packages are looked for.
-
-    They are asked for a dozen times a command, and each look reads every package's metadata.
-    """
+    """Return hilcell's entry points by group: each look reads the metadata of all packages."""
     found = entry_points()
     groups = [group for group in found.groups if group.startswith("hilcell.")]
     return {group: found.select(group=group) for group in groups}
@@ -196,10 +189,7 @@ def rides_on_robot(cell: Cell) -> bool:
 def build_devices(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
 ) -> Devices:
-    """Build the drivers, unopened, with ``addresses`` in place of the options' own.
-
-    Raises `SettingsError` where one cannot be built.
-    """
+    """Build the drivers, unopened, ``addresses`` before their options; raises `SettingsError`."""
     built: dict[str, Any] = {}
     for table, group in TABLES:
         kind, options = driver_options(cell, table, group, addresses.get(table, {}))
@@ -273,10 +263,7 @@ def unknown_drivers(drivers: Mapping[str, str]) -> list[str]:
 
 
 def check_options(cell: Cell) -> None:
-    """Check the drivers' options and addresses, the simulator, and the catalogues of alarms.
-
-    Raises `SettingsError` with all problems.
-    """
+    """Check options, addresses, simulator, catalogues; raises `SettingsError` with all problems."""
     problems: list[str] = []
     unknown = False
     anywhere = {} if cell.simulation is None else stand_ins(cell)

@@ -1,8 +1,4 @@
-"""Where the rail and the nests stand, and whether reflectors are carried by hand.
-
-Frames: {W} world (three floor nests), {B} robot base, {S} slide (its nests are given in nominal
-{B}: the slide carries the robot).
-"""
+"""Where the rail and the nests stand, and whether reflectors are carried by hand."""
 
 from __future__ import annotations
 

@@ -297,10 +297,7 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
 
 
 def range_text(kind: object) -> str:
-    """Return the bounds of a number, or of a tuple's members, or the words that are allowed.
-
-    Empty without bounds.
-    """
+    """Return the bounds of a number or of a tuple's members, or the words allowed; "" without."""
     kind = _stated(kind)
     if typing.get_origin(kind) is typing.Literal:
         return ", ".join(f'"{word}"' for word in typing.get_args(kind))

@@ -1,7 +1,4 @@
-"""The words that all tables of the cell file share: ranges of numbers, a table, a pose.
-
-Lengths mm, angles deg.
-"""
+"""Ranges of numbers, a table and a pose, as all tables of the cell file share them: mm and deg."""
 
 from __future__ import annotations
 

@@ -16,10 +16,7 @@ SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves ta
 
 
 def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
-    """Return in words what no comparison of the cell's runs shows.
-
-    ``turns_over``: the tracker sees nests in both of its faces.
-    """
+    """Return what no comparison of runs shows; ``turns_over``: nests are seen in both faces."""
     found = []
     useful_ppm = 30.0  # of a certified length that is of use
     layout, centre = cell.layout, cell.grid.centre.matrix()

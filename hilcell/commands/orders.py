@@ -1,7 +1,4 @@
-"""The signatures of all commands but `run`: their arguments and help.
-
-They are apart from what the commands do, so that a parser needs none of that.
-"""
+"""The signatures of all commands but `run`, apart from what they do: a parser needs them alone."""
 
 from __future__ import annotations
 

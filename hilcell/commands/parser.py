@@ -121,10 +121,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(EXIT_REFUSED)
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print the help, or an error; argparse takes no notice of a stdout that fails.
-
-        Raises `NotPrinted`.
-        """
+        """Print the help or an error; raises `NotPrinted`, where argparse takes no notice."""
         if file is not sys.stdout:
             super()._print_message(message, file)
             return

@@ -1,7 +1,4 @@
-"""``plant``: records of all cells in one database: make it, ship runs to it, ask it.
-
-Of one cell's record, what an auditor gets is exported, signed by the plant, and verified.
-"""
+"""``plant``: records of all cells in one database: made, filled, asked, exported, verified."""
 
 from __future__ import annotations
 

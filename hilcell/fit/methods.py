@@ -365,10 +365,7 @@ def scattered() -> dict[str, type[LearntModel]]:
 
 
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
-    """Return measured minus predicted (N, 3) by each of `scattered`, from other poses.
-
-    A fifth of the poses is left out together.
-    """
+    """Return measured minus predicted (N, 3) by each of `scattered`, a fifth of poses left out."""
     fold = folds_of(rows.joints_rad)
     miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
     for left_out in range(FOLDS):
@@ -423,10 +420,7 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
-    """Return the rows (N,) that contradict the others, and why no robot is identified.
-
-    Raises `FitError` where they are too many, or miss absurdly.
-    """
+    """Return the outliers (N,), and why no robot is identified; raises `FitError`."""
     richest = "tool"  # of the methods that identify the robot
     try:
         found = FittedArm.learn(placement, rows, richest, trusted=False)
@@ -559,10 +553,7 @@ def _model(name: str, arm: FittedArm) -> ModelFound:
 
 
 def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
-    """Refuse targets of too few poses to learn from while a fifth of the poses is left out.
-
-    ``left_out`` is the count of rows that contradict the others.
-    """
+    """Refuse targets of too few poses to leave a fifth out; ``left_out``: outliers."""
     pose, fold = poses_of(rows.joints_rad), folds_of(rows.joints_rad)
     for target, _ in reversed(Counter(rows.target).most_common()):
         own = rows.of(target)
@@ -581,9 +572,7 @@ def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
 
 
 def _order(rows: Measurements) -> Ints:
-    """Return an order of the rows (N,) that theirs does not decide; of one target that is measured
-    again at a pose, the first stays the first.
-    """
+    """Return an order of the rows (N,), of theirs only for a target that is measured again."""
     joints, target = rows.joints_rad, np.array(rows.target)
     pose = np.array(rows.pose)
     return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))

@@ -44,10 +44,7 @@ class FitError(HilcellError):
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the robot stands and carries its reflectors, found with nominal kinematics.
-
-    ``T_L_B`` (4, 4): base in the tracker's frame; ``smr_mm``: reflectors (3,) on the flange.
-    """
+    """The base in the tracker's frame, ``T_L_B`` (4, 4), and reflectors (3,) on the flange."""
 
     arm: Arm
     T_L_B: Array
@@ -84,10 +81,7 @@ class Placement:
 
 
 def place(arm: Arm, rows: Measurements) -> Placement:
-    """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows.
-
-    Raises `FitError` where the rows do not determine them or the robot is plainly another.
-    """
+    """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows; raises `FitError`."""
     try:
         placement, step = _placed(arm, rows)
     except FrameError as error:

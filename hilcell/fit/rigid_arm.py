@@ -102,10 +102,7 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
 
 
 def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:
-    """Write the DH table as CSV, or as json with the parameters' covariance, by the suffix.
-
-    Raises `NotWritten` as `write_whole` does.
-    """
+    """Write the DH table as CSV, or as JSON with the covariance; raises `NotWritten`."""
     json = ".json"
     if path.suffix.lower() != json:
         write_rows(path, DH_HEADER, found.dh_rows(), inputs=inputs)
@@ -128,10 +125,7 @@ def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path
 def write_urdf(
     path: Path, robot: Robot, found: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
 ) -> None:
-    """Write the nominal file with the identified origins, or a new one where none was read.
-
-    Raises `NotWritten` as `write_whole` does.
-    """
+    """Write the nominal file with the identified origins, or a new one; raises `NotWritten`."""
     chain = chain_of(robot.base, replace(found.arm, tool=robot.tool))
     left = np.eye(4)
     if isinstance(robot, Urdf):

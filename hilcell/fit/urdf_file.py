@@ -302,10 +302,7 @@ class Urdf:
 
 
 def read_urdf(path: Path, tip: str = "") -> Urdf:
-    """Read the chain that ends in link ``tip``, or the only one that has six revolute joints.
-
-    Raises `SettingsError`.
-    """
+    """Read the chain to ``tip``, or the only one of six revolute joints; raises `SettingsError`."""
     try:
         text = read_urdf_text(read_bytes(path))
         joints = _chain_to(tip, text) if tip else _only_chain(text)
