@@ -5,14 +5,17 @@ ever. So the time that a motion may take follows from its plan, in the cell's ti
 only as fast as the override lets the motion go: an override that is lowered on the way is no fault.
 A simulated cell may run faster than any clock, so a motion is overdue only after the real time of a
 stall as well: that is no pause of a busy PC.
+
+The errors are a robot's; a drive has its own.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from drivers.device_errors import ROBOT
 from drivers.supervision import Patience
-from hilcell.ports import Array
+from hilcell.ports import Array, DeviceError
 
 
 class MotionLimits:
@@ -56,6 +59,82 @@ class MotionLimits:
         self._now_s, self._share = now_s, share
         real = self._at_least.over()
         return real and not self._stands and not self.spent_s <= self.limit_s
+
+    def stall_error(self, where: str, wanted: str, axes_deg: Array) -> DeviceError:
+        """Return the error of a motion that gets no further; ``where`` tells its axes."""
+        waited_s = self._stall_s
+        found = f"no axis moved for {waited_s:.0f} s {where}"
+        return ROBOT.failed(
+            "HC-B23", "move", found, wanted=wanted, waited_s=waited_s, axes_deg=axes_deg
+        )
+
+    def time_error(self, where: str, wanted: str, axes_deg: Array) -> DeviceError:
+        """Return the error of a motion that takes far longer than was planned."""
+        return ROBOT.failed(
+            "HC-B29",
+            "move",
+            f"still under way after {self.spent_s:.0f} s at full speed, {where}",
+            wanted=f"{wanted} within {self.limit_s:.0f} s",
+            spent_s=self.spent_s,
+            limit_s=self.limit_s,
+            axes_deg=axes_deg,
+        )
+
+
+def stopped_short(at: str, wanted: str, axes_deg: Array, target_deg: Array) -> DeviceError:
+    """Return the error of an arm that does not stand at its target after its acknowledgement."""
+    return ROBOT.failed(
+        "HC-B24",
+        "move",
+        f"stands or creeps at {at}",
+        wanted=f"{wanted} deg, at rest",
+        axes_deg=axes_deg,
+        target_deg=target_deg,
+    )
+
+
+def checked_target(joints_rad: Array, speed_percent: float) -> Array:
+    """Return a target (6,) in rad; raises `DeviceError` for impossible angles, or a speed."""
+    target_rad = np.asarray(joints_rad, dtype=float)
+    if target_rad.shape != (6,) or not bool(np.all(np.isfinite(target_rad))):
+        deg = np.degrees(target_rad)
+        raise ROBOT.failed(
+            "HC-B28", "move", f"target {deg} deg", wanted="six finite angles", target_deg=deg
+        )
+    if not 1.0 <= speed_percent <= 100.0:
+        raise ROBOT.failed(
+            "HC-B28",
+            "move",
+            f"speed {speed_percent} %",
+            wanted="1 to 100 %",
+            speed_percent=speed_percent,
+        )
+    return target_rad
+
+
+def unwell(code: str, variable: str, found: str, wanted: str, *, moving: bool) -> DeviceError:
+    """Return the error of a state that forbids to go on; ``moving`` makes it a fault."""
+    error, operation = (ROBOT.failed, "move") if moving else (ROBOT.refused, "check")
+    return error(code, operation, f"{variable} is {found}", wanted=wanted, variable=variable)
+
+
+def joints_text(joints_deg: Array) -> str:
+    """Return joints (6,), or all axes (7,) with a slide in mm, in words."""
+    joints = ", ".join(f"A{n} {each:.3f}" for n, each in enumerate(joints_deg[:6], start=1))
+    return f"{joints} deg" + "".join(f", E1 {slide_mm:.3f} mm" for slide_mm in joints_deg[6:])
+
+
+def check_identity(model: str, fits_in: str, serial: str, wanted: str) -> None:
+    """Refuse a robot without ``fits_in`` in its model, or of another serial number than wanted.
+
+    Raises `DeviceRefused`. A ``wanted`` of "" is any.
+    """
+    if fits_in not in model:
+        raise ROBOT.refused(
+            "HC-B05", "connect", f"model {model!r}", wanted=f"{fits_in!r} in it", model=model
+        )
+    if wanted not in ("", serial):
+        raise ROBOT.refused("HC-B05", "connect", f"serial {serial}", wanted=wanted, serial=serial)
 
 
 def planned_s(distance_deg: Array, speed_deg_s: Array, speed_percent: float) -> float:

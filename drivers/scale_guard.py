@@ -13,8 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from heapq import nlargest
 
-from drivers.standstill import DEVICE
-from hilcell.ports import DeviceError
+from drivers.device_errors import RAIL
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,17 +77,14 @@ class ScaleGuard:
                 "drive and strip count in opposite directions: change the polarity of the drive "
                 "(607Eh of CiA 402) or the strip's direction of counting; then home the rail"
             )
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R47",
-            DEVICE,
             operation,
             f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
             f"the strip: a ratio of {ways.ratio:.4g}",
             wanted=f"one way within {self.SHARE:.0%}",
             act=act,
-            fields={
-                "drive_mm": ways.drive_mm,
-                "strip_mm": ways.strip_mm,
-                "ratio": ways.ratio,
-            },
+            drive_mm=ways.drive_mm,
+            strip_mm=ways.strip_mm,
+            ratio=ways.ratio,
         )

@@ -22,10 +22,10 @@ from operator import or_
 from statistics import median
 from typing import Generic, Protocol, TypeVar
 
+from drivers.device_errors import RAIL
 from drivers.supervision import Patience
 from hilcell.ports import Clock, DeviceError, RailReading, StripLost
 
-DEVICE = "Rail"
 STRIP_SPREAD_MM = 0.02  # at rest
 READINGS = 5  # at least, of one dwell; the reading is their median
 LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
@@ -250,7 +250,7 @@ class Standing(Generic[P]):
             return now
         raise StripLost(
             "HC-S01",
-            DEVICE,
+            RAIL.name,
             operation,
             f"strip sensor: {self._alarm_text(alarms)}",
             act="check the strip and its head, then resume",
@@ -293,17 +293,17 @@ class Standing(Generic[P]):
     def _restless(self, now: P, limit_s: float) -> DeviceError:
         strip_mm, speed_mm_s = now.strip / self._strip_per_mm, now.velocity / self._units_per_mm
         windows = self._windows
-        return DeviceError(
+        return RAIL.failed(
             "HC-S06",
-            DEVICE,
             "settle",
             f"strip {strip_mm:.2f} mm, speed {speed_mm_s:.3f} mm/s",
             wanted=f"{READINGS} readings within +-1 count, the drive's within "
             f"{windows.spread / self._units_per_mm:.3f} mm, <= "
             f"{windows.speed / self._units_per_mm:.3f} mm/s, over {windows.dwell_s:.2f} s, "
             f"within {limit_s:.0f} s",
-            act="the slide creeps or the strip's head is loose; check, then resume",
-            fields={"strip_mm": strip_mm, "speed_mm_s": speed_mm_s, "waited_s": self.SETTLE_S},
+            strip_mm=strip_mm,
+            speed_mm_s=speed_mm_s,
+            waited_s=self.SETTLE_S,
         )
 
 
@@ -315,16 +315,12 @@ def strip_spread(counts_per_mm: float) -> int:
 def check_travel(position_mm: float, lowest_mm: float, highest_mm: float) -> None:
     """Refuse a target outside the travel; raises `DeviceError`."""
     if not lowest_mm <= position_mm <= highest_mm:
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R36",
-            DEVICE,
             "move",
             f"target {position_mm:.3f} mm",
             wanted=f"{lowest_mm:.1f} .. {highest_mm:.1f} mm",
-            act="correct the station or the rail's travel",
-            fields={
-                "target_mm": position_mm,
-                "lowest_mm": lowest_mm,
-                "highest_mm": highest_mm,
-            },
+            target_mm=position_mm,
+            lowest_mm=lowest_mm,
+            highest_mm=highest_mm,
         )

@@ -22,17 +22,15 @@ from drivers.canopen.process_image import Inbox, strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standstill import DEVICE
+from drivers.device_errors import STRIP
 from drivers.supervision import Patience, on_failure
 from drivers.wires.link import open_link
-from drivers.wires.tcp import Alarms
 from drivers.wires.text_lines import TextLines
 from hilcell.cell.settings import refuse
 from hilcell.clean import clean
 from hilcell.ports import (
     Clock,
     DeviceError,
-    DeviceRefused,
     Identity,
     LinkStatistics,
     says_simulated,
@@ -172,7 +170,6 @@ class SerialStrip:
     """
 
     REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
-    ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -184,7 +181,7 @@ class SerialStrip:
         """Open the line and verify who answers."""
         self._answers = self._bad = 0
         self._check = self._clock.check
-        link = open_link(DEVICE, self._options.channel, self._look, self.ALARMS)
+        link = open_link(STRIP, self._options.channel, self._look)
         self._lines = TextLines(link, end=b"", split=rb"\r")
         with on_failure(self.close):
             self._lines.drop_pending()
@@ -220,22 +217,20 @@ class SerialStrip:
         model, firmware = self._ask("A0"), self._ask("A1")
         serial = self._ask("A2", r"\d{1,10}").lstrip("0")
         if self._options.serial and serial != str(self._options.serial):
-            raise DeviceRefused(
+            raise STRIP.refused(
                 "HC-R08",
-                DEVICE,
                 "connect",
                 f"strip sensor {serial}",
                 wanted=f"{self._options.serial}",
-                act="this is another sensor; correct rail.options.strip",
-                fields={"serial": serial},
+                serial=serial,
             )
         simulated = says_simulated(model)
-        return Identity(DEVICE, model, serial, address, simulated, "strip", "", firmware)
+        return Identity(STRIP.name, model, serial, address, simulated, "strip", "", firmware)
 
     def _ask(self, command: str, form: str = ".*") -> str:
         """Return the answer to a command; raises `DeviceError` for none, or one of another form."""
         if (lines := self._lines) is None:
-            raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
+            raise STRIP.failed("HC-S12", "strip", "not connected")
         lines.send(command, command)
         answer = lines.receive(Patience(self.REPLY_S))
         if answer is None:
@@ -245,13 +240,11 @@ class SerialStrip:
         text = answer.removesuffix(">")
         if text == answer or not re.fullmatch(form, text):
             self._bad += 1
-            raise DeviceError(
+            raise STRIP.failed(
                 "HC-S13",
-                DEVICE,
                 f"strip, command {command}",
                 f"answer {clean(answer)[:40]!r}",
-                act="is this the sensor and its baud rate? check rail.options.strip, resume",
-                fields={"command": command},
+                command=command,
             )
         self._answers += 1
         return clean(text)
@@ -287,7 +280,7 @@ class CanopenStrip:
         """Return counts and alarms of a SYNC that is sent now."""
         inbox, watch = self._inbox, self._watch
         if inbox is None or watch is None:
-            raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
+            raise STRIP.failed("HC-S12", "strip", "not connected")
 
         def look() -> None:
             check()

@@ -13,7 +13,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from hilcell.ports import Clock, DeviceError
+from drivers.device_errors import Device
+from hilcell.ports import Clock
 
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
@@ -47,7 +48,7 @@ class Supervision:
 
     ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
-    def __init__(self, device: str, code: str, clock: Clock, late_s: float = LATE_S) -> None:
+    def __init__(self, device: Device, code: str, clock: Clock, late_s: float = LATE_S) -> None:
         """``code`` is that of the alarm where nobody looked."""
         self._device, self._code, self._clock, self._late_s = device, code, clock, late_s
         self._looked_s: float | None = None
@@ -94,14 +95,13 @@ class Supervision:
 
     def _check(self, gap_s: float) -> None:
         if not gap_s <= self._late_s:
-            raise DeviceError(
+            raise self._device.failed(
                 self._code,
-                self._device,
                 "move",
                 f"PC late: {gap_s:.2f} s without a look at the motion",
                 wanted=f"<= {self._late_s:.2f} s",
-                act="give the engine a PC of its own, or end what keeps this one busy; resume",
-                fields={"gap_s": gap_s, "limit_s": self._late_s},
+                gap_s=gap_s,
+                limit_s=self._late_s,
             )
 
 

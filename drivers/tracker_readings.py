@@ -1,4 +1,4 @@
-"""Readings of a tracker, and the errors that all trackers share, with the codes of their alarms."""
+"""Readings of a tracker, and the errors that all trackers share."""
 
 from __future__ import annotations
 
@@ -7,34 +7,17 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from drivers.wires.tcp import Alarms
-from hilcell.ports import Array, DeviceError, DeviceRefused, NoReading
+from drivers.device_errors import TRACKER
+from hilcell.ports import Array, DeviceRefused, NoReading
 
-DEVICE = "Tracker"
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
-ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
 Positive = Annotated[float, Meta(gt=0)]
-
-
-def no_reading(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> NoReading:
-    """Return the error of one measurement that may be tried again."""
-    return NoReading(code, DEVICE, "measure", found, wanted=wanted, act=act, fields=fields)
-
-
-def refused(
-    code: str, operation: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceRefused:
-    """Return why this tracker is not worked with."""
-    return DeviceRefused(code, DEVICE, operation, found, wanted=wanted, act=act, fields=fields)
 
 
 def another_tracker(serial: str, wanted: str) -> DeviceRefused:
     """Return the error of a tracker whose serial number is not that of the cell file."""
-    act = "this is another tracker; correct tracker.options"
-    return refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, act=act, serial=serial)
+    return TRACKER.refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, serial=serial)
 
 
 def with_maker(maker: str, name: str) -> str:
@@ -46,9 +29,8 @@ def checked_order(near_mm: Array, samples: int) -> Array:
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-        raise DeviceError(
+        raise TRACKER.failed(
             "HC-T35",
-            DEVICE,
             "measure",
             f"{samples} samples at {near_mm} mm",
             wanted=">= 1 sample at three finite coordinates",
@@ -59,16 +41,21 @@ def checked_order(near_mm: Array, samples: int) -> Array:
 def check_reflector(reflector: str, known: str, found: str) -> None:
     """Refuse another reflector than the one whose constant is set; ``found`` says which, where."""
     if reflector != known:
-        raise refused(
-            "HC-T07", "choose reflector", found, wanted=repr(reflector),
-            act="correct tracker.reflector", reflector=reflector, known=[known],
-        )  # fmt: skip
+        raise TRACKER.refused(
+            "HC-T07",
+            "choose reflector",
+            found,
+            wanted=repr(reflector),
+            reflector=reflector,
+            known=[known],
+        )
 
 
 def misplaced(off_mm: float, radius_mm: float) -> NoReading:
     """Return the error of a result that is too far from the expected place."""
-    return no_reading(
+    return TRACKER.no_reading(
         "HC-T16",
+        "measure",
         f"the reflector is {off_mm:.2f} mm from its expected place",
         wanted=f"<= {radius_mm:.2f} mm",
         act="another reflector was caught, or a late result came; clear the view",
@@ -85,8 +72,9 @@ def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
     std_mm: Array = points_mm.std(axis=0, ddof=1)
     spread_mm = float(np.linalg.norm(std_mm))
     if not spread_mm <= limit_mm:
-        raise no_reading(
+        raise TRACKER.no_reading(
             "HC-T15",
+            "measure",
             f"{len(points_mm)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
             wanted=f"<= {limit_mm:.4f} mm",
             act="something moves or vibrates",
@@ -109,8 +97,9 @@ def _check_alike(points_mm: Array, limit_mm: float) -> None:
         off_mm = float(np.linalg.norm(point_mm - others_mm.mean(axis=0)))
         scatter_mm = float(np.linalg.norm(others_mm.std(axis=0, ddof=1)))
         if not off_mm <= max(limit_mm, APART * scatter_mm):
-            raise no_reading(
+            raise TRACKER.no_reading(
                 "HC-T15",
+                "measure",
                 f"repeat {number + 1} of {len(points_mm)} is {off_mm:.4f} mm from the others,"
                 f" which spread by {scatter_mm:.4f} mm (1 sigma)",
                 wanted=f"<= {limit_mm:.4f} mm",

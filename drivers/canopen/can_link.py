@@ -18,7 +18,7 @@ import canopen
 
 from drivers.canopen.cia import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
-from drivers.standstill import DEVICE
+from drivers.device_errors import RAIL
 from drivers.wires.link import system_words
 from hilcell.ports import Clock, DeviceError, LinkStatistics
 
@@ -70,13 +70,13 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
             return SlcanBus(channel, bitrate)
         return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
     except (can.CanError, OSError, ValueError) as error:
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R04",
-            DEVICE,
             "connect",
             f"{interface} {channel}: {system_words(error)}",
-            act="check the CAN gateway, its cable and rail.options",
-            fields={"interface": interface, "channel": channel, "bitrate": bitrate},
+            interface=interface,
+            channel=channel,
+            bitrate=bitrate,
         ) from error
 
 
@@ -135,7 +135,7 @@ class CanLink:
         if self._failure:
             raise LinkLost(
                 "HC-R01",
-                DEVICE,
+                RAIL.name,
                 "CAN",
                 f"link lost: {self._failure}",
                 act="check the gateway, the cable and the terminators, then resume",

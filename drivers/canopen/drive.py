@@ -18,8 +18,9 @@ from drivers.canopen.cia import Bit, Control, Mode, Object, Option, State
 from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
 from drivers.canopen.process_image import NO_MODE, SYNCS, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
+from drivers.device_errors import RAIL
 from drivers.motion_limits import MotionLimits
-from drivers.standstill import DEVICE, Standing
+from drivers.standstill import Standing
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 
@@ -99,13 +100,8 @@ class Drive:
             code, said = 0, f"its error (603Fh) is unknown: {silent.found}"
         else:
             said = f"error {cia.error_text(code)}"
-        return DeviceError(
-            cia.error_alarm(code),
-            DEVICE,
-            operation,
-            f"{found}, {said}",
-            act="put the cause right, then resume",
-            fields={"state": state.value, "error_code": code},
+        return RAIL.failed(
+            cia.error_alarm(code), operation, f"{found}, {said}", state=state.value, error_code=code
         )
 
     def reset_fault(self) -> None:
@@ -157,17 +153,13 @@ class Drive:
             )
         self._image.control(Control.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R35",
-                DEVICE,
                 operation,
                 f"the drive stands at {self._limits.mm(now.position)}",
                 wanted=f"0 +-{self._limits.mm(tolerance)}",
-                act="check the homing settings",
-                fields={
-                    "position_mm": now.position / self._limits.counts_per_mm,
-                    "tolerance_mm": tolerance / self._limits.counts_per_mm,
-                },
+                position_mm=now.position / self._limits.counts_per_mm,
+                tolerance_mm=tolerance / self._limits.counts_per_mm,
             )
 
     def move(self, target: int) -> None:
@@ -269,28 +261,19 @@ class Drive:
                     self._old_error = False
                     self._check_motion(operation, now)
                 cause, act = _why_not(now, moving=moving)
-                raise DeviceError(
-                    "HC-R31",
-                    DEVICE,
-                    operation,
-                    f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}",
-                    wanted=wanted,
-                    act=act,
-                    fields={"waited_s": stall_s, **self._fields(now)},
+                found = f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}"
+                raise self._failed(
+                    "HC-R31", operation, found, now, wanted=wanted, act=act, waited_s=stall_s
                 )
             if limits.overdue(self.standing.now_s, self.FULL_SPEED):
-                raise DeviceError(
+                raise self._failed(
                     "HC-R28",
-                    DEVICE,
                     operation,
                     f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
+                    now,
                     wanted=f"{wanted} within {limits.limit_s:.0f} s",
-                    act="check whether the slide creeps, and the drive's speeds, then resume",
-                    fields={
-                        "spent_s": limits.spent_s,
-                        "limit_s": limits.limit_s,
-                        **self._fields(now),
-                    },
+                    spent_s=limits.spent_s,
+                    limit_s=limits.limit_s,
                 )
             if moving and not done(now):
                 self._clock.wait(self.POLL_S)  # also at its start, while it seems to stand
@@ -299,9 +282,8 @@ class Drive:
 
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
         limits, windows, seen = self._limits, self._limits.windows, self.standing.standstill.unrest
-        return DeviceError(
+        return RAIL.failed(
             "HC-R43",
-            DEVICE,
             operation,
             f"the slide does not come to rest: speed {limits.mm(seen.speed)}/s, "
             f"drive within {limits.mm(seen.spread)}, strip within {seen.strip_spread} counts",
@@ -309,12 +291,10 @@ class Drive:
             f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
             act="check the slide for creep and the servo for hunting; where both are well, widen "
             "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
-            fields={
-                "speed_mm_s": seen.speed / limits.counts_per_mm,
-                "spread_mm": seen.spread / limits.counts_per_mm,
-                "strip_spread_counts": seen.strip_spread,
-                "waited_s": waited_s,
-            },
+            speed_mm_s=seen.speed / limits.counts_per_mm,
+            spread_mm=seen.spread / limits.counts_per_mm,
+            strip_spread_counts=seen.strip_spread,
+            waited_s=waited_s,
         )
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
@@ -339,14 +319,7 @@ class Drive:
         if code in ("", "HC-R33"):
             self._guards.check_unit(operation, now)
         if found:
-            raise DeviceError(
-                code,
-                DEVICE,
-                operation,
-                found,
-                act="put the cause right, then resume",
-                fields=self._fields(now),
-            )
+            raise self._failed(code, operation, found, now)
         self._guards.check(operation, now)
 
     def _check_limit(self, operation: str, before: Snapshot, target: int) -> None:
@@ -359,15 +332,9 @@ class Drive:
             return
         gap = target - before.position
         if abs(gap) > self._limits.window and not gap * self._side(before) < 0:
-            raise DeviceError(
-                "HC-R32",
-                DEVICE,
-                operation,
-                f"limit active at {self._limits.mm(before.position)}",
-                wanted="a motion away from the limit switch",
-                act="move the slide off the switch, by hand without power, then home the rail",
-                fields=self._fields(before),
-            )
+            found = f"limit active at {self._limits.mm(before.position)}"
+            wanted = "a motion away from the limit switch"
+            raise self._failed("HC-R32", operation, found, before, wanted=wanted)
         self._left_limit = before.position
 
     def _side(self, now: Snapshot) -> int:
@@ -395,16 +362,27 @@ class Drive:
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS, tries=1)
         return inputs is None or inputs & cia.LIMIT_SWITCHES != 0
 
-    def _fields(self, now: Snapshot) -> dict[str, object]:
-        """Return the values of a poll, as data."""
+    def _failed(
+        self,
+        code: str,
+        operation: str,
+        found: str,
+        now: Snapshot,
+        *,
+        wanted: str = "",
+        act: str = "",
+        **fields: object,
+    ) -> DeviceError:
+        """Return an error with the values of a poll as data."""
         scale = self._limits.counts_per_mm
-        return {
+        fields |= {
             "position_mm": now.position / scale,
             "speed_mm_s": now.velocity / scale,
             "state": now.state.value,
             "statusword": now.statusword,
             "mode": now.mode,
         }
+        return DeviceError(code, RAIL.name, operation, found, wanted=wanted, act=act, fields=fields)
 
     def _seen(self, now: Snapshot) -> str:
         """Return the values of a poll, in words."""

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.canopen.process_image import Snapshot
+from drivers.device_errors import RAIL
 from drivers.scale_guard import ScaleGuard
-from drivers.standstill import DEVICE, Windows
-from hilcell.ports import Array, DeviceError
+from drivers.standstill import Windows
+from hilcell.ports import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,21 +233,18 @@ class MotionGuard:
         )
         if seen.factor < self.FROZEN:
             act = "the position (6064h) does not follow: check the drive's encoder; then resume"
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R46",
-            DEVICE,
             operation,
             f"speed {limits.mm(seen.by_positions)}/s by positions (6064h) and time, "
             f"{limits.mm(seen.by_drive)}/s by the drive (606Ch): a factor of {seen.factor:.3g}",
             wanted="one speed by both",
             act=act,
-            fields={
-                "position_mm": now.position / limits.counts_per_mm,
-                "speed_mm_s": seen.by_positions / limits.counts_per_mm,
-                "drive_speed_mm_s": seen.by_drive / limits.counts_per_mm,
-                "factor": seen.factor,
-                "way_mm": seen.way / limits.counts_per_mm,
-            },
+            position_mm=now.position / limits.counts_per_mm,
+            speed_mm_s=seen.by_positions / limits.counts_per_mm,
+            drive_speed_mm_s=seen.by_drive / limits.counts_per_mm,
+            factor=seen.factor,
+            way_mm=seen.way / limits.counts_per_mm,
         )
 
     def check(self, operation: str, now: Snapshot) -> None:
@@ -254,17 +252,13 @@ class MotionGuard:
         limits = self._limits
         if (seen := self._speed.overspeed()) is not None:
             allowed = OVERSPEED * limits.speed
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R33",
-                DEVICE,
                 operation,
                 f"speed {limits.mm(seen.by_positions)}/s by positions (6064h) and time, "
                 f"allowed {limits.mm(allowed)}/s",
-                act="put the cause right, then resume",
-                fields={
-                    "position_mm": now.position / limits.counts_per_mm,
-                    "speed_mm_s": seen.by_positions / limits.counts_per_mm,
-                    "allowed_mm_s": allowed / limits.counts_per_mm,
-                },
+                position_mm=now.position / limits.counts_per_mm,
+                speed_mm_s=seen.by_positions / limits.counts_per_mm,
+                allowed_mm_s=allowed / limits.counts_per_mm,
             )
         self._scale.check(operation)

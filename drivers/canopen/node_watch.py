@@ -11,8 +11,7 @@ import struct
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import NodeState, state_text
-from drivers.standstill import DEVICE
-from hilcell.ports import DeviceError
+from drivers.device_errors import RAIL
 
 PC_HEARTBEAT_LIMIT_MS = 1000
 GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
@@ -65,14 +64,7 @@ class NodeWatch:
         if self._armed and not self._failure:
             self._look()
         if self._failure:
-            raise DeviceError(
-                self._code,
-                DEVICE,
-                operation,
-                self._failure,
-                act=self._act,
-                fields={"node": self.node},
-            )
+            raise RAIL.failed(self._code, operation, self._failure, act=self._act, node=self.node)
 
     def _look(self) -> None:
         age_s = self._link.time.listened_s - self._heard_s

@@ -25,8 +25,7 @@ from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
-from drivers.standstill import DEVICE
-from hilcell.ports import DeviceError
+from drivers.device_errors import RAIL
 
 SYNC = 0x080
 REPLY_S = 0.2  # of link time
@@ -159,21 +158,18 @@ class Inbox:
                 before, owed, sent_s = *self._counted(), self._link.clock.pc_s()
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
         if not missing:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R39",
-                DEVICE,
                 "read",
                 f"PC late: {self._syncs} readings in a row waited here for over {STALE_S:.1f} s",
-                act="give the engine a PC of its own, or end other programs on it; then resume",
-                fields={"limit_s": STALE_S},
+                limit_s=STALE_S,
             )
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R07",
-            DEVICE,
             "read",
             f"no fresh TPDO {', '.join(missing)} within {self._syncs} SYNCs",
-            act="check the nodes' power and the bus load, then resume",
-            fields={"cob_ids": missing, "syncs": self._syncs},
+            cob_ids=missing,
+            syncs=self._syncs,
         )
 
     def _counted(self) -> tuple[dict[int, int], dict[int, int]]:
@@ -322,14 +318,13 @@ class ProcessImage:
         """
         age_s = self._link.clock.pc_s() - self._taken_s
         if cia.enables(controlword) and not age_s <= self.COMMAND_AGE_S:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R39",
-                DEVICE,
                 "move",
                 f"PC late: the reading to move by is {age_s:.1f} s old",
                 wanted=f"<= {self.COMMAND_AGE_S:.1f} s",
-                act="give the engine a PC of its own, or end other programs on it; then resume",
-                fields={"age_s": age_s, "limit_s": self.COMMAND_AGE_S},
+                age_s=age_s,
+                limit_s=self.COMMAND_AGE_S,
             )
         with self._lock:
             if cia.enables(controlword):
@@ -341,9 +336,7 @@ class ProcessImage:
     def check_not_stopped(self) -> None:
         """Raise `DeviceError` after a quick stop."""
         if self._stopped:
-            raise DeviceError(
-                "HC-R38", DEVICE, "move", "the rail was stopped", act="resume to reconnect"
-            )
+            raise RAIL.failed("HC-R38", "move", "the rail was stopped")
 
     def quick_stop(self) -> None:
         """Stop on the quick-stop ramp, and never enable again; any thread, waits for nothing."""

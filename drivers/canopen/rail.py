@@ -25,15 +25,8 @@ from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standstill import (
-    DEVICE,
-    READINGS,
-    Rest,
-    Standstill,
-    Windows,
-    check_travel,
-    strip_spread,
-)
+from drivers.device_errors import RAIL
+from drivers.standstill import READINGS, Rest, Standstill, Windows, check_travel, strip_spread
 from drivers.strips import (
     U32,
     CountsPerMm,
@@ -185,7 +178,7 @@ class CanopenRail:
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
         image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
-        supervision = Supervision(DEVICE, "HC-R39", self._clock, self.LATE_S)
+        supervision = Supervision(RAIL, "HC-R39", self._clock, self.LATE_S)
         identities = self._identify(link, drive_sdo, strip_sdo)
         if feed is not None:
             identities.append(feed.connect())
@@ -304,7 +297,7 @@ class CanopenRail:
 
     def _used(self) -> Drive:
         if self._drive is None:
-            raise DeviceError("HC-R38", DEVICE, "use", "not connected", act="connect first")
+            raise RAIL.failed("HC-R38", "use", "not connected")
         return self._drive
 
     def _reading(self, now: Snapshot) -> RailReading:
@@ -398,14 +391,14 @@ class Release:
                 return
             if patience.over():
                 found = "the drive keeps its power" if powered else "the slide does not rest"
-                raise DeviceError(
+                raise RAIL.failed(
                     "HC-R37",
-                    DEVICE,
                     "close",
                     f"{found}: {now.state.value}, speed {now.velocity} counts/s",
                     wanted=f"held within {limit_s:.0f} s",
                     act="keep away from the slide; press the E-stop, or switch the drive off",
-                    fields={"state": now.state.value, "waited_s": self.RELEASE_S},
+                    state=now.state.value,
+                    waited_s=self.RELEASE_S,
                 )
             time.sleep(self.POLL_S)
 
@@ -466,15 +459,14 @@ class Release:
                 if self.by_sdo:
                     self._stop_by_all_ways()
                     if over:
-                        raise DeviceError(
+                        raise RAIL.failed(
                             silent.code,
-                            DEVICE,
                             "close",
                             silent.found,
                             wanted="a drive that is confirmed held",
                             act="keep away from the slide, it may move: press the E-stop; then "
                             "check the drive's power and the bus",
-                            fields=silent.fields,
+                            **silent.fields,
                         ) from error
                 self._ask(by_sdo=not self.by_sdo)
             else:

@@ -25,9 +25,9 @@ from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_
 from drivers.canopen.process_image import Mapping as Pdo
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
 from drivers.canopen.slcan_bus import has_long_stamp
-from drivers.standstill import DEVICE
+from drivers.device_errors import RAIL
 from hilcell.clean import clean
-from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
+from hilcell.ports import DeviceError, Identity, says_simulated
 
 FIND_S = 5.0
 OPERATIONAL_S = 3.0  # wire deadline
@@ -107,14 +107,15 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
                         losses += f", lines of another form, as {line}"
                 if has_long_stamp(link.bad_line):
                     act = "switch the gateway's time stamps off: it sends them with 32 bits"
-                raise DeviceError(
+                raise RAIL.failed(
                     "HC-R05",
-                    DEVICE,
                     "connect",
                     f"node {expected.node} ({expected.name}) does not answer{losses}",
                     wanted=f"an answer within {FIND_S:.0f} s",
                     act=act,
-                    fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
+                    node=expected.node,
+                    name=expected.name,
+                    waited_s=FIND_S,
                 ) from error
         check()
 
@@ -133,20 +134,16 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     )
     for what, found, wanted in checks:
         if wanted and found != wanted:
-            raise DeviceRefused(
+            raise RAIL.refused(
                 "HC-R08",
-                DEVICE,
                 "connect",
                 f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
                 wanted=f"0x{wanted:X}",
-                act="another device; check node numbers and options",
-                fields={
-                    "node": expected.node,
-                    "name": expected.name,
-                    "object": what,
-                    "found_value": found,
-                    "wanted_value": wanted,
-                },
+                node=expected.node,
+                name=expected.name,
+                object=what,
+                found_value=found,
+                wanted_value=wanted,
             )
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
@@ -158,7 +155,7 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     revision = sdo.read_if_present(NodeObject.IDENTITY, 3)  # major above, minor below (7.5.2.19)
     firmware = "" if revision is None else f"revision {revision >> 16}.{revision & 0xFFFF}"
     return Identity(
-        DEVICE,
+        RAIL.name,
         model,
         str(serial),
         where,
@@ -177,14 +174,13 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
         (sdo.read_if_present(cia.StripObject.POSITION_STEP), "6501h"),
     ):
         if found_nm is not None and found_nm != wanted_nm:
-            raise DeviceRefused(
+            raise RAIL.refused(
                 "HC-S07",
-                DEVICE,
                 "connect",
                 f"strip step ({where}) is {found_nm} nm",
                 wanted=f"{wanted_nm} nm",
-                act="correct strip_counts_per_mm or the sensor",
-                fields={"step_nm": found_nm, "wanted_nm": wanted_nm},
+                step_nm=found_nm,
+                wanted_nm=wanted_nm,
             )
 
 
@@ -318,14 +314,13 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], check: Callable[[],
         now_s = link.time.listened_s
         if now_s > deadline_s:
             states = ", ".join(f"node {w.node} is {state_text(w.state)}" for w in waiting)
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R10",
-                DEVICE,
                 "connect",
                 f"nodes do not start: {states}",
                 wanted=f"{state_text(NodeState.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
-                act="switch the nodes off and on, then resume",
-                fields={"nodes": [w.node for w in waiting], "waited_s": OPERATIONAL_S},
+                nodes=[w.node for w in waiting],
+                waited_s=OPERATIONAL_S,
             )
         if now_s >= next_s:
             next_s = now_s + START_PERIOD_S

@@ -22,7 +22,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.can_link import CanLink
-from drivers.standstill import DEVICE
+from drivers.device_errors import RAIL
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
@@ -40,7 +40,7 @@ class Aborted(DeviceError):
         self.abort_code = error.code
         super().__init__(
             "HC-R09",
-            DEVICE,
+            RAIL.name,
             operation,
             f"SDO abort {str(error).removeprefix('Code ')}",
             act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
@@ -55,7 +55,7 @@ class Unsupported(DeviceError):
         """``what`` is the object, with its value and what it is for."""
         super().__init__(
             "HC-R09",
-            DEVICE,
+            RAIL.name,
             refusal.operation,
             f"not supported: {what}; {refusal.found}",
             wanted="what docs/hardware.md says that a device must have",
@@ -158,19 +158,15 @@ class SdoChannel:
         operation = self.command(index, sub, value)
         found = self.read(index, sub)
         if found != value:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R09",
-                DEVICE,
                 operation,
                 f"reads back as {found}",
                 wanted=str(value),
-                act="the device does not take this setting; see its manual",
-                fields={
-                    "node": self._number,
-                    "object": _name(index, sub),
-                    "read": found,
-                    "written": value,
-                },
+                node=self._number,
+                object=_name(index, sub),
+                read=found,
+                written=value,
             )
 
     def offer(self, index: int, sub: int, value: int) -> Aborted | None:
@@ -223,13 +219,13 @@ class SdoChannel:
                     raise Aborted(operation, error) from error
                 except SdoCommunicationError as error:
                     reason = str(error)
-        raise DeviceError(
+        raise RAIL.failed(
             "HC-R06",
-            DEVICE,
             operation,
             f"node {self._number}: {reason}, {tries} times",
-            act=f"check node {self._number}: power, cable, bit rate, node number",
-            fields={"node": self._number, "tries": tries, "reason": reason},
+            node=self._number,
+            tries=tries,
+            reason=reason,
         )
 
     def _once(self, transfer: Callable[[], bytes]) -> bytes:
@@ -249,14 +245,13 @@ class SdoChannel:
         """Raise `DeviceError` where more answers have come than questions were asked."""
         self._doubles = 0 if self._client.responses.empty() else self._doubles + 1
         if self._doubles >= self.DOUBLES:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R45",
-                DEVICE,
                 "ask",
                 f"node {self._number} has answered {self._doubles} questions in a row twice",
                 wanted="one answer",
-                act="two devices have this node number; give one of them another",
-                fields={"node": self._number, "doubles": self._doubles},
+                node=self._number,
+                doubles=self._doubles,
             )
 
     def _clear(self) -> None:

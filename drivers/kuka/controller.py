@@ -17,11 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Generic, Protocol, TypeVar
 
+from drivers.device_errors import ROBOT
 from drivers.kuka import krl
-from drivers.robot_errors import DEVICE
 from drivers.supervision import LIFE_S
-from hilcell.clean import clean
-from hilcell.ports import Array, DeviceError, DeviceRefused, HilcellError, Stopped
+from hilcell.ports import Array, DeviceError, HilcellError, Stopped
 
 PROGRESS = "$AXIS_ACT"
 PROGRAM_VERSION = 4  # of hilcell.src
@@ -129,27 +128,19 @@ def integer(access: Access, name: str) -> int:
 
 def unreadable(name: str, found: object) -> DeviceError:
     """Return the error for a value that is not what belongs there."""
-    return DeviceError(
-        "HC-B26",
-        DEVICE,
-        f"read {name}",
-        str(found),
-        act="check the server's version, resume",
-        fields={"variable": name},
-    )
+    return ROBOT.failed("HC-B26", f"read {name}", str(found), variable=name)
 
 
 def override_held(found: int, wanted: int) -> None:
     """Raise `DeviceError` where an override did not become what was wanted."""
     if found != wanted:
-        raise DeviceError(
+        raise ROBOT.failed(
             "HC-B40",
-            DEVICE,
             "sweep",
             f"$OV_PRO is {found}",
             wanted=f"{wanted}",
-            act="the panel holds the override; release it, resume",
-            fields={"override": found, "wanted_override": wanted},
+            override=found,
+            wanted_override=wanted,
         )
 
 
@@ -168,59 +159,21 @@ ERRORS = {
     STOPPED: ("stopped by HC_STOP", "HC-B21"),
 }
 
-# Variable, the values with which work may go on, the alarm otherwise, the next act; causes first.
-HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
-    "$ALARM_STOP": (
-        (True,),
-        "HC-B10",
-        "emergency stop is pressed; release it and acknowledge the message",
-    ),
-    "$USER_SAF": ((True,), "HC-B11", "the guard is open; close it and acknowledge the message"),
-    "$MODE_OP": (
-        ("#EX", "#AUT"),
-        "HC-B12",
-        "the program moves the robot by itself; turn the key to AUT or EXT",
-    ),
-    "$PERI_RDY": ((True,), "HC-B13", "the drives have no power; switch them on"),
-    "$STOPMESS": ((False,), "HC-B14", "a stop message is pending; acknowledge it at the panel"),
-    "$PRO_STATE1": (("#P_ACTIVE",), "HC-B15", "start the program hilcell at the panel"),
+# Variable, the values with which work may go on, the alarm otherwise; causes first.
+HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
+    "$ALARM_STOP": ((True,), "HC-B10"),
+    "$USER_SAF": ((True,), "HC-B11"),
+    "$MODE_OP": (("#EX", "#AUT"), "HC-B12"),
+    "$PERI_RDY": ((True,), "HC-B13"),
+    "$STOPMESS": ((False,), "HC-B14"),
+    "$PRO_STATE1": (("#P_ACTIVE",), "HC-B15"),
 }
 
 
 def refused_motion(error: int) -> DeviceError:
     """Return the error for HC_ERR of a motion."""
     text, code = ERRORS.get(error, ("unknown", "HC-B20"))
-    return DeviceError(
-        code,
-        DEVICE,
-        "move",
-        f"HC_ERR {error}: {text}",
-        act="see the panel, resume",
-        fields={"error": error},
-    )
-
-
-def unwell(
-    code: str, name: str, found: krl.Value, wanted: str, act: str, *, moving: bool
-) -> DeviceError:
-    """Return the error for a variable that forbids to go on; ``moving`` makes it a fault."""
-    text = str(found).upper() if isinstance(found, bool) else clean(str(found))
-    kind, operation = (DeviceError, "move") if moving else (DeviceRefused, "check")
-    return kind(
-        code,
-        DEVICE,
-        operation,
-        f"{name} is {text}",
-        wanted=wanted,
-        act=act,
-        fields={"variable": name},
-    )
-
-
-def joints_text(joints_deg: Array) -> str:
-    """Return joints (6,), or all axes (7,) with a slide in mm, in words."""
-    joints = ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg[:6], strict=True)) + " deg"
-    return joints if len(joints_deg) == len(AXES) else f"{joints}, E1 {joints_deg[6]:.3f} mm"
+    return ROBOT.failed(code, "move", f"HC_ERR {error}: {text}", error=error)
 
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from drivers.device_errors import RAIL
 from drivers.kuka.controller import PROGRESS, SLIDE, SlidingController
 from drivers.kuka.robot import POLL_S, STALL_S, KukaOptions, KukaRobot
 from drivers.motion_limits import MotionLimits
-from hilcell.ports import AxisReading, Clock, DeviceError, DeviceRefused, Identity
-
-SLIDE_DEVICE = "Rail"
+from hilcell.ports import AxisReading, Clock, Identity
 
 
 class SlidingKukaRobot(KukaRobot):
@@ -34,7 +33,7 @@ class SlidingKukaRobot(KukaRobot):
         super().__init__(options, clock, lambda _: self._open(wires))
         self._slides: SlidingController | None = None
         self._free = False  # E1 may move
-        self._identity = Identity(SLIDE_DEVICE, "", "", "")
+        self._identity = Identity(RAIL.name, "", "", "")
         self._seen: tuple[float, float] | None = None  # where it was, and when
 
     # -- the ports ----------------------------------------------------------------------------
@@ -58,15 +57,12 @@ class SlidingKukaRobot(KukaRobot):
     def verify_axis(self) -> Identity:
         """Return axis E1, found mastered; raises `DeviceError`."""
         if self.slide_mm is None:
-            raise _refused(
-                "HC-R50",
-                "the controller has no external axis: $EX_AX_NUM is 0",
-                "is this the robot on the rail? correct rail.driver or robot.options",
-            )
+            found = "the controller has no external axis: $EX_AX_NUM is 0"
+            raise RAIL.refused("HC-R50", "connect", found)
         if not self.slides().mastered():
-            raise _refused("HC-R51", "$AXIS_JUS[7] is FALSE", "master E1 at the panel, then resume")
+            raise RAIL.refused("HC-R51", "connect", "$AXIS_JUS[7] is FALSE")
         of = self._identity
-        return replace(of, device=SLIDE_DEVICE, model=f"E1 of {of.model}", kind="drive")
+        return replace(of, device=RAIL.name, model=f"E1 of {of.model}", kind="drive")
 
     def read_axis(self) -> AxisReading:
         """Return a reading; its time is that of the question."""
@@ -122,20 +118,20 @@ class SlidingKukaRobot(KukaRobot):
             return place_mm
         speed_mm_s = abs(place_mm - seen[0]) / (after_s - seen[1])
         if not speed_mm_s <= allowed_mm_s:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R33",
-                SLIDE_DEVICE,
                 "move",
                 f"speed {speed_mm_s:.1f} mm/s, allowed {allowed_mm_s:.1f} mm/s",
                 act="compare rail.options.full_mm_s with the speed of E1, then resume",
-                fields={"speed_mm_s": speed_mm_s, "position_mm": place_mm},
+                speed_mm_s=speed_mm_s,
+                position_mm=place_mm,
             )
         return place_mm
 
     def slides(self) -> SlidingController:
         """Return the controller as that of the slide."""
         if self._slides is None or self.wire() is not self._slides:
-            raise DeviceError("HC-R38", SLIDE_DEVICE, "use", "not connected", act="connect first")
+            raise RAIL.failed("HC-R38", "use", "not connected")
         return self._slides
 
     def _open(self, wires: Callable[[SlidingKukaRobot], SlidingController]) -> SlidingController:
@@ -148,7 +144,3 @@ class SlidingKukaRobot(KukaRobot):
             return
         self.hold_axis()
         (self.slide_mm,) = controller.numbers(PROGRESS, (SLIDE,))
-
-
-def _refused(code: str, found: str, act: str) -> DeviceRefused:
-    return DeviceRefused(code, SLIDE_DEVICE, "connect", found, act=act)

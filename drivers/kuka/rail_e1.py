@@ -13,15 +13,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from drivers.device_errors import RAIL
 from drivers.scale_guard import ScaleGuard
-from drivers.standstill import (
-    DEVICE,
-    STRIP_SPREAD_MM,
-    Standing,
-    Windows,
-    check_travel,
-    strip_spread,
-)
+from drivers.standstill import STRIP_SPREAD_MM, Standing, Windows, check_travel, strip_spread
 from drivers.strips import Positive, StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import (
@@ -110,19 +104,14 @@ class KukaE1Rail:
         reading, limit_mm = self.settle(), self._options.slip_limit_mm
         apart_mm = abs(reading.position_mm - reading.strip_mm)
         if not apart_mm <= limit_mm:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R53",
-                DEVICE,
                 "home",
                 f"E1 {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
                 wanted=f"<= {limit_mm:.2f} mm apart",
-                act="master E1 at the panel so that it reads as the strip, or correct "
-                "rail.options.strip.counts_per_mm; then resume",
-                fields={
-                    "drive_mm": reading.position_mm,
-                    "strip_mm": reading.strip_mm,
-                    "limit_mm": limit_mm,
-                },
+                drive_mm=reading.position_mm,
+                strip_mm=reading.strip_mm,
+                limit_mm=limit_mm,
             )
         self._ended_s = reading.taken_s
 
@@ -160,13 +149,12 @@ class KukaE1Rail:
         """Have the controller refuse every motion of E1; a reading must say so."""
         self._axis().hold_axis()
         if not self._axis().read_axis().held:
-            raise DeviceError(
+            raise RAIL.failed(
                 "HC-R37",
-                DEVICE,
                 "hold",
                 "the controller does not hold E1: HC_HELD is FALSE",
                 act="is the program hilcell running? see the panel, then resume",
-                fields={"state": "not held"},
+                state="not held",
             )
 
     def statistics(self) -> LinkStatistics:
@@ -186,7 +174,7 @@ class KukaE1Rail:
 
     def _axis(self) -> ExternalAxis:
         if self._robot is None:
-            raise DeviceError("HC-R38", DEVICE, "use", "no robot to ride on", act="connect first")
+            raise RAIL.failed("HC-R38", "use", "no robot to ride on")
         return self._robot
 
     def _forget(self) -> None:

@@ -11,7 +11,7 @@ while a brake slips.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import cycle
@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from drivers.device_errors import ROBOT
 from drivers.kuka.controller import (
     AXES,
     FRAME,
@@ -34,14 +35,20 @@ from drivers.kuka.controller import (
     Controller,
     frame_text,
     integer,
-    joints_text,
     refused_motion,
+)
+from drivers.motion_limits import (
+    MotionLimits,
+    check_identity,
+    checked_target,
+    joints_text,
+    planned_s,
+    stopped_short,
     unwell,
 )
-from drivers.motion_limits import MotionLimits, planned_s
-from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision, on_failure
 from hilcell.cell.file import Joint
+from hilcell.clean import clean
 from hilcell.geometry.frames import from_zyx
 from hilcell.ports import (
     Array,
@@ -96,7 +103,7 @@ class KukaRobot:
         """``wires`` opens the wires to the controller."""
         self._options, self._clock, self._wires = options, clock, wires
         self._controller: Controller | None = None
-        self._watch = Supervision(DEVICE, "HC-B27", clock)
+        self._watch = Supervision(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override = 100
         self._rest_deg = np.zeros(6)
@@ -124,21 +131,7 @@ class KukaRobot:
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
-        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
-        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
-            raise failed(
-                "HC-B28",
-                f"target {target_deg} deg",
-                wanted="six finite angles",
-                target_deg=target_deg,
-            )
-        if not 1.0 <= speed_percent <= 100.0:
-            raise failed(
-                "HC-B28",
-                f"speed {speed_percent} %",
-                wanted="1 to 100 %",
-                speed_percent=speed_percent,
-            )
+        target_deg = np.degrees(checked_target(joints_rad, speed_percent))
         self.wire().check()
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
         try:
@@ -189,7 +182,7 @@ class KukaRobot:
                 with suppress(DeviceError):  # what is heard follows
                     self.stop()
                 with self._controller.undisturbed() as access:
-                    leave_at_rest(access, self._controller.measured, self._names())
+                    await_rest(access, self._controller.measured, self._names(), closing=True)
         finally:
             self._close_wires()
 
@@ -197,24 +190,12 @@ class KukaRobot:
 
     def _identify(self) -> Identity:
         model, serial = self.wire().text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
-        if self._options.model not in model:
-            raise refused(
-                "HC-B05",
-                f"model {model!r}",
-                wanted=f"{self._options.model!r} in it",
-                act="this is another robot; correct robot.options",
-                model=model,
-            )
-        if self._options.serial not in (0, serial):
-            raise refused(
-                "HC-B05",
-                f"serial {serial}",
-                wanted=f"{self._options.serial}",
-                act="this is another robot; correct robot.options",
-                serial=serial,
-            )
+        wanted = self._options
+        check_identity(model, wanted.model, str(serial), str(wanted.serial or ""))
         simulated = says_simulated(model)
-        return Identity(DEVICE, model, str(serial), self.wire().address, simulated, "robot", "KUKA")
+        return Identity(
+            ROBOT.name, model, str(serial), self.wire().address, simulated, "robot", "KUKA"
+        )
 
     def check(self, *names: str) -> None:
         """Refuse to work with a wrong state; report the first cause, not its consequence."""
@@ -224,37 +205,37 @@ class KukaRobot:
 
     def _problem(self, name: str) -> DeviceError | None:
         """Read one variable of the controller's state; return its error, if any."""
+        moving, tool, base = self._under_way, self._options.tool, self._options.base
         if name in HEALTH:
-            good, code, act = HEALTH[name]
+            good, code = HEALTH[name]
             found = self.wire().value(name)
             if any(found == value and type(found) is type(value) for value in good):
                 return None
+            text = str(found).upper() if isinstance(found, bool) else clean(str(found))
             wanted = " or ".join(str(value).upper() for value in good)
-            return unwell(code, name, found, wanted, act, moving=self._under_way)
+            return unwell(code, name, text, wanted, moving=moving)
         number = self.integer(name)
         if name == "$OV_PRO":
             self._override = number
-        tool, base = self._options.tool, self._options.base
-        install = "install the program that belongs to this hilcell, see docs/hardware.md"
-        code, low, high, act = {
-            **{name: ("HC-B17", n, n, install) for name, n in self.wire().versions.items()},
-            "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
-            "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
-            "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
+        code, low, high = {
+            **{name: ("HC-B17", n, n) for name, n in self.wire().versions.items()},
+            "$OV_PRO": ("HC-B16", 1, 100),
+            "$ACT_TOOL": ("HC-B07", tool, tool),
+            "$ACT_BASE": ("HC-B07", base, base),
         }[name]
         if low <= number <= high:
             return None
         wanted = str(low) if low == high else f"{low} to {high}"
-        return unwell(code, name, number, wanted, act, moving=self._under_way)
+        return unwell(code, name, str(number), wanted, moving=moving)
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, FRAME)
         if not all(abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
-            raise refused(
+            raise ROBOT.refused(
                 "HC-B06",
+                "connect",
                 f"{name} is {frame_text(found)}",
                 wanted=frame_text(wanted),
-                act="correct the frame on the controller, or robot.smr_mm in the cell file",
                 variable=name,
                 found_frame=found,
                 wanted_frame=wanted,
@@ -271,11 +252,11 @@ class KukaRobot:
         over = False
         while (acknowledged := self.integer("HC_ACK")) != self._sequence:
             if over:
-                raise refused(
+                raise ROBOT.refused(
                     "HC-B25",
+                    "connect",
                     f"HC_ACK {acknowledged}",
                     wanted=f"HC_SEQ {self._sequence}",
-                    act="the program hilcell owes an answer; restart it at the panel",
                     acknowledged=acknowledged,
                     sequence=self._sequence,
                 )
@@ -318,12 +299,12 @@ class KukaRobot:
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             if error := self.integer("HC_ERR"):
                 raise refused_motion(error)
-            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
-            act = "see the panel; is the program hilcell running? resume"
-            raise stalled(where, wanted, now_deg, STALL_S, act)
+            raise limits.stall_error(self._where(now_deg), wanted, now_deg)
         if limits.overdue(self._clock.now_s(), self._override):
-            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
-            raise overdue(where, wanted, limits, now_deg)
+            raise limits.time_error(self._where(now_deg), wanted, now_deg)
+
+    def _where(self, now_deg: Array) -> str:
+        return f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -381,7 +362,7 @@ class KukaRobot:
     def wire(self) -> Controller:
         """Return the controller."""
         if self._controller is None:
-            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+            raise ROBOT.failed("HC-B21", "use", "not connected")
         return self._controller
 
     def attend(self) -> None:
@@ -395,7 +376,7 @@ class KukaRobot:
 
     def _check_stopped(self) -> None:
         if self._stopped:
-            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+            raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
 
     def _axes(self) -> Array:
         """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""
@@ -445,22 +426,20 @@ class KukaSweep:
     ) -> None:
         """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
         if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B28",
-                DEVICE,
                 "sweep",
                 f"axis {axis + 1} to {end_deg} deg",
                 wanted="an axis of 1 to 6, a finite angle",
             )
         full = float(full_deg_s[axis])
         if not full / PERCENT**2 <= speed_deg_s <= full:
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B28",
-                DEVICE,
                 "sweep",
                 f"{speed_deg_s} deg/s",
                 wanted=f"{full / PERCENT**2:.4f} to {full:g} deg/s",
-                fields={"speed_deg_s": speed_deg_s},
+                speed_deg_s=speed_deg_s,
             )
         self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
         self._robot, self._clock = robot, clock
@@ -536,14 +515,13 @@ class KukaSweep:
         if "$OV_PRO" not in names:
             return
         if (found := integer(self._robot.wire(), "$OV_PRO")) != self._override:
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B40",
-                DEVICE,
                 "sweep",
                 f"$OV_PRO is {found}",
                 wanted=f"{self._override}",
-                act="the override was changed at the panel during the sweep; sweep again",
-                fields={"override": found, "wanted_override": self._override},
+                override=found,
+                wanted_override=self._override,
             )
 
     def _give_back(self, error: BaseException | None) -> None:
@@ -588,47 +566,33 @@ def give_back_left_behind(access: Access) -> None:
     access.give_back_override()
 
 
-def leave_at_rest(access: Access, joints: str, names: Sequence[str]) -> None:
-    """Brake until all axes stand, by two looks; also while a stop is on.
+def await_rest(
+    access: Access,
+    joints: str = PROGRESS,
+    names: tuple[str, ...] = AXES,
+    *,
+    closing: bool = False,
+) -> None:
+    """Wait until the program has taken the stop and no axis moves; also while a stop is on.
 
-    The stop is written again at each look: the one that waited for no answer may be lost.
+    ``closing`` writes the stop again at each look, for the one that waited for no answer may be
+    lost, and asks for the axes alone.
     """
     patience, over = Patience(BRAKED_S), False
     before, pause = np.full(len(names), np.inf), threading.Event()
     while not over:
         over = patience.over()
-        access.brake()
+        if closing:
+            access.brake()
         access.look()
-        now = np.array(access.numbers(joints, tuple(names)))
-        if bool(np.all(np.abs(now - before) <= STILL_DEG)):
+        now = np.array(access.numbers(joints, names))
+        stands = bool(np.all(np.abs(now - before) <= STILL_DEG))
+        if stands and (closing or integer(access, "HC_ERR") in (STOPPED, LOST)):
             return
         before = now
         pause.wait(BRAKED_DWELL_S)
-    raise _restless("close")
-
-
-def await_rest(access: Access) -> None:
-    """Wait until the program has taken the stop and no axis moves; also while a stop is on."""
-    patience, over = Patience(BRAKED_S), False
-    before_deg, pause = np.full(6, np.inf), threading.Event()
-    while not over:
-        over = patience.over()
-        access.look()
-        now_deg = np.array(access.numbers(PROGRESS, AXES))
-        stands = bool(np.all(np.abs(now_deg - before_deg) <= STILL_DEG))
-        if stands and integer(access, "HC_ERR") in (STOPPED, LOST):
-            return
-        before_deg = now_deg
-        pause.wait(BRAKED_DWELL_S)
-    raise _restless("sweep")
-
-
-def _restless(operation: str) -> DeviceError:
-    return DeviceError(
-        "HC-B41",
-        DEVICE,
-        operation,
+    operation, found = (
+        "close" if closing else "sweep",
         f"not at rest {BRAKED_S:.0f} s after the brake",
-        act="see the panel, resume",
-        fields={"waited_s": BRAKED_S},
     )
+    raise ROBOT.failed("HC-B41", operation, found, waited_s=BRAKED_S)

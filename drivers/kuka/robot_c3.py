@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
 
+from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.controller import (
     AXES,
@@ -31,11 +32,10 @@ from drivers.kuka.controller import (
 )
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.robot import KukaOptions
-from drivers.robot_errors import ALARMS, DEVICE
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.tcp import TcpLink
 from hilcell.clean import clean
-from hilcell.ports import Array, Clock, DeviceError
+from hilcell.ports import Array, Clock
 from hilcell.wire.channel import Port
 
 MAX_NAME = 250
@@ -102,7 +102,7 @@ class C3Connection:
     """One connection, one request in flight; a lock lets a keep-alive share it."""
 
     def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
-        self._link = TcpLink(DEVICE, host, port, check, ALARMS)
+        self._link = TcpLink(ROBOT, host, port, check)
         self._lock = threading.Lock()
         self._tag = 0
         self._received = b""
@@ -147,13 +147,8 @@ class C3Connection:
     def _exchange(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
         reply = self._reply(operation, encode)
         if not reply.ok:
-            raise DeviceError(
-                "HC-B03",
-                DEVICE,
-                operation,
-                f"refused with error {reply.error}",
-                act="is the variable declared, and the controller up? see docs/hardware.md",
-                fields={"error": reply.error},
+            raise ROBOT.failed(
+                "HC-B03", operation, f"refused with error {reply.error}", error=reply.error
             )
         return reply
 

@@ -31,6 +31,7 @@ from enum import IntEnum
 from functools import partial
 from xml.parsers import expat
 
+from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.controller import (
     AXES,
@@ -45,7 +46,6 @@ from drivers.kuka.controller import (
 )
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.robot import KukaOptions
-from drivers.robot_errors import ALARMS, DEVICE
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from drivers.wires.tcp import POLL_S, TcpLink
 from hilcell.clean import clean
@@ -218,7 +218,7 @@ class EkiChannel:
         """``root`` is that of the answers; ``attend`` runs in every wait."""
         self.attend = attend
         self._root = root
-        self._link = TcpLink(DEVICE, host, port, self._attend, ALARMS)
+        self._link = TcpLink(ROBOT, host, port, self._attend)
         self._lock = threading.Lock()
         self._received = b""
         self._dead = ""
@@ -275,14 +275,12 @@ class EkiChannel:
             return [parse(document, self._root) for document in whole]
         except EkiError as error:
             self._dead = str(error)
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B49",
-                DEVICE,
                 operation,
                 f"{self._link.address}: {error}",
                 wanted=f"a document <{self._root}>",
-                act="is this the port of hilcell's channel? see docs/hardware.md",
-                fields={"address": self._link.address},
+                address=self._link.address,
             ) from error
 
 

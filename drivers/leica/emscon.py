@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.tracker_readings import DEVICE, refused
+from drivers.device_errors import TRACKER
 from hilcell.ports import DeviceError, NoReading
 
 SMALLEST, LARGEST = 12, 65536  # bytes of a packet
@@ -120,7 +120,9 @@ class Command(IntEnum):
         if known.alarm == "HC-T11":
             act = "clear the beam or seat the reflector, then resume"
         fields = {"status": status}
-        return kind(known.alarm, DEVICE, self.spoken, status_text(status), act=act, fields=fields)
+        return kind(
+            known.alarm, TRACKER.name, self.spoken, status_text(status), act=act, fields=fields
+        )
 
 
 class Change(IntEnum):
@@ -487,12 +489,11 @@ class EmsconSettings:
         found = self._numbers_of(setting.read, setting.layout)
         self._news.difference_update(setting.changes)  # our own; the reading is younger
         if not _same(found, values):
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T06",
                 f"set {setting.name}",
                 f"reads back as {found}",
                 wanted=f"{values}",
-                act="another program holds the tracker? close it, then resume",
                 setting=setting.name,
                 read=found,
                 written=values,
@@ -520,7 +521,7 @@ class EmsconSettings:
         self.keep(self.ORIENTATION)
         scale = self.keep(self.TRANSFORMATION)[-1]
         if transforms and not abs(scale - 1.0) <= SCALE_SHARE:
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T06",
                 "connect",
                 f"a transformation of scale {scale:.9g} is in use",
@@ -556,12 +557,4 @@ def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
 
 
 def _changed(name: str, found: str, expected: str) -> DeviceError:
-    return DeviceError(
-        "HC-T06",
-        DEVICE,
-        f"read {name} again",
-        found,
-        wanted=expected,
-        act="another program changed it: close that program; resume sets all settings again",
-        fields={"setting": name},
-    )
+    return TRACKER.failed("HC-T06", f"read {name} again", found, wanted=expected, setting=name)

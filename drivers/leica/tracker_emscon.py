@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from drivers.device_errors import TRACKER
 from drivers.leica import emscon
 from drivers.leica.emscon import (
     Change,
@@ -35,15 +36,11 @@ from drivers.leica.emscon import (
 )
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
-    ALARMS,
     BUSY_PAUSE_S,
-    DEVICE,
     Positive,
     another_tracker,
     checked_order,
     misplaced,
-    no_reading,
-    refused,
     std_of_repeats,
     with_maker,
 )
@@ -107,7 +104,7 @@ class LeicaEmsconTracker:
         """Open the wire, initialise, set units, mode and reflector, and read all of them back."""
         self.close()
         options = self._options
-        self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
+        self._link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
         self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
         with on_failure(self.close):
             identity = self._identify()
@@ -180,12 +177,11 @@ class LeicaEmsconTracker:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
         if status.processor != SystemStatus.INITIALIZED:
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T04",
                 "initialise",
                 f"processor status {status.processor}",
                 wanted=f"{SystemStatus.INITIALIZED} (initialised)",
-                act="look at the tracker, resume",
                 processor=status.processor,
             )
         self._air_measured = status.weather_monitor == SystemStatus.AIR_MEASURED
@@ -194,7 +190,9 @@ class LeicaEmsconTracker:
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
         model = with_maker("Leica", name) + f", emScon {status.version}"
         simulated, firmware = says_simulated(name), f"emScon {status.version}"
-        return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
+        return Identity(
+            TRACKER.name, model, serial, address, simulated, "tracker", "Leica", firmware
+        )
 
     def _system_status(self) -> SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)
@@ -214,12 +212,7 @@ class LeicaEmsconTracker:
         settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
-            raise refused(
-                "HC-T05",
-                "connect",
-                problem,
-                act="check the weather station or enter the air's values",
-            )
+            raise TRACKER.refused("HC-T05", "connect", problem)
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
@@ -256,12 +249,11 @@ class LeicaEmsconTracker:
             return
         if reflector not in self._numbers:
             known = ", ".join(repr(name) for name in self._numbers)
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T07",
                 "choose reflector",
                 f"the tracker knows {known}",
                 wanted=repr(reflector),
-                act="define it in the tracker, or correct tracker.reflector",
                 reflector=reflector,
                 known=list(self._numbers),
             )
@@ -284,7 +276,12 @@ class LeicaEmsconTracker:
         except NoReading as second:
             found = f"{second.found}, after go position: {first.found}"
             raise NoReading(
-                second.code, DEVICE, "find reflector", found, act=second.act, fields=second.fields
+                second.code,
+                TRACKER.name,
+                "find reflector",
+                found,
+                act=second.act,
+                fields=second.fields,
             ) from second
 
     def _find(self, near_mm: Array) -> None:
@@ -301,13 +298,9 @@ class LeicaEmsconTracker:
             status = self._request(Command.STOP_MEASUREMENT).status
             if status != 0:
                 found = f"{error.found}, and it was not stopped: {emscon.status_text(status)}"
+                fields = {"status": status, **error.fields}
                 raise NoReading(
-                    "HC-T25",
-                    DEVICE,
-                    error.operation,
-                    found,
-                    act=error.act,
-                    fields={"status": status, **error.fields},
+                    "HC-T25", TRACKER.name, error.operation, found, act=error.act, fields=fields
                 ) from error
             raise
         self._check(result, near_mm)
@@ -333,8 +326,9 @@ class LeicaEmsconTracker:
         self.settings.read_again(EmsconSettings.REFLECTOR)
         self.settings.prove()
         if self._results != 1:
-            raise no_reading(
+            raise TRACKER.no_reading(
                 "HC-T31",
+                "measure",
                 f"{self._results} results came to one start",
                 wanted="1",
                 act="one was late; it is measured again",
@@ -352,9 +346,12 @@ class LeicaEmsconTracker:
             if isinstance(packet, Failure):
                 raise Command.START_MEASUREMENT.failed(packet.status)
             if packet == StatusChange(Change.NOT_READY):
-                raise no_reading("HC-T10", "the beam broke", act="clear the line of sight")
-        raise no_reading(
+                raise TRACKER.no_reading(
+                    "HC-T10", "measure", "the beam broke", act="clear the line of sight"
+                )
+        raise TRACKER.no_reading(
             "HC-T13",
+            "measure",
             f"acknowledged, but no result came within {limit_s:.1f} s",
             act="look at the tracker's state",
             waited_s=limit_s,
@@ -363,14 +360,17 @@ class LeicaEmsconTracker:
     def _check(self, result: Single, near_mm: Array) -> None:
         if not emscon.possible(*result.xyz, *result.std, result.std_total):
             found = f"the result {result.xyz}, standard deviation {result.std_total:g}"
-            raise no_reading("HC-T14", found, wanted="a position in mm", xyz=result.xyz)
+            raise TRACKER.no_reading(
+                "HC-T14", "measure", found, wanted="a position in mm", xyz=result.xyz
+            )
         off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
         radius_mm = self._options.find_radius_mm
         if not off_mm <= radius_mm:
             raise self._misplaced(result, near_mm, off_mm)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
-            raise no_reading(
+            raise TRACKER.no_reading(
                 "HC-T15",
+                "measure",
                 f"standard deviation {result.std_total:.4f} mm",
                 wanted=f"<= {self._options.max_std_mm:.4f} mm",
                 act="something vibrates, or the reflector is dirty",
@@ -378,20 +378,19 @@ class LeicaEmsconTracker:
                 limit_mm=self._options.max_std_mm,
             )
         if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
-            raise no_reading("HC-T05", problem, act="check the weather station")
+            raise TRACKER.no_reading("HC-T05", "measure", problem, act="check the weather station")
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
         for unit, unit_mm in emscon.OTHER_UNITS_MM.items():
             of_unit_mm = float(np.linalg.norm(unit_mm * np.array(result.xyz) - near_mm))
             if of_unit_mm <= self._options.find_radius_mm:
-                return DeviceError(
+                return TRACKER.failed(
                     "HC-T18",
-                    DEVICE,
                     "measure",
                     f"the result {result.xyz} is in {unit}",
                     wanted="mm",
-                    act="another program changed the units; resume sets them again",
-                    fields={"xyz": result.xyz, "unit": unit},
+                    xyz=result.xyz,
+                    unit=unit,
                 )
         return misplaced(off_mm, self._options.find_radius_mm)
 
@@ -474,7 +473,7 @@ class LeicaEmsconTracker:
 
     def _wire(self) -> TcpLink:
         if self._link is None:
-            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
+            raise TRACKER.failed("HC-T34", "use", "not connected")
         return self._link
 
 
@@ -503,21 +502,19 @@ class EmsconStream:
     ) -> None:
         near_mm = np.asarray(near_mm, dtype=float)
         if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
-            raise DeviceError(
+            raise TRACKER.failed(
                 "HC-T35",
-                DEVICE,
                 "stream",
                 f"a reflector at {near_mm} mm",
                 wanted="three finite coordinates",
             )
         if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
-            raise DeviceError(
+            raise TRACKER.failed(
                 "HC-T35",
-                DEVICE,
                 "stream",
                 f"{rate_hz} samples/s",
                 wanted=f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}",
-                fields={"rate_hz": rate_hz},
+                rate_hz=rate_hz,
             )
         self._separation_ms = round(1000.0 / rate_hz)
         self.rate_hz = 1000.0 / self._separation_ms
@@ -562,9 +559,8 @@ class EmsconStream:
         if samples:
             self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
         elif over:
-            raise NoReading(
+            raise TRACKER.no_reading(
                 "HC-T40",
-                DEVICE,
                 "stream",
                 f"no samples for {self.SILENT_S + self._separation_ms / 1000.0:.1f} s",
                 act="look at the tracker's state",
@@ -577,8 +573,8 @@ class EmsconStream:
         samples = [each for packet in self._stop() for each in self._samples(packet)]
         self._tracker.settings.prove()  # those that were changed while it measured
         if self._last_s is None and not samples:
-            raise NoReading(
-                "HC-T40", DEVICE, "stream", "no sample came", act="look at the tracker's state"
+            raise TRACKER.no_reading(
+                "HC-T40", "stream", "no sample came", act="look at the tracker's state"
             )
         return self._blocks(samples, looked_s)
 
@@ -594,13 +590,8 @@ class EmsconStream:
                     raise Command.STOP_MEASUREMENT.failed(packet.status)
                 return packets
             packets.append(packet)
-        raise DeviceError(
-            "HC-T42",
-            DEVICE,
-            "stream",
-            f"not stopped within {self.END_S:.0f} s",
-            act="look at the tracker, resume",
-            fields={"waited_s": self.END_S},
+        raise TRACKER.failed(
+            "HC-T42", "stream", f"not stopped within {self.END_S:.0f} s", waited_s=self.END_S
         )
 
     def _samples(self, packet: Packet) -> list[Multi]:
@@ -608,8 +599,8 @@ class EmsconStream:
         if isinstance(packet, Failure):
             raise Command.START_MEASUREMENT.failed(packet.status)
         if packet == StatusChange(Change.NOT_READY):
-            raise NoReading(
-                "HC-T10", DEVICE, "stream", "the beam broke", act="clear the line of sight"
+            raise TRACKER.no_reading(
+                "HC-T10", "stream", "the beam broke", act="clear the line of sight"
             )
         if not isinstance(packet, Multi) or not len(packet.device_s):
             return []
@@ -620,32 +611,27 @@ class EmsconStream:
 
     def _check(self, packet: Multi) -> None:
         if not emscon.possible(*packet.xyz.flat):
-            raise NoReading(
-                "HC-T14",
-                DEVICE,
-                "stream",
-                f"a sample at {packet.xyz} mm",
-                wanted="a position in mm",
+            raise TRACKER.no_reading(
+                "HC-T14", "stream", f"a sample at {packet.xyz} mm", wanted="a position in mm"
             )
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
             if not off_mm <= self._radius_mm:
-                raise NoReading(
+                raise TRACKER.no_reading(
                     "HC-T16",
-                    DEVICE,
                     "stream",
                     f"the reflector is {off_mm:.2f} mm from its expected place",
                     wanted=f"<= {self._radius_mm:.2f} mm",
                     act="another reflector was caught, or units or axes differ; clear the view",
-                    fields={"off_mm": off_mm, "limit_mm": self._radius_mm},
+                    off_mm=off_mm,
+                    limit_mm=self._radius_mm,
                 )
         before_s = [] if self._last_s is None else [self._last_s]
         steps_ms = 1000.0 * np.diff([*before_s, *packet.device_s])
         self._last_s = float(packet.device_s[-1])
         if not bool(np.all(steps_ms > 0)):
-            raise NoReading(
+            raise TRACKER.no_reading(
                 "HC-T41",
-                DEVICE,
                 "stream",
                 f"the samples' times run back by {-float(steps_ms.min()):.3f} ms",
                 wanted="later than the sample before",
@@ -655,14 +641,14 @@ class EmsconStream:
             float(np.median(steps_ms)) if len(steps_ms) >= self.ENOUGH else self._separation_ms
         )
         if not abs(typical_ms / self._separation_ms - 1.0) <= self.SEPARATION_SHARE:
-            raise DeviceError(
+            raise TRACKER.failed(
                 "HC-T41",
-                DEVICE,
                 "stream",
                 f"samples {typical_ms:.3f} ms apart",
                 wanted=f"{self._separation_ms} ms",
                 act="the tracker counts its time in other units, or lost samples; report it",
-                fields={"separation_ms": typical_ms, "wanted_ms": self._separation_ms},
+                separation_ms=typical_ms,
+                wanted_ms=self._separation_ms,
             )
 
     def _blocks(self, samples: list[Multi], looked_s: float) -> list[StreamBlock]:

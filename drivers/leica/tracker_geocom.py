@@ -24,18 +24,15 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from drivers.device_errors import TRACKER
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
-    ALARMS,
     BUSY_PAUSE_S,
-    DEVICE,
     Positive,
     another_tracker,
     check_reflector,
     checked_order,
     misplaced,
-    no_reading,
-    refused,
     std_of_repeats,
     with_maker,
 )
@@ -128,7 +125,7 @@ class Rpc(IntEnum):
         kind = NoReading if self.measures and code not in FAULTS else DeviceError
         alarm = ALARM_OF.get(code, "HC-T24")
         act, fields = ACTS.get(alarm, ACT), {"status": code}
-        return kind(alarm, DEVICE, self.spoken, status_text(code), act=act, fields=fields)
+        return kind(alarm, TRACKER.name, self.spoken, status_text(code), act=act, fields=fields)
 
 
 STATUS = {
@@ -373,7 +370,7 @@ class LeicaGeocomTracker:
     def connect(self) -> list[Identity]:
         """Open the wire, identify, set air, prism and modes, and read all of them back."""
         self.close()
-        link = open_link(DEVICE, self._options.channel, self._clock.check, ALARMS)
+        link = open_link(TRACKER, self._options.channel, self._clock.check)
         self._lines, self._given_up, self._kept = TextLines(link), set(), {}
         with on_failure(self.close):
             self._begin()
@@ -441,7 +438,9 @@ class LeicaGeocomTracker:
         if options.accept_uncorrected:
             model += ", readings without full correction are accepted"
         simulated = says_simulated(name)
-        return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
+        return Identity(
+            TRACKER.name, model, serial, address, simulated, "tracker", "Leica", firmware
+        )
 
     def _set_up(self) -> None:
         options, set_to = self._options, self._set_checked
@@ -477,7 +476,7 @@ class LeicaGeocomTracker:
                 refusal = f", {error.found}"
             found = self._numbers(read, len(wanted))
         if not _same(found, wanted):
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T06",
                 f"set {what}",
                 f"reads back as {found}{refusal}",
@@ -497,14 +496,13 @@ class LeicaGeocomTracker:
                 continue
             found = self._numbers(read, len(kept))  # a character may have been lost
             if not _same(found, kept):
-                raise DeviceError(
+                raise TRACKER.failed(
                     "HC-T06",
-                    DEVICE,
                     f"read {what} again",
                     f"now reads {found}",
                     wanted=f"{kept}",
                     act="changed at the instrument? resume sets it again, or correct the cell file",
-                    fields={"setting": what},
+                    setting=what,
                 )
 
     # -- measuring ----------------------------------------------------------------------------
@@ -527,9 +525,13 @@ class LeicaGeocomTracker:
         else:
             found = f"the result {','.join(reply.values)[:80]} has lost characters"
             wanted = f"{PLACES} decimal places, or two that agree"
-            raise no_reading("HC-T14", clean(found), wanted=wanted, act="check the line")
+            raise TRACKER.no_reading(
+                "HC-T14", "measure", clean(found), wanted=wanted, act="check the line"
+            )
         if not possible(values):
-            raise no_reading("HC-T14", f"the result {values} is no position", values=values)
+            raise TRACKER.no_reading(
+                "HC-T14", "measure", f"the result {values} is no position", values=values
+            )
         xyz_mm = position_mm(*values)
         off_mm = float(np.linalg.norm(xyz_mm - near_mm))
         if not off_mm <= options.find_radius_mm:
@@ -550,7 +552,7 @@ class LeicaGeocomTracker:
             accepted=options.accept_uncorrected,
         )
         if reply.is_empty:
-            raise no_reading("HC-T13", "the answer has no values", act=ACT)
+            raise TRACKER.no_reading("HC-T13", "measure", "the answer has no values", act=ACT)
         return reply
 
     # -- lines --------------------------------------------------------------------------------
@@ -602,7 +604,9 @@ class LeicaGeocomTracker:
         if not rpc.measures:
             raise self._lost("no answer in time", rpc.spoken)
         self._exchange(Rpc.NULL, (), self.REPLY_S)  # it lives, or the line is lost
-        raise no_reading("HC-T13", f"no answer to {rpc.spoken} in {limit_s:.1f} s", act=ACT)
+        raise TRACKER.no_reading(
+            "HC-T13", "measure", f"no answer to {rpc.spoken} in {limit_s:.1f} s", act=ACT
+        )
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
         transaction = 1 + next(self._transactions) % (TRANSACTIONS - 1)
@@ -646,7 +650,7 @@ class LeicaGeocomTracker:
 
     def _wire(self) -> TextLines:
         if self._lines is None:
-            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
+            raise TRACKER.failed("HC-T34", "use", "not connected")
         return self._lines
 
 

@@ -28,17 +28,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from drivers.device_errors import TRACKER
 from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
-    ALARMS,
-    DEVICE,
     Positive,
     check_reflector,
     checked_order,
     misplaced,
-    no_reading,
-    refused,
     std_of_repeats,
 )
 from drivers.wires.link import Link
@@ -91,8 +88,6 @@ ACTS = {
     "HC-T70": "start the instrument's interface in SpatialAnalyzer, then resume",
     "HC-T72": "import the list of points into the group of tracker.options, then resume",
 }
-MAKE_LIST = "write a list by python -m drivers.spatialanalyzer.t2sa_points, import it"
-REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
 
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
@@ -210,7 +205,7 @@ class T2saBridge:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             kind = NoReading if command.startswith(MEASURE) and alarm in AGAIN else DeviceError
             act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
-            raise kind(alarm, DEVICE, _spoken(command), reply.found, act=act, fields=fields)
+            raise kind(alarm, TRACKER.name, _spoken(command), reply.found, act=act, fields=fields)
         return reply
 
     def position(self, command: str, path: str) -> Array:
@@ -236,7 +231,7 @@ class T2saBridge:
             raise self.lost("no answer in time", _spoken(command))
         self._give_up()
         found = f"no answer to {_spoken(command)} in {limit_s:.1f} s"
-        raise no_reading("HC-T13", found, act=ACT, waited_s=limit_s)
+        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
 
     def lost(self, found: str, operation: str) -> DeviceError:
         """Return the error after which the replies cannot be trusted; the connection is closed."""
@@ -277,7 +272,7 @@ class T2saBridge:
         if self._lines is None or self._stopped:
             self._clock.check()
             found = "not connected" if self._lines is None else "stopped"
-            raise DeviceError("HC-T34", DEVICE, "use", found, act="connect first")
+            raise TRACKER.failed("HC-T34", "use", found)
         return self._lines
 
 
@@ -337,7 +332,7 @@ class T2saTracker:
         if self._points is None or Path(options.points).exists():
             self._points = _read(options.points)
         points = self._points  # whichever it is, the job is compared with it
-        link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
+        link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
         bridge = self._bridge = T2saBridge(link, self._clock)
         with on_failure(self.close):
             state = self._ready(bridge)
@@ -345,7 +340,7 @@ class T2saTracker:
             self._compare(bridge, points)
         model = f"{clean(options.instrument)}, by SpatialAnalyzer"
         serial, simulated = clean(options.plate), says_simulated(state)
-        return [Identity(DEVICE, model, serial, bridge.address, simulated, "tracker")]
+        return [Identity(TRACKER.name, model, serial, bridge.address, simulated, "tracker")]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times.
@@ -357,7 +352,7 @@ class T2saTracker:
         known = options.reflector
         check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
         if self._bridge is None or self._points is None:
-            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
+            raise TRACKER.failed("HC-T34", "use", "not connected")
         bridge, named = self._bridge, _Aim(self._points, near_mm, options.search_mm)
         count = max(samples, options.repeats)
         points_mm = np.array([self._single(bridge, named) for _ in range(count)])
@@ -385,14 +380,13 @@ class T2saTracker:
         while not (reply := bridge.exchange(STATUS)).is_ready:
             if patience.over():
                 alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
-                raise DeviceError(
+                raise TRACKER.failed(
                     alarm,
-                    DEVICE,
                     "connect",
                     f"state {reply.text!r} for {limit_s:.1f} s",
                     wanted=repr(READY[0]),
                     act=ACTS.get(alarm, ACT),
-                    fields={"status": reply.code},
+                    status=reply.code,
                 )
             self._clock.wait(BUSY_PAUSE_S)
         return reply.text
@@ -401,12 +395,8 @@ class T2saTracker:
         options = self._options
         simulation = bridge.exchange("!SET_SIM:0")
         if not simulation.accepted:
-            raise refused(
-                "HC-T71",
-                "switch simulation off",
-                simulation.found,
-                act=REAL,
-                status=simulation.code,
+            raise TRACKER.refused(
+                "HC-T71", "switch simulation off", simulation.found, status=simulation.code
             )
         self._warm(bridge)
         settings = {
@@ -420,7 +410,7 @@ class T2saTracker:
         for what, command in settings.items():
             reply = bridge.exchange(command)
             if not reply.accepted:
-                raise refused(
+                raise TRACKER.refused(
                     "HC-T06",
                     f"set {what}",
                     reply.found,
@@ -442,14 +432,13 @@ class T2saTracker:
             state = bridge.ask(LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
-            raise DeviceError(
+            raise TRACKER.failed(
                 code,
-                DEVICE,
                 "switch the laser on",
                 f"state {state!r}",
                 wanted="LON",
                 act=ACTS.get(code, "let the tracker warm up, then resume"),
-                fields={"state": state},
+                state=state,
             )
 
     def _compare(self, bridge: T2saBridge, points: NamedPoints) -> None:
@@ -459,12 +448,11 @@ class T2saTracker:
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
                 form = other_form(found_mm, np.full(3, np.nan), listed_mm, self.SAME_MM)
                 form = form and f" {form}"
-                raise refused(
+                raise TRACKER.refused(
                     "HC-T73",
                     "compare points",
                     f"point {name} is at {_shown(found_mm)} in SpatialAnalyzer{form}",
                     wanted=f"{_shown(listed_mm)} mm as in {clean(self._options.points)}",
-                    act="set mm and the tracker's frame as working frame, or import the list again",
                     point=name,
                     found_mm=found_mm.tolist(),
                     listed_mm=listed_mm.tolist(),
@@ -485,14 +473,13 @@ class T2saTracker:
             if off_mm <= limit_mm:
                 return xyz_mm
             if form := other_form(xyz_mm, named_mm, aim.near_mm, limit_mm):
-                raise DeviceError(
+                raise TRACKER.failed(
                     "HC-T77",
-                    DEVICE,
                     "measure",
                     f"the result {_shown(xyz_mm)} is {form}",
                     wanted="a position in mm",
-                    act="set mm in SpatialAnalyzer, then resume",
-                    fields={"xyz": xyz_mm.tolist(), "form": form},
+                    xyz=xyz_mm.tolist(),
+                    form=form,
                 )
             aim.others_mm[name] = xyz_mm
         raise misplaced(off_mm, limit_mm)
@@ -501,21 +488,23 @@ class T2saTracker:
         """Return the position (3,) of the reflector that is found from a named point."""
         xyz_mm = bridge.position(MEASURE, self._path(name))
         if not bool(np.all(np.isfinite(xyz_mm))):
-            raise no_reading("HC-T14", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm))
+            raise TRACKER.no_reading(
+                "HC-T14", "measure", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm)
+            )
         if self._last_mm is not None and bool(np.all(xyz_mm == self._last_mm)):
-            raise no_reading(
+            raise TRACKER.no_reading(
                 "HC-T76",
+                "measure",
                 f"the result {_shown(xyz_mm)} is the former one to its last digit",
                 act=ACT,
                 xyz_mm=xyz_mm.tolist(),
             )
         self._last_mm = xyz_mm
         if not float(np.linalg.norm(xyz_mm - named_mm)) > self.NOMINAL_MM:
-            raise refused(
+            raise TRACKER.refused(
                 "HC-T71",
                 "measure",
                 f"the result {_shown(xyz_mm)} is the named point {name} itself",
-                act=REAL,
                 xyz_mm=xyz_mm.tolist(),
                 point=name,
             )
@@ -534,14 +523,14 @@ class _Aim:
         self.others_mm: dict[str, Array] = {}  # found in its place, by their points
         name, _, beside_mm = points.aim(near_mm, search_mm)
         if not beside_mm <= search_mm:
-            raise DeviceError(
+            raise TRACKER.failed(
                 "HC-T74",
-                DEVICE,
                 "measure",
                 f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
                 wanted=f"<= {search_mm:.1f} mm (tracker.options.search_mm)",
-                act=f"{MAKE_LIST} so that it covers the place, and resume",
-                fields={"point": name, "beside_mm": beside_mm, "limit_mm": search_mm},
+                point=name,
+                beside_mm=beside_mm,
+                limit_mm=search_mm,
             )
 
     def point(self) -> tuple[str, Array]:
@@ -557,7 +546,7 @@ def _read(points: str) -> NamedPoints:
             return read_points(Path(points))
         except SettingsError as error:
             problem = clean(str(error))
-    raise refused("HC-T75", "read the list of points", problem, act=f"{MAKE_LIST}, and name it")
+    raise TRACKER.refused("HC-T75", "read the list of points", problem)
 
 
 def _shown(xyz_mm: Array) -> str:

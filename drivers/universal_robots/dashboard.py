@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.robot_errors import ALARMS, DEVICE
+from drivers.device_errors import ROBOT
 from drivers.supervision import Patience, on_failure
 from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
@@ -24,7 +24,7 @@ class Dashboard:
 
     def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
         try:
-            self._link = TcpLink(DEVICE, host, port, check, ALARMS)
+            self._link = TcpLink(ROBOT, host, port, check)
         except DeviceError as error:
             if isinstance(error.__cause__, ConnectionRefusedError):  # the controller itself answers
                 error.act = (

@@ -19,8 +19,15 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.motion_limits import MotionLimits, planned_s
-from drivers.robot_errors import ALARMS, DEVICE, failed, overdue, refused, stalled, stopped_short
+from drivers.device_errors import ROBOT
+from drivers.motion_limits import (
+    MotionLimits,
+    check_identity,
+    checked_target,
+    joints_text,
+    planned_s,
+    stopped_short,
+)
 from drivers.supervision import LIFE_S, Patience, Supervision, go_on, on_failure
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import (
@@ -28,10 +35,9 @@ from drivers.universal_robots.health import (
     STOPPED,
     Runtime,
     frame_text,
-    joints_text,
+    problem,
     refused_motion,
     runtime_text,
-    unwell,
 )
 from drivers.universal_robots.rtde import BRAKE, GO, MAX_NUMBER, NOTHING, Order, UrLink, UrState
 from drivers.wires.tcp import TcpLink
@@ -87,7 +93,7 @@ class UrRtdeRobot:
         self._link: UrLink | None = None
         self._dashboard: Dashboard | None = None
         self._stop_line: Dashboard | None = None
-        self._watch = Supervision(DEVICE, "HC-B27", clock)
+        self._watch = Supervision(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._session = 0
         self._order = Order(0, np.zeros(6), 0.0)
@@ -110,8 +116,8 @@ class UrRtdeRobot:
             identity = self._identify()
             self._check_remote()
             self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
-            if problem := unwell(self._link.next(), moving=False):
-                raise problem
+            if unwell := problem(self._link.next(), moving=False):
+                raise unwell
             self._end_former_script()
             self._start_script()
             state = self._link.fresh()
@@ -121,11 +127,7 @@ class UrRtdeRobot:
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes in step; return the reading at rest, after motion ended."""
-        target_rad = np.asarray(joints_rad, dtype=float)
-        if target_rad.shape != (6,) or not bool(np.all(np.isfinite(target_rad))):
-            raise failed("HC-B28", f"target {target_rad} rad", wanted="six finite angles")
-        if not 1.0 <= speed_percent <= 100.0:
-            raise failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
+        target_rad = checked_target(joints_rad, speed_percent)
         distance_deg = np.degrees(target_rad - self._rest_rad)
         planned = planned_s(distance_deg, self._speed_deg_s, speed_percent)
         # The script takes the speed of the joint that moves farthest; the others keep step with it.
@@ -181,26 +183,16 @@ class UrRtdeRobot:
         software = panel.answer_to("PolyscopeVersion") or "version unknown"
         if model is None or serial is None:
             untold = "model" if model is None else "serial number"
-            raise refused(
+            raise ROBOT.refused(
                 "HC-B69",
+                "connect",
                 f"this PolyScope ({software}) does not tell its {untold}",
                 wanted="PolyScope 3.12, 5.6 or later",
-                act="bring PolyScope up to date",
             )
-        for name, found, fits, wanted in (
-            ("model", model, options.model in model, f"{options.model!r} in it"),
-            ("serial", serial, options.serial in ("", serial), repr(options.serial)),
-        ):
-            if not fits:
-                raise refused(
-                    "HC-B05",
-                    f"{name} {found!r}",
-                    wanted=wanted,
-                    act="this is another robot; correct robot.options",
-                )
+        check_identity(model, options.model, serial, options.serial)
         address = f"{options.host}:{options.rtde_port}"
         return Identity(
-            DEVICE,
+            ROBOT.name,
             model,
             serial,
             address,
@@ -213,11 +205,8 @@ class UrRtdeRobot:
     def _check_remote(self) -> None:
         """Refuse local control; a controller without the question (CB3) is always remote."""
         if (answer := self._panel().ask("is in remote control")).casefold() == "false":
-            raise refused(
-                "HC-B60",
-                f"is in remote control: {answer}",
-                wanted="true",
-                act="switch the panel to remote control",
+            raise ROBOT.refused(
+                "HC-B60", "connect", f"is in remote control: {answer}", wanted="true"
             )
 
     def _end_former_script(self) -> None:
@@ -230,8 +219,9 @@ class UrRtdeRobot:
         patience, over = Patience(self.ENDED_S, LOOK_S), False
         while (state := link.fresh()).runtime_state != Runtime.STOPPED or not stands([state]):
             if over:
-                raise refused(
+                raise ROBOT.refused(
                     "HC-B25",
+                    "connect",
                     f"runtime_state is {runtime_text(state)}, {self.ENDED_S:.0f} s after stop",
                     wanted=f"{Runtime.STOPPED} (stopped), at rest",
                     act="stop the program at the panel",
@@ -250,8 +240,9 @@ class UrRtdeRobot:
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
             if over:
-                raise refused(
+                raise ROBOT.refused(
                     "HC-B67",
+                    "connect",
                     f"runtime_state is {runtime_text(state)}, and it is no script of hilcell",
                     wanted=f"{Runtime.STOPPED} (stopped)",
                     act="stop the program at the panel",
@@ -265,7 +256,7 @@ class UrRtdeRobot:
         # The script may begin before these registers arrive, which must move nothing then.
         self._order = Order(0, link.fresh().joints_rad, 0.0, command=NOTHING)
         link.write(self._order)
-        line = TcpLink(DEVICE, options.host, options.script_port, self._attend, ALARMS)
+        line = TcpLink(ROBOT, options.host, options.script_port, self._attend)
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
@@ -289,11 +280,11 @@ class UrRtdeRobot:
         wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
-            raise refused(
+            raise ROBOT.refused(
                 "HC-B06",
+                "connect",
                 f"the TCP is {frame_text(state.tool)}",
                 wanted=frame_text(wanted),
-                act="correct the TCP of the installation, or robot.smr_mm in the cell file",
             )
 
     # -- moving -------------------------------------------------------------------------------
@@ -301,7 +292,7 @@ class UrRtdeRobot:
     def command(self, target_rad: Array, speed_rad_s: float) -> int:
         """Start a motion to joints (6,); return its number."""
         if self._stopped:
-            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+            raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
         self._open_panels()
         self.look([self.link().next()])
         number = self._order.sequence % MAX_NUMBER + 1
@@ -338,8 +329,8 @@ class UrRtdeRobot:
             self._look_at(state)
 
     def _look_at(self, state: UrState, *, but_script: bool = False) -> None:
-        if problem := unwell(state, moving=self._under_way):
-            raise problem
+        if unwell := problem(state, moving=self._under_way):
+            raise unwell
         if but_script:
             return
         if state.runtime_state != Runtime.PLAYING or state.session != self._session:
@@ -354,9 +345,9 @@ class UrRtdeRobot:
         now_deg, wanted = np.degrees(state.joints_rad), f"acknowledged {number}"
         where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
         if limits.stalled(now_deg):
-            raise stalled(where, wanted, now_deg, STALL_S)
+            raise limits.stall_error(where, wanted, now_deg)
         if limits.overdue(self._clock.now_s(), 100.0 * state.speed_fraction):
-            raise overdue(where, wanted, limits, now_deg)
+            raise limits.time_error(where, wanted, now_deg)
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -388,9 +379,8 @@ class UrRtdeRobot:
         last, patience, over = link.fresh(), Patience(self.CLOCK_S, LOOK_S), False
         while not last.timestamp_s > first.timestamp_s:  # several packages may have been under way
             if over:
-                raise DeviceError(
+                raise ROBOT.failed(
                     "HC-B26",
-                    DEVICE,
                     "read",
                     f"the controller's time stands at {last.timestamp_s:.3f} s",
                     wanted=f"a later time within {self.CLOCK_S:g} s",
@@ -415,7 +405,7 @@ class UrRtdeRobot:
     def link(self) -> UrLink:
         """Return the connection by RTDE."""
         if self._link is None:
-            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+            raise ROBOT.failed("HC-B21", "use", "not connected")
         return self._link
 
     def stands_at(self) -> Array:
@@ -447,7 +437,7 @@ class UrRtdeRobot:
             found = f"runtime_state is {runtime_text(state)}"
             if state.runtime_state == Runtime.PLAYING:
                 found = "another script of hilcell has taken the robot"
-        return failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
+        return ROBOT.failed("HC-B66", "move", found, wanted="the script that hilcell sent")
 
     def _open_panels(self) -> None:
         """Connect to the dashboard; where it has closed an idle connection meanwhile, again."""
@@ -464,7 +454,7 @@ class UrRtdeRobot:
 
     def _panel(self) -> Dashboard:
         if self._dashboard is None:
-            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+            raise ROBOT.failed("HC-B21", "use", "not connected")
         return self._dashboard
 
     def _attend(self) -> None:
@@ -521,9 +511,8 @@ class UrSweep:
     ) -> None:
         """``full_rad_s`` is the axis's speed at 100 %; NaN for an axis that there is not."""
         if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B28",
-                DEVICE,
                 "sweep",
                 f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s",
                 wanted=f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s",
@@ -595,14 +584,13 @@ class UrSweep:
             return
         self._robot.check_progress(self._limits, self._number, state)
         if not abs(state.speed_fraction - self._fraction) <= self.SAME_SPEED:
-            raise DeviceError(
+            raise ROBOT.failed(
                 "HC-B70",
-                DEVICE,
                 "sweep",
                 f"target_speed_fraction is {state.speed_fraction:g}",
                 wanted=f"{self._fraction:g}",
-                act="the speed slider was moved during the sweep; sweep again",
-                fields={"fraction": state.speed_fraction, "wanted_fraction": self._fraction},
+                fraction=state.speed_fraction,
+                wanted_fraction=self._fraction,
             )
 
     def _brake(self) -> None:
@@ -617,13 +605,11 @@ class UrSweep:
             if ended and bool(np.all(np.abs(state.speeds_rad_s) <= self.STILL_RAD_S)):
                 break
             if over:
-                raise DeviceError(
+                raise ROBOT.failed(
                     "HC-B71",
-                    DEVICE,
                     "sweep",
                     f"not at rest {time.monotonic() - begun_s:.1f} s after the brake",
                     wanted=f"at rest within {REST_S:g} s",
-                    act="see the panel, resume",
                 )
             over = patience.over()
             robot.live()
@@ -720,13 +706,12 @@ class Release:
 
     def _unconfirmed(self, found: str) -> DeviceError:
         self._hear(Patience(self.ANSWER_S))
-        return DeviceError(
+        return ROBOT.failed(
             "HC-B71",
-            DEVICE,
             "close",
             f"the arm is not confirmed at rest: {found}; answer of the dashboard to stop: "
             f"{self._answer}",
             wanted=f"program stopped and joints at rest within {self.RELEASE_S:g} s",
             act="keep away from the arm, it may move: press the E-stop; then see the panel",
-            fields={"answer": self._answer},
+            answer=self._answer,
         )

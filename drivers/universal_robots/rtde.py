@@ -30,7 +30,7 @@ from typing import Self
 
 import numpy as np
 
-from drivers.robot_errors import ALARMS, DEVICE
+from drivers.device_errors import ROBOT
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.tcp import TcpLink
 from hilcell.geometry.frames import from_rotvec
@@ -352,7 +352,7 @@ class UrLink:
         check()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._empty, name="rtde", daemon=True)
-        self._link = TcpLink(DEVICE, host, port, go_on, ALARMS)  # it asks for a stop itself
+        self._link = TcpLink(ROBOT, host, port, go_on)  # it asks for a stop itself
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
         self._fetching = threading.Lock()
         self._states: deque[UrState] = deque(maxlen=self.KEPT)
@@ -497,7 +497,7 @@ class UrLink:
             "HC-B68": "end the other program, or the fieldbus, that writes these registers",
             "HC-B69": "bring PolyScope up to date: 3.12, 5.6 or later",
         }[code]
-        return DeviceRefused(code, DEVICE, "connect", found, act=act)
+        return ROBOT.refused(code, "connect", found, act=act)
 
     # -- fetching -----------------------------------------------------------------------------
 
@@ -529,7 +529,7 @@ class UrLink:
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
         except RtdeError as error:
             act = "restart the controller; resume"
-            self._failure = DeviceError("HC-B26", DEVICE, "receive", str(error), act=act)
+            self._failure = ROBOT.failed("HC-B26", "receive", str(error), act=act)
         except DeviceError as error:
             self._failure = error
 

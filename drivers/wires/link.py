@@ -13,8 +13,9 @@ from typing import Protocol
 
 import serial
 
+from drivers.device_errors import Device
 from drivers.supervision import Patience
-from drivers.wires.tcp import POLL_S, SEND_S, Alarms, TcpLink
+from drivers.wires.tcp import POLL_S, SEND_S, TcpLink
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
@@ -40,11 +41,8 @@ class Link(Protocol):
 class SerialLink:
     """An open serial line. One thread receives; any thread may send."""
 
-    def __init__(
-        self, device: str, line: SerialLine, check: Callable[[], None], alarms: Alarms
-    ) -> None:
-        self.device, self.address = device, line.path
-        self._check, self._alarms = check, alarms
+    def __init__(self, device: Device, line: SerialLine, check: Callable[[], None]) -> None:
+        self._device, self.address, self._check = device, line.path, check
         check()
         try:
             self._port = serial.Serial(
@@ -52,14 +50,13 @@ class SerialLink:
             )
             self._port.reset_input_buffer()
         except (serial.SerialException, OSError, ValueError) as error:
-            raise DeviceError(
-                alarms.unreachable,
-                device,
-                "connect",
-                f"{line.path} at {line.baud} baud: {system_words(error)}",
-                act="check the cable, the path (/dev/serial/by-id keeps its name), the right to "
-                "open it, and that no other program has it",
-                fields={"address": line.path, "baud": line.baud},
+            found = f"{line.path} at {line.baud} baud: {system_words(error)}"
+            act = (
+                "check the cable, the path (/dev/serial/by-id keeps its name), the right to open "
+                "it, and that no other program has it"
+            )
+            raise device.failed(
+                device.unreachable, "connect", found, act=act, address=line.path, baud=line.baud
             ) from error
 
     def send(self, data: bytes, operation: str) -> None:
@@ -87,7 +84,7 @@ class SerialLink:
 
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this line's failure is."""
-        return self._alarms.broken(self.device, self.address, operation, found)
+        return self._device.broken(self.address, operation, found)
 
     def _gone(self, operation: str, error: Exception) -> DeviceError:
         found = f"the line failed: {system_words(error)}"
@@ -107,9 +104,9 @@ def system_words(error: Exception) -> str:
     return str(error) if number is None else os.strerror(number)
 
 
-def open_link(device: str, channel: str, check: Callable[[], None], alarms: Alarms) -> Link:
+def open_link(device: Device, channel: str, check: Callable[[], None]) -> Link:
     """Open ``socket://HOST:PORT`` or ``PATH[@BAUD]``; raises `DeviceError`."""
     place = parse_channel(channel)
     if isinstance(place, Socket):
-        return TcpLink(device, place.host, place.port, check, alarms)
-    return SerialLink(device, place, check, alarms)
+        return TcpLink(device, place.host, place.port, check)
+    return SerialLink(device, place, check)

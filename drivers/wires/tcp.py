@@ -12,33 +12,13 @@ import select
 import socket
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 
+from drivers.device_errors import Device
 from drivers.supervision import Patience
 from hilcell.ports import DeviceError
 
 POLL_S = 0.02
 SEND_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Alarms:
-    """The codes of a link's two failures."""
-
-    unreachable: str
-    lost: str
-
-    def broken(self, device: str, address: str, operation: str, found: str) -> DeviceError:
-        """Return the error that a wire's failure is."""
-        code = self.lost
-        return DeviceError(
-            code,
-            device,
-            operation,
-            f"{address}: {found}",
-            act="check the device, its cable and its network, then resume",
-            fields={"address": address},
-        )
 
 
 class TcpLink:
@@ -49,25 +29,15 @@ class TcpLink:
     KEEPALIVE_S = 5
     UNSENT_MS = 5000
 
-    def __init__(
-        self, device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
-    ) -> None:
-        self._alarms = alarms
-        self.device, self.address = device, f"{host}:{port}"
+    def __init__(self, device: Device, host: str, port: int, check: Callable[[], None]) -> None:
+        self._device, self.address = device, f"{host}:{port}"
         self._check = check
         self.unheard = False  # something was sent whose answer nobody awaits
         check()
         try:
             self._socket = socket.create_connection((host, port), timeout=self.CONNECT_S)
         except OSError as error:
-            raise DeviceError(
-                alarms.unreachable,
-                device,
-                "connect",
-                f"{self.address}: {error}",
-                act="check that the device is on, its cable and its address",
-                fields={"address": self.address},
-            ) from error
+            raise device.unreached(self.address, str(error)) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         probes = {"TCP_KEEPIDLE": self.KEEPALIVE_S, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
@@ -114,7 +84,7 @@ class TcpLink:
 
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this link's failure is."""
-        return self._alarms.broken(self.device, self.address, operation, found)
+        return self._device.broken(self.address, operation, found)
 
     def close(self) -> None:
         """Close the socket; a second close does nothing.

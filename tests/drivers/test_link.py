@@ -11,15 +11,14 @@ from contextlib import suppress
 
 import pytest
 
+from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
 from drivers.wires.link import Link, open_link
-from drivers.wires.tcp import Alarms
 from drivers.wires.text_lines import LONGEST, TextLines
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
 PATIENT_S = 600.0
-ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
 
 
 class Far:
@@ -44,12 +43,12 @@ def far(request: pytest.FixtureRequest) -> Iterator[Far]:
     if request.param == "serial":
         file, inner = pty.openpty()
         tty.setraw(inner)
-        link = open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
+        link = open_link(TRACKER, os.ttyname(inner), lambda: None)
         os.close(inner)
     else:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port = server.getsockname()[1]
-            link = open_link("Tracker", f"socket://127.0.0.1:{port}", lambda: None, ALARMS)
+            link = open_link(TRACKER, f"socket://127.0.0.1:{port}", lambda: None)
             file = server.accept()[0].detach()
     end = Far(link, file)
     yield end
@@ -144,7 +143,7 @@ def test_a_silent_wire_ends_the_wait_by_a_stop() -> None:
         if next(asked, "stop") == "stop":
             raise KeyboardInterrupt
 
-    link = open_link("Tracker", os.ttyname(inner), check, ALARMS)
+    link = open_link(TRACKER, os.ttyname(inner), check)
     with pytest.raises(KeyboardInterrupt):
         link.receive(10, Patience(60.0))
     link.close()
@@ -154,13 +153,13 @@ def test_a_silent_wire_ends_the_wait_by_a_stop() -> None:
 
 def test_a_serial_line_that_is_not_there_is_named() -> None:
     with pytest.raises(DeviceError, match="9600") as caught:
-        open_link("Tracker", "/dev/serial/by-id/none@9600", lambda: None, ALARMS)
+        open_link(TRACKER, "/dev/serial/by-id/none@9600", lambda: None)
     assert caught.value.code == "HC-T01"
 
 
 def test_a_serial_line_that_is_pulled_out_is_named_as_that() -> None:
     file, inner = pty.openpty()
-    link = open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
+    link = open_link(TRACKER, os.ttyname(inner), lambda: None)
     os.close(inner)
     os.close(file)
     for act in (lambda: link.send(b"x", "ask"), lambda: link.receive(9, Patience(PATIENT_S))):
@@ -172,9 +171,9 @@ def test_a_serial_line_that_is_pulled_out_is_named_as_that() -> None:
 
 def test_a_serial_line_has_one_owner() -> None:
     file, inner = pty.openpty()
-    first = open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
+    first = open_link(TRACKER, os.ttyname(inner), lambda: None)
     with pytest.raises(DeviceError) as caught:
-        open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
+        open_link(TRACKER, os.ttyname(inner), lambda: None)
     assert caught.value.code == "HC-T01"
     first.close()
     os.close(inner)

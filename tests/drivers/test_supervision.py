@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers import supervision
+from drivers.device_errors import RAIL, ROBOT
 from drivers.supervision import LATE_S, Patience, Supervision
 from hilcell.ports import DeviceError
 from tests.clocks import DrivenClock
@@ -50,7 +51,7 @@ def test_a_limit_that_is_no_number_is_over_at_once(time: Time) -> None:
 
 def test_a_motion_without_a_look_stops() -> None:
     clock = DrivenClock()
-    watch = Supervision("Robot", "HC-B27", clock)
+    watch = Supervision(ROBOT, "HC-B27", clock)
     watch.begin()
     clock.pc_at_s += LATE_S - 0.01
     watch.look()
@@ -63,7 +64,7 @@ def test_a_motion_without_a_look_stops() -> None:
 
 def test_nobody_needs_to_look_at_what_stands() -> None:
     clock = DrivenClock()
-    watch = Supervision("Robot", "HC-B27", clock)
+    watch = Supervision(ROBOT, "HC-B27", clock)
     watch.look()
     watch.begin()
     watch.end()
@@ -73,7 +74,7 @@ def test_nobody_needs_to_look_at_what_stands() -> None:
 
 def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion() -> None:
     clock = DrivenClock()
-    watch = Supervision("Rail", "HC-R39", clock, late_s=0.8)
+    watch = Supervision(RAIL, "HC-R39", clock, late_s=0.8)
     with watch.motion():
         clock.pc_at_s += 0.41
         assert not watch.attended()

@@ -10,15 +10,14 @@ from types import SimpleNamespace
 import pytest
 
 from drivers import supervision
+from drivers.device_errors import ROBOT
 from drivers.kuka.robot_c3 import C3Connection
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.supervision import Patience, go_on
 from drivers.universal_robots.dashboard import GREETING, Dashboard
-from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.tcp import TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server, wire_time
-
-ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 
 
 def keep_silent(connection: socket.socket) -> None:
@@ -49,7 +48,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
             asked.set()
 
     with Server(answer) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, check, ALARMS)
+        link = TcpLink(ROBOT, "127.0.0.1", server.port, check)
         assert link.receive(10, Patience(2.0)) == b"here"
         link.close()
 
@@ -57,7 +56,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
 @pytest.mark.usefixtures("starved")
 def test_a_silent_device_is_silent_all_the_same() -> None:
     with Server(keep_silent) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
         assert link.receive(10, Patience(0.3)) == b""
         link.close()
 
@@ -71,7 +70,7 @@ def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
         connection.recv(1)
 
     with Server(speak) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
         sent.wait()
         assert link.receive(10, Patience(0.0)) == b"here"
         link.close()
@@ -85,7 +84,7 @@ def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatc
         end.wait()
 
     with Server(take_nothing) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
         with pytest.raises(DeviceError) as caught:
             link.send(bytes(64_000_000), "write HC_TGT")
         assert caught.value.code == "HC-B02"
@@ -141,7 +140,7 @@ def test_a_device_that_never_closes_its_end_keeps_nobody(monkeypatch: pytest.Mon
         closed.wait()
 
     with Server(keep) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
         link.unheard = True
         link.close()
         closed.set()

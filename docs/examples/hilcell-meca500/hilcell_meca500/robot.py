@@ -13,15 +13,20 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.motion_limits import MotionLimits, planned_s
-from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
+from drivers.device_errors import ROBOT
+from drivers.motion_limits import (
+    MotionLimits,
+    check_identity,
+    checked_target,
+    planned_s,
+    stopped_short,
+)
 from drivers.supervision import Patience, Supervision
 from hilcell.cell.file import Joint
 from hilcell.ports import (
     Array,
     Clock,
     DeviceError,
-    DeviceRefused,
     Identity,
     RobotReading,
     says_simulated,
@@ -73,7 +78,7 @@ class MecaRobot:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._watch = Supervision(DEVICE, "HC-B27", clock)
+        self._watch = Supervision(ROBOT, "HC-B27", clock)
         self._wire: Wire | None = None
         self._number = 0  # of the last checkpoint
         self._under_way = self._stopped = False
@@ -97,11 +102,7 @@ class MecaRobot:
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes in step; return the reading at rest, after the motion."""
-        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
-        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
-            raise failed("HC-B28", f"target {target_deg} deg", wanted="six finite angles")
-        if not 1.0 <= speed_percent <= 100.0:
-            raise failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
+        target_deg = np.degrees(checked_target(joints_rad, speed_percent))
         way_deg = target_deg - self._look().joints_deg
         planned = planned_s(way_deg, self._speed_deg_s, speed_percent)
         limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
@@ -143,15 +144,9 @@ class MecaRobot:
     def _identify(self) -> Identity:
         wire, options = self._connected(), self._options
         model, serial = wire.ask("GetProductType()", 2084), wire.ask("GetRobotSerial()", 2083)
-        for name, found, fits, wanted in (
-            ("model", model, options.model in model, f"{options.model!r} in it"),
-            ("serial", serial, options.serial in ("", serial), repr(options.serial)),
-        ):
-            if not fits:
-                act = "this is another robot; correct robot.options"
-                raise refused("HC-B05", f"{name} {found!r}", wanted=wanted, act=act)
+        check_identity(model, options.model, serial, options.serial)
         return Identity(
-            DEVICE,
+            ROBOT.name,
             model,
             serial,
             wire.address,
@@ -178,16 +173,15 @@ class MecaRobot:
             patience, over = Patience(SETTLE_S), False
             while not bool(np.all(np.abs(wire.numbers(command, code, 6) - wanted) <= FRAME_MM)):
                 if over:
-                    act = "correct robot.smr_mm in the cell file, or see the MecaPortal"
                     found = f"{command}: {_text(wire.numbers(command, code, 6))}"
-                    raise refused("HC-B06", found, wanted=_text(wanted), act=act)
+                    raise ROBOT.refused("HC-B06", "connect", found, wanted=_text(wanted))
                 over = patience.over()
 
     # -- moving -------------------------------------------------------------------------------
 
     def _start(self, target_deg: Array, speed_percent: float) -> None:
         if self._stopped:
-            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+            raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
         self._number = self._number % CHECKPOINTS + 1
         self._under_way, self._ended_s = True, None
         self._connected().send(
@@ -208,15 +202,15 @@ class MecaRobot:
 
     def _problem(self, but: int | None) -> DeviceError | None:
         status = self._connected().numbers("GetStatusRobot()", 2007, 7)
-        kind = DeviceError if self._under_way else DeviceRefused
-        operation = "move" if self._under_way else "check"
+        moving = self._under_way
+        error, operation = (ROBOT.failed, "move") if moving else (ROBOT.refused, "check")
         if self._connected().emergency_stop:
             act = "release the emergency stop, reset it at the power supply"
-            return kind("HC-B10", DEVICE, operation, "emergency stop", act=act)
+            return error("HC-B10", operation, "emergency stop", act=act)
         for place, name, wanted, code, act in READY:
             if place != but and status[place] != wanted:
                 found = f"{name} is {status[place]:g}"
-                return kind(code, DEVICE, operation, found, wanted=f"{wanted}", act=act)
+                return error(code, operation, found, wanted=f"{wanted}", act=act)
         return None
 
     def _check_progress(self, limits: MotionLimits) -> None:
@@ -224,9 +218,9 @@ class MecaRobot:
         now_deg = self._look().joints_deg
         where, wanted = f"at {_text(now_deg)} deg", f"checkpoint {self._number}"
         if limits.stalled(now_deg):
-            raise stalled(where, wanted, now_deg, STALL_S)
+            raise limits.stall_error(where, wanted, now_deg)
         if limits.overdue(self._clock.now_s(), 100.0):
-            raise overdue(where, wanted, limits, now_deg)
+            raise limits.time_error(where, wanted, now_deg)
 
     def _rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after the checkpoint."""
@@ -250,7 +244,7 @@ class MecaRobot:
         after = self._look()
         if not after.controller_us > before.controller_us:
             found = f"the controller's time stands at {after.controller_us:.0f} us"
-            raise failed("HC-B26", found, act="restart the robot; resume")
+            raise ROBOT.failed("HC-B26", "read", found, act="restart the robot; resume")
         return before, after
 
     def _look(self) -> Look:
@@ -270,7 +264,7 @@ class MecaRobot:
 
     def _connected(self) -> Wire:
         if self._wire is None:
-            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+            raise ROBOT.failed("HC-B21", "use", "not connected")
         return self._wire
 
     def _attend(self) -> None:

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.robot_errors import DEVICE, failed, refused
+from drivers.device_errors import ROBOT
 from drivers.supervision import Patience
-from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
 from hilcell.clean import clean
 from hilcell.ports import Array
 
-ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 ANSWER_S = 2.0
 CONNECTED, SYNCHRONISED, CHECKPOINT, EMERGENCY_STOP = 3000, 2097, 3030, 3070
 ERRORS = range(1000, 2000)
@@ -40,7 +39,7 @@ class Wire:
 
     def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
         """Connect; raises `DeviceError`. ``check`` runs in every wait."""
-        self._link = TcpLink(DEVICE, host, port, check, ALARMS)
+        self._link = TcpLink(ROBOT, host, port, check)
         self._lines = TextLines(self._link, end=b"\0", split=rb"\0")
         self._number = 0
         self.address = self._link.address
@@ -78,7 +77,7 @@ class Wire:
         except ValueError:
             found = np.array([])
         if found.shape != (count,) or not bool(np.all(np.isfinite(found))):
-            raise failed("HC-B26", f"{command}: {text!r}", wanted=f"{count} finite numbers")
+            raise ROBOT.failed("HC-B26", command, repr(text), wanted=f"{count} finite numbers")
         return found
 
     def close(self) -> None:
@@ -90,8 +89,9 @@ class Wire:
         if greeting is None:
             raise self._link.broken("connect", f"no greeting within {ANSWER_S:.0f} s")
         if greeting.code != CONNECTED:
-            raise refused(
+            raise ROBOT.refused(
                 "MX-B04",
+                "connect",
                 f"[{greeting.code}] {greeting.text}",
                 wanted=f"[{CONNECTED}]",
                 act="end the other program that controls the robot",
@@ -113,8 +113,9 @@ class Wire:
         elif message.code == EMERGENCY_STOP:
             self.emergency_stop = message.text == "1"
         elif message.code in ERRORS:
-            raise failed(
+            raise ROBOT.failed(
                 BEYOND_REACH.get(message.code, "MX-B03"),
+                "move",
                 f"[{message.code}] {message.text}",
                 act="see the MecaPortal, reset the error, resume",
                 error=message.code,

@@ -1,0 +1,74 @@
+"""The kinds of devices, and their errors: a driver raises `DeviceError` through its own kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hilcell.ports import DeviceError, DeviceRefused, NoReading
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A kind of device: its name, and the alarms of a wire that does not open, or is lost.
+
+    ``fields`` of an error are the values behind its words.
+    """
+
+    name: str
+    unreachable: str
+    lost: str
+
+    def failed(
+        self,
+        code: str,
+        operation: str,
+        found: str,
+        *,
+        wanted: str = "",
+        act: str = "",
+        **fields: object,
+    ) -> DeviceError:
+        """Return the error of an operation that failed."""
+        return DeviceError(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
+
+    def refused(
+        self,
+        code: str,
+        operation: str,
+        found: str,
+        *,
+        wanted: str = "",
+        act: str = "",
+        **fields: object,
+    ) -> DeviceRefused:
+        """Return why this device is not worked with."""
+        return DeviceRefused(
+            code, self.name, operation, found, wanted=wanted, act=act, fields=fields
+        )
+
+    def no_reading(
+        self,
+        code: str,
+        operation: str,
+        found: str,
+        *,
+        wanted: str = "",
+        act: str = "",
+        **fields: object,
+    ) -> NoReading:
+        """Return the error of one measurement that may be tried again."""
+        return NoReading(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
+
+    def unreached(self, address: str, found: str) -> DeviceError:
+        """Return the error of a wire that does not open."""
+        return self.failed(self.unreachable, "connect", f"{address}: {found}", address=address)
+
+    def broken(self, address: str, operation: str, found: str) -> DeviceError:
+        """Return the error that a wire's failure is."""
+        return self.failed(self.lost, operation, f"{address}: {found}", address=address)
+
+
+RAIL = Device("Rail", unreachable="HC-R04", lost="HC-R01")
+STRIP = Device("Rail", unreachable="HC-S11", lost="HC-S12")
+ROBOT = Device("Robot", unreachable="HC-B01", lost="HC-B02")
+TRACKER = Device("Tracker", unreachable="HC-T01", lost="HC-T02")
