@@ -168,10 +168,7 @@ class _Lines:
         )  # fmt: skip
 
     def drill(self) -> Influence:
-        """Return the drill's offset from the reflector times the tool's orientation error.
-
-        The orientation is the nominal robot's in the measured {B}, so both errors count.
-        """
+        """Return the drill's offset times the orientation errors of nominal robot and {B}."""
         stated = self.log.cell.uncertainty
         x_mm, y_mm, z_mm = stated.drill_offset_mm
         base_rad2 = self.log.frames["base"].C[3:, 3:]
@@ -197,7 +194,6 @@ class _Lines:
         return [frame, self._strip()] if self.log.cell.has_rail else [frame]
 
     def _strip(self) -> Influence:
-        """Return the strip's two holds, of the calibration and of the visit, along the rail."""
         along = np.array(self.log.cell.layout.rail_direction)
         again = self.log.select("repeat", how="strip", way="random")
         if len(again) > 1:
@@ -215,10 +211,7 @@ class _Lines:
 
 
 def _approach(limit_mm: float, found: Reversal | None) -> Influence:
-    """Return the approach from any side, by the larger of limit and measurement; 0 for from below.
-
-    What was measured from above is the whole way from side to side.
-    """
+    """Return the larger of limit and measurement, there the whole way from side to side."""
     seen_mm = max(found.off_mm) if found is not None else 0.0
     seen = "" if found is None else f"; {len(found.off_mm)} vertices from above: {seen_mm:.3f} mm"
     how = f"programs approach from below on every axis, as the run did{seen}"
@@ -229,7 +222,6 @@ def _approach(limit_mm: float, found: Reversal | None) -> Influence:
 
 
 def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influence:
-    """Return a limit of error in {B} that grid and validation share."""
     shift = motion(rectangular_variance(limit_mm))
     return Influence(name, source, how, "4.3.7", "base", shift, counts="in use")
 
@@ -367,7 +359,7 @@ class Coverage:
 
     @property
     def inside(self) -> int:
-        """Return how many errors keep their bounds."""
+        """How many errors keep their bounds."""
         return int(np.count_nonzero(self.errors_mm <= self.bounds_mm))
 
     @property
@@ -418,10 +410,7 @@ def cube_bounds(calibration: Calibration, station: str) -> Bounds:
 
 
 def validated(calibration: Calibration, log: Log, station: str) -> Coverage | None:
-    """Return the corrected validation points of a station; None where none was measured.
-
-    Raises `NoBound`.
-    """
+    """Return a station's corrected validation points, None without any; raises `NoBound`."""
     found = validated_bounds(calibration, log, station)
     return None if found is None else Coverage(found[0].norms_mm, found[1].radii_mm)
 
@@ -429,10 +418,7 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
 def validated_bounds(
     calibration: Calibration, log: Log, station: str
 ) -> tuple[Errors, Bounds] | None:
-    """Return the errors of `validation_points` and the contributions to each; None without one.
-
-    Raises `NoBound`.
-    """
+    """Return the errors of `validation_points`, and the contributions; raises `NoBound`."""
     points = validation_points(log, station)
     if not points:
         return None
@@ -473,10 +459,7 @@ def validation_points(log: Log, station: str) -> list[Point]:
 def coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
 ) -> dict[str, Coverage]:
-    """Return the validation by place, each of one or several stations, as far as it was measured.
-
-    Raises `NoBound`.
-    """
+    """Return the validation by place, as far as it was measured; raises `NoBound`."""
     names = {name for stations in places.values() for name in stations}
     single = {name: validated(calibration, log, name) for name in names}
     found = {}

@@ -45,9 +45,7 @@ class Pattern(NamedTuple):
 
 
 def zero_columns(arm: Arm, joints_rad: Array) -> Array:
-    """Return how a lost zero of each axis moves the reflector at joints (N, 6): (N, 3, 6) in {B},
-    mm / rad.
-    """
+    """Return the reflector's motion (N, 3, 6) in {B} by lost zeros at joints (N, 6), mm / rad."""
     offsets = slice(18, 24)  # of the links' parameters
     columns: Array = parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign
     return columns
@@ -78,7 +76,6 @@ def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
 
 
 def _zero(J: Array, axis: int) -> Pattern:
-    """Return the pattern of a lost zero; ``J`` (N, 3, 6) are the joints' columns."""
     columns = J[:, :, axis].reshape(-1, 1)
     return Pattern(Cause.ZERO_LOST, columns, float(np.degrees(1.0)), f"deg of axis {axis + 1}")
 
@@ -194,7 +191,6 @@ class _Explained(NamedTuple):
 
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
-    """Return every cause at every moment at which it may have come."""
     causes = patterns(arm, found.joints_rad)
     if found.rail.any():  # a slide that stands elsewhere along it
         column = np.tile(found.rail, len(found.joints_rad))[:, None]

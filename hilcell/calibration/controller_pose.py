@@ -25,9 +25,7 @@ from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
 
 class Deviation(NamedTuple):
-    """How far a stated pose is from the cell file's, in {B}: shift (3,) and turn (3,), and how far
-    rounding alone may bring them.
-    """
+    """Shift (3,) and turn (3,) of a stated pose in {B}, and how far rounding may bring them."""
 
     shift_mm: Array
     turn_rad: Array
@@ -66,10 +64,7 @@ def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
 
 
 def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Deviation:
-    """Return how far the controller's pose is from that of its joints by the cell file.
-
-    Raises `DeviceError` where neither rounding nor links measured in a factory explain it.
-    """
+    """Return the deviation; raises `DeviceError` beyond rounding and what a factory explains."""
     factory_mm, factory_rad = 15.0, np.radians(1.0)  # what links measured in a factory may explain
     arm = robot.arm()
     found = deviation(arm, reading.joints_rad, reading.pose)
@@ -108,10 +103,8 @@ def _finite(value: float) -> float | None:
 
 
 def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
-    """Return which single links and tool coordinates of the controller explain its pose (4, 4), by
-    their names in the cell file, and by how much they differ (mm and deg), best first.
-
-    One pose cannot tell a parallel length from another; several that differ at once are none.
+    """Return which single links and tool coordinates explain a controller's pose (4, 4), best
+    first: their names in the cell file, differences (mm, deg). Several at once are none.
     """
     found = []
     fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
@@ -148,9 +141,7 @@ def _named(column: int, step: float) -> tuple[str, float]:
 
 
 def check_links(calibration: Calibration, name: str) -> None:
-    """Refuse to correct the Cartesian points of a program that the controller solves with other
-    links than the calibration was learnt with; raises `HilcellError`.
-    """
+    """Raise `HilcellError` for points that the controller solves with links of its factory."""
     if calibration.provenance.links == "factory":
         raise HilcellError(
             f"{name}: its points are Cartesian, and this robot's controller solves them with links "

@@ -44,10 +44,7 @@ def limits_of(cell: Cell) -> Limits:
 
 
 def check_limits(cell: Cell) -> None:
-    """Raise `HilcellError` where the stated uncertainties alone leave nothing of a limit.
-
-    Hours of measurement could then accept nothing.
-    """
+    """Raise `HilcellError` where the stated uncertainties alone leave nothing of a limit."""
     least_mm = expanded_mm(math.sqrt(stated_mm2(cell)))
     for name, limit_mm in (("mean", cell.validation.mean_tolerance_mm),
                            ("max", cell.validation.max_tolerance_mm)):  # fmt: skip
@@ -67,9 +64,7 @@ def stated_mm2(cell: Cell) -> float:
 
 
 def class_warning(cell: Cell, range_mm: float) -> str:
-    """Return why hardly any largest error could be accepted, by the class that the tracker's driver
-    states; "" where there is room, or no class.
-    """
+    """Return why hardly any largest error could be accepted by the tracker's class, or ""."""
     stated = tracker_class(cell)
     if stated is None:
         return ""
@@ -93,10 +88,7 @@ def class_warning(cell: Cell, range_mm: float) -> str:
 
 
 def guard_of(log: Log, count: int) -> Guard:
-    """Return U of the mean and of the largest of ``count`` 3D errors that a run measured.
-
-    Raises `HilcellError` where it has framed no {W}: then it has measured none.
-    """
+    """Return U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
     budget = budget_of(log)
     if budget is None:
         raise HilcellError("no error is judged: no position was measured in {W}", code="HC-C21")

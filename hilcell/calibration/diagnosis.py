@@ -218,9 +218,7 @@ def mount_offset(log: Log) -> Suspicion | None:
 
 
 def _by_circles(log: Log) -> tuple[Array, float]:
-    """Return the covariance (6, 6) that the readings on both circles give {B}, and the variance
-    that they give the radius of axis 6's.
-    """
+    """Return the covariances that both circles' readings give {B} (6, 6) and axis 6's radius."""
     circles, covariances = [], []
     for axis in (1, 6):
         points = log.select("base", axis=axis)
@@ -244,10 +242,7 @@ VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in t
 
 
 def established(log: Log, kind: str) -> Suspicion | None:
-    """Return what re-visits have shown before, though the poses are back where they were.
-
-    The points in between are those of a robot that had changed.
-    """
+    """Return what re-visits have shown before: the points in between are of a changed robot."""
     kept = log.verdict(Revisited, VERDICTS[kind])
     return None if kept is None else kept.suspicion
 
@@ -272,7 +267,6 @@ def overtaken(log: Log, point: Point) -> bool:
 
 
 def _first(log: Log, point: Point) -> int:
-    """Return the number of the record with the reading that a re-visit is compared with."""
     return log.recorded(_before(log, point))
 
 
@@ -503,7 +497,6 @@ OF_POSES = (Cause.MOUNT_SLIPPED, Cause.TEMPERATURE, Cause.ZERO_LOST, Cause.STRIP
 
 
 def _again(log: Log, kind: str) -> Found:
-    """Yield what re-visits show, or have shown."""
     if revisited(log, kind):
         yield established(log, kind) or revisits(log, kind).suspicion
 

@@ -90,9 +90,7 @@ def _shares(log: Log, points: list[Point]) -> Array:
 
 
 def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Array]:
-    """Return places (N, 3) and shares (N,) less the mean of the same nest at the same set-up,
-    weighted by their readings.
-    """
+    """Return places (N, 3) and shares (N,) less the weighted mean of their nest and set-up."""
     off_mm, since = at_mm.copy(), share.copy()
     samples = np.array([point.samples for point in points], dtype=float)
     for group in {(p.set_up, p.id.nest) for p in points}:
@@ -242,9 +240,7 @@ def series_of(log: Log) -> Series | None:
 
 
 def _warmer_k(points: list[Point], unknown_k: Array) -> Array:
-    """Return how much warmer (N,) the room was than at the first; without a weather station it may
-    have become warmer all the time.
-    """
+    """Return the room's warming (N,) since the first; ``unknown_k`` without a weather station."""
     celsius = [p.temperature_c for p in points if p.temperature_c is not None]
     return unknown_k if len(celsius) < len(points) else np.array(celsius) - celsius[0]
 
@@ -269,9 +265,7 @@ def _hold(
     points: list[Point],
     repeats: Mapping[tuple[object, ...], int],
 ) -> tuple[Array, Array, Array]:
-    """Return what the poses of a hold were off (N, 3) in {B}, the covariances (N, 3, 3), and the
-    covariance (6, 6) of {B} there.
-    """
+    """Return offsets (N, 3) in {B} at a hold, covariances (N, 3, 3), and that of {B} (6, 6)."""
     station = log.cell.station_named(points[0].station)
     T_W_B = calibration.base(station.name)
     T_B_L = inverse(T_W_B) @ log.matrix("world")

@@ -116,16 +116,13 @@ def visits_mm(log: Log) -> list[Array]:
 
 
 def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:
-    """Return the covariance (3, 3) of one visit, turned by ``R`` (3, 3) from the tracker's frame.
-
-    With it the numbers of visits and of places.
-    """
+    """Return one visit's covariance (3, 3), turned by ``R``, and how many visits and places."""
     return pooled(visits_mm(log), R)
 
 
 def pooled(clouds_mm: Sequence[Array], R: Array) -> tuple[Array, int, int]:
-    """Return the covariance (3, 3) of clouds (N, 3) about the mean of each, turned by ``R`` (3, 3),
-    with the numbers of points and of clouds (GUM H.3.6).
+    """Return the covariance (3, 3) of clouds (N, 3) about their means, turned by ``R`` (3, 3), and
+    the counts of points and clouds (GUM H.3.6).
     """
     left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
     covariance_mm2: Array = left_mm.T @ left_mm / (len(left_mm) - len(clouds_mm))
@@ -140,9 +137,7 @@ class VisitNoise:
     beam: BeamNoise
 
     def covariances(self, points: Sequence[Point], R: Array) -> Array:
-        """Return the covariances (N, 3, 3) of single visits of points' poses, turned by ``R``
-        (3, 3) from the tracker's frame.
-        """
+        """Return the covariances (N, 3, 3) of single visits, turned by ``R`` (3, 3)."""
         return R @ (self.robot_mm2 + noise_at(self.beam, points)) @ R.T
 
 

@@ -188,10 +188,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _seal(content: Json) -> str:
-    """Return SHA-256 over the canonical JSON of everything but the seal.
-
-    It shows damage and edits by hand; it does not prove who wrote the file.
-    """
+    """Return SHA-256 over all but the seal: against damage, no proof of who wrote the file."""
     rest = {key: value for key, value in content.items() if key != SEAL}
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
 

@@ -111,9 +111,7 @@ class TargetPass(msgspec.Struct, frozen=True):
 
 
 class Targets(msgspec.Struct, frozen=True):
-    """Passes over targets, and the variance of one coordinate of the model's error by which they
-    are folded in.
-    """
+    """Passes over targets, and the variance of one coordinate by which they are folded in."""
 
     variance_mm2: float
     passes: list[TargetPass]
@@ -165,10 +163,7 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
         return matrix(np.array(self.validity.orientation), places_mm)
 
     def error_model(self) -> ErrorModel:
-        """Return the model, with the targets measured since folded in.
-
-        Raises `HilcellError` where the parameters are no model's.
-        """
+        """Return the model, targets folded in; raises `HilcellError` for parameters of none."""
         return self._error_model
 
     @cached_property

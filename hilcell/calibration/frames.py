@@ -84,10 +84,7 @@ class Frames:
         return isinstance(frame, TouchedBase) and frame.visit == self._log.visit
 
     def base_on_visit(self, station: Station) -> Array:
-        """Return T_W_B (4, 4) as touched on this visit, else `base_in_world`.
-
-        Commands are made with it; a target's place in {W} is never.
-        """
+        """Return T_W_B (4, 4) as touched on this visit, else `base_in_world`: for commands only."""
         if self.touched(station):
             return self._log.matrix(f"touch.{station.name}")
         return self.base_in_world(station)
@@ -185,10 +182,7 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
 
 
 def world_as_framed(log: Log) -> Array | None:
-    """Return the covariance (6, 6) of {W} at its origin, by noise and centring of its floor nests.
-
-    None where the run has not measured all three.
-    """
+    """Return the covariance (6, 6) of {W} at its origin by its floor nests, None without all."""
     if len(floor_points(log)) != FLOOR_NESTS:
         return None
     centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
@@ -196,9 +190,7 @@ def world_as_framed(log: Log) -> Array | None:
 
 
 def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
-    """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
-    ``step_mm`` (3,) in the tracker's frame.
-    """
+    """Return the motion (6,) in {W} at ``at_mm`` of a nest's ``step_mm`` (3,), tracker's frame."""
     steps_mm = np.zeros((1, FLOOR_NESTS, 3))
     steps_mm[0, nest] = step_mm
     moved: Array = _world_motions(log, at_mm, steps_mm)[0]
@@ -231,9 +223,7 @@ def base_covariance(log: Log, station: Station) -> Array:
 
 
 def hold_covariance(cell: Cell) -> Array:
-    """Return the covariance (3, 3) in {W} of the slide held at a station: along the rail, as far
-    as the interlock lets it slip.
-    """
+    """Return the covariance (3, 3) in {W} of a held slide: along the rail, by the interlock."""
     along = np.array(cell.layout.rail_direction)
     return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
 
@@ -244,9 +234,7 @@ def has_own_place(cell: Cell, key: str) -> bool:
 
 
 def slide_covariance(cell: Cell, T_W_S: Array, variance_mm2: float, nests: int = 100) -> Array:
-    """Return the covariance in {W} that a variance of every slide nest by itself gives {S}, where
-    so many of them, the first ones, say where it is.
-    """
+    """Return the covariance in {W} of {S} by a variance of each of the first slide nests."""
     nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
     in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm[:nests])
     variances_mm2 = np.tile(variance_mm2 * np.eye(3), (len(in_slide_mm), 1, 1))

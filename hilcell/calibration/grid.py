@@ -47,10 +47,7 @@ def grid_of(cell: Cell) -> Grid:
 
 
 def grid_errors_mm(log: Log) -> Array:
-    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}.
-
-    Carried with {B} they are the transferred data of eq 17 at every station.
-    """
+    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}."""
     return measured_grid(log).errors_mm
 
 
@@ -103,10 +100,7 @@ def vertex_ids(grid: Grid) -> list[PointId]:
 
 
 def outlying_vertices(log: Log) -> list[PointId]:
-    """Return the vertices whose error stands out from their neighbours'.
-
-    By less than the standard deviation that a reading may have none does.
-    """
+    """Return the vertices whose error stands out, by more than a reading's deviation may be."""
     cell = log.cell
     found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
     return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
@@ -151,10 +145,7 @@ def _studentized_mm(A: Array, values: Array) -> Array:
 
 
 def _quantile(share: float) -> float:
-    """Return what the distance of three standard normal coordinates stays below.
-
-    The root of a chi-square quantile of 3 degrees of freedom, by Wilson and Hilferty.
-    """
+    """Return the quantile of the distance of three standard normals (Wilson and Hilferty)."""
     cube = 1.0 - 2.0 / 27.0 + NormalDist().inv_cdf(share) * (2.0 / 27.0) ** 0.5
     return float((3.0 * cube**3) ** 0.5)
 

@@ -80,8 +80,7 @@ class CalibrationFile:
     def standing(self) -> Standing | None:
         """How it stands; None where its run is not there.
 
-        Of a run in a copy of ``runs`` the one in ``runs`` counts, too: it may have been revoked
-        since.
+        A run in a copy of ``runs`` may have been revoked since in ``runs``.
         """
         folder = self.folder
         if folder is None:
@@ -101,9 +100,7 @@ class CalibrationFile:
 
 
 class Chosen(NamedTuple):
-    """A cell whose table names a usable calibration file, why that one should not be used, where
-    it was accepted, and which one it is.
-    """
+    """A cell whose table names a usable file, why not to use it where accepted, and which it is."""
 
     cell: Cell
     accepted: list[str]
@@ -165,10 +162,7 @@ def calibration_named(cell: Cell, table: str) -> Calibration:
 
 
 def calibrated_machine(cell: Cell, table: str) -> int | None:
-    """Return the seed of the simulated machine whose calibration is named in ``table``.
-
-    None where the cell is real or runs already, and where the file lies alone.
-    """
+    """Return the simulated machine's seed of the calibration in ``table``, if it is a run's."""
     chosen = getattr(cell, table)
     if chosen is None or cell.simulation is None or cell.simulation.address:
         return None
@@ -201,7 +195,6 @@ def written_by(folder: Path) -> Path:
 
 
 def _instead(folder: Path) -> str:
-    """Say which calibration to name for a run that wrote none."""
     used = recheck = None
     with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
         log = read_log(folder)
@@ -282,20 +275,14 @@ def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance
 
 
 def standing_of(folder: Path) -> Standing:
-    """Return how the calibration of a run stands among those of its folder of runs.
-
-    One whose run is not known to have ended with it is in doubt.
-    """
+    """Return how a run's calibration stands; in doubt where the run did not end with it."""
     rows = read_index(folder.parent)
     found = standings_in(folder.parent, rows).get(folder.name)
     return found or next(_unproven(row) for row in rows if row.name == folder.name)
 
 
 def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
-    """Return the standings by the runs' journals and by their files of calibrations.
-
-    A current one is in doubt beside a later calibration whose journal is damaged or gone.
-    """
+    """Return standings by journals and files: one before an unread later one is in doubt."""
     readable = {row.name for row in rows if row.readable}
     return {
         name: _proven(each, runs / name, readable) if each.state == "current" else each
@@ -312,9 +299,7 @@ def _proven(found: Standing, folder: Path, readable: Collection[str]) -> Standin
 
 
 def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
-    """Yield the folders beside a run's that hold a later calibration of its cell, and no journal
-    that can be read.
-    """
+    """Yield the folders with a later calibration of the cell and no journal that can be read."""
     made = None
     for name in os.listdir(folder.parent):  # noqa: PTH208 - of ten thousand runs a Path each is too slow
         path = folder.parent / name / CALIBRATION
@@ -329,13 +314,11 @@ def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
 
 
 def _unproven(row: RunRow) -> Standing:
-    """Return how a calibration stands of which the journal of its run says nothing."""
     ended = "made no calibration by its journal" if row.finished else f"is {row.condition}"
     return Standing("in doubt", "", f"its run {ended}")
 
 
 def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
-    """Yield why a calibration is not of this cell."""
     calibration, folder = used.calibration, used.path.parent
     made = calibration.provenance
     if made.simulated != (cell.simulation is not None):

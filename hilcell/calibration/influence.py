@@ -52,10 +52,7 @@ class Influence(msgspec.Struct, frozen=True):
     within_model: bool = False
 
     def at(self, frames: Array, targets_mm: Array) -> Array:
-        """Return the covariances (N, 3, 3) in {W} at targets (N, 3) in {W}.
-
-        ``frames`` (4, 4) or (N, 4, 4) is the influence's own frame in {W}.
-        """
+        """Return the covariances (N, 3, 3) in {W} at targets (N, 3); ``frames`` are its own."""
         covariance = np.array(self.covariance)
         if frames.ndim == 2 and not covariance[3:].any():  # a shift, the same everywhere
             turned = frames[:3, :3] @ covariance[:3, :3] @ frames[:3, :3].T
@@ -68,10 +65,7 @@ class Influence(msgspec.Struct, frozen=True):
         return found
 
     def about(self, own: Array, T: Array) -> Array:
-        """Return the covariance (7, 7) of the same motion about the origin of ``T``, its axes.
-
-        ``own`` (4, 4) is the influence's own frame in {W}, as ``T``.
-        """
+        """Return the covariance (7, 7) about the origin of ``T``; ``own`` is its frame in {W}."""
         R = T[:3, :3].T @ own[:3, :3]
         origin_mm = apply(inverse(T) @ own, np.array([self.origin_mm]))[0]
         M = np.eye(SIZE)

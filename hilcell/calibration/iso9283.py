@@ -137,9 +137,7 @@ class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
-    """The test's conditions (clause 6), as far as the run or the cell file knows them, and what it
-    has measured, by pose.
-    """
+    """The test's conditions (clause 6), as far as known, and what it has measured, by pose."""
 
     cycles: int
     velocity_percent: float
@@ -187,9 +185,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def judgement(self) -> PoseTested | None:
-        """Return the verdict on the limits that the cell has, None without any. A characteristic
-        that was not measured keeps no limit.
-        """
+        """Return the verdict on the cell's limits; unmeasured ones do not hold."""
         if not self.limits:
             return None
         measured = {each.of: each for each in self.figures()}
@@ -210,9 +206,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
 def worst_angle(
     orientation: Mapping[str, Angles], of: Characteristic
 ) -> tuple[str, str, float, float] | None:
-    """Return symbol, pose, value and U (deg) where both together are most; None where it was not
-    measured.
-    """
+    """Return symbol, pose, value and U (deg) where both together are most, if it was measured."""
     found = [
         (f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle])
         for pose, (values, u95_deg) in ((pose, each.of(of)) for pose, each in orientation.items())
@@ -294,10 +288,7 @@ def pose_of(at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float
 
 
 def distance_of(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
-    """Return AD and RD = +-3 S of two ends attained in turn (7.3.2, 7.3.3).
-
-    ``shared_mm`` is u of the measured distance besides the scatter.
-    """
+    """Return AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm`` is u besides the scatter."""
     one, other = ends
     ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
     commanded_mm = one.nominal_mm[0] - other.nominal_mm[0]
@@ -376,10 +367,7 @@ class _Evaluation:
         return covariance
 
     def system_mm(self, *, framed: bool) -> float:
-        """Return u of one coordinate but for the readings' noise, which the scatter has.
-
-        It has that of {W} where results are ``framed`` by it.
-        """
+        """Return u of one coordinate besides the readings' noise; that of {W} if ``framed``."""
         budget = budget_of(self.log)
         without = (NOISE,) if framed else (NOISE, WORLD)
         lines = (
@@ -462,7 +450,6 @@ def evaluated(log: Log) -> PoseTest:
 
 
 def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles]) -> Iterator[str]:
-    """Yield in what the test departs from the standard's own conditions."""
     table, speed_percent = cell.iso9283, velocity_percent(cell)
     standard_cycles = 30
     if table.cycles != standard_cycles:

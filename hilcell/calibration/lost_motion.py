@@ -125,9 +125,7 @@ TAKE_UP_RAD = 3e-4  # an axis that turns down by less has taken up a part of its
 
 @dataclass(frozen=True, eq=False)
 class StraightWay:
-    """By how far N tips stand elsewhere than if every axis had come from below: (N, 3) in {W}, and
-    its covariance (N, 3, 3).
-    """
+    """By how far N tips are off their place from below: (N, 3) in {W}; covariances (N, 3, 3)."""
 
     shift_mm: Array
     covariance_mm2: Array
@@ -144,10 +142,7 @@ class StraightWay:
 
 
 def straight_way(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightWay:
-    """Return what straight ways by joints (N, K, 6) cost at their ends.
-
-    ``arm`` has the tip as its tool point and stands at ``T_W_B``.
-    """
+    """Return what straight ways by joints (N, K, 6) of an arm at ``T_W_B`` cost at their ends."""
     end_rad = straight_rad[:, -1]
     fall_rad = straight_rad.max(axis=1) - end_rad
     turns_down = end_rad < straight_rad[:, -2]

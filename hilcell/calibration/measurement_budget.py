@@ -48,10 +48,7 @@ class Contribution:
 
 
 def combined_mm(contributions: Iterable[Contribution]) -> float:
-    """Return the combined standard uncertainty of uncorrelated contributions (GUM 5.1.2, eq 10).
-
-    All sensitivity coefficients are 1: every contribution is already a length at the tool point.
-    """
+    """Return the combined standard uncertainty (GUM 5.1.2, eq 10): all sensitivities are 1."""
     return math.sqrt(sum(each.u_mm**2 for each in contributions))
 
 
@@ -95,9 +92,7 @@ class Budget:
         return expanded_mm(self.u_mm)
 
     def of_mean_of(self, count: int) -> float:
-        """Return U of the mean of ``count`` positions: the readings' noise averages, nothing
-        else does.
-        """
+        """Return U of the mean of ``count`` positions: only the readings' noise averages."""
         lines = [
             replace(each, estimate_mm=each.estimate_mm / math.sqrt(count))
             if each.name == NOISE
@@ -134,7 +129,6 @@ class _Contributions:
     log: Log
 
     def _judged(self) -> list[Point]:
-        """Return the points of the flange's reflector; all, where there are none."""
         return [p for p in self.log.points.values() if p.smr_mm is not None] or list(
             self.log.points.values()
         )
@@ -184,9 +178,8 @@ class _Contributions:
 
 
 def control_moves(log: Log) -> list[tuple[Point, Array]]:
-    """Return each control point and how far (3,) it was from the first of its nest and set-up, mm.
-
-    Those that found the tracker moved are no measure of its drift.
+    """Return each control point and its move (3,) since the first of nest and set-up, mm; none that
+    found the tracker moved, which is no drift.
     """
     firsts = {(point.set_up, point.id.nest): point for point in log.select("world")}
     again = [

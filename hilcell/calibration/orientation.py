@@ -89,10 +89,7 @@ def seats_of(log: Log) -> Array | None:
 
 
 def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
-    """Return the errors of tool points with a nominal orientation, all reflectors measured.
-
-    Of a pose that was measured again those of the last time.
-    """
+    """Return the last errors of tool points with a nominal orientation, all reflectors measured."""
     return _turned(log, [times[-1] for times in _times(log, points, len(seats))], seats)
 
 
@@ -103,10 +100,7 @@ def turned_each_time(log: Log, point: Point, seats: Array) -> Turned:
 
 
 def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
-    """Return the errors as `turned_of` does, each target by its largest measured one.
-
-    It is the rule of `hilcell.calibration.errors.targets` for positions.
-    """
+    """Return the errors as `turned_of` does, each target by its largest measured one."""
     measured = _times(log, points, len(seats))
     every = _turned(log, [each for times in measured for each in times], seats)
     ends = np.cumsum([0, *map(len, measured)])
@@ -121,10 +115,7 @@ def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
 
 
 def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Point]]]:
-    """Return the ``count`` reflectors of each pose, for each time that it was measured.
-
-    A reflector that was measured fewer times than others keeps its last value.
-    """
+    """Return the ``count`` reflectors of each pose, each time; a missing time is the last one."""
     found = []
     for point in points:
         ids = [point.id.at_seat(n) for n in range(1, count + 1)]
@@ -154,10 +145,7 @@ def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Turned:
 
 
 def validated_turns(log: Log, stations: Sequence[str]) -> dict[Sent, Turned]:
-    """Return the errors at ``stations`` by the way of sending, as far as they were measured.
-
-    Each target counts by its largest measured error.
-    """
+    """Return the largest errors of each target at ``stations`` by the way of sending."""
     seats = seats_of(log)
     if seats is None:
         return {}
@@ -183,9 +171,7 @@ def expanded_deg(log: Log, turned: Turned) -> Array:
 
 
 def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
-    """Return the covariances (N, 3, 3) of measured orientations, axes of {W}; those that many
-    attainments of a pose share are without the noise of ``readings``.
-    """
+    """Return the covariances (N, 3, 3) of orientations in {W}, with or without ``readings``."""
     covariance_rad2 = stated_mm2(log.cell) * turned.per_mm2_rad2
     if readings:
         covariance_rad2 = covariance_rad2 + turned.reading_rad2
@@ -249,9 +235,8 @@ def _all_seen(points: Sequence[Point | None]) -> list[Point]:
 
 
 def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:
-    """Return the 95 % bounds (N,) of orientation for corrected targets at poses (N, 4, 4) in {W}.
-
-    None where the calibration corrects positions only. Raises `NoBound` without a budget.
+    """Return the 95 % bounds (N,) of orientation at poses (N, 4, 4) in {W}, None where it is not
+    corrected; raises `NoBound`.
     """
     if not calibration.orients:
         return None
@@ -262,10 +247,7 @@ def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Arr
 def turn_coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
 ) -> dict[str, TurnBounds]:
-    """Return by place the bounds of corrected orientations; nothing where none is corrected.
-
-    Raises `NoBound`.
-    """
+    """Return the bounds of corrected orientations by place; raises `NoBound`."""
     seats = seats_of(log) if calibration.orients else None
     if seats is None:
         return {}

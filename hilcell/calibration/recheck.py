@@ -260,9 +260,7 @@ def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
 
 
 class CheckedPose(msgspec.Struct, frozen=True):
-    """The error of a pose beside its predicted bound (95 %), and the error that the motion of the
-    base leaves.
-    """
+    """A pose's error beside its predicted bound (95 %), and what the base's motion leaves of it."""
 
     pose: str
     at_mm: list[float]
@@ -407,7 +405,6 @@ def recheck_result(log: Log) -> RecheckResult:
 
 
 def _instead(causes: list[Suspicion]) -> str:
-    """Say what may have happened where the base seems to have moved."""
     if causes:
         return (
             f"or the reflector has slipped on its mount by {causes[0].size:.3f} mm, or an axis's "

@@ -70,10 +70,8 @@ def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
 
 
 def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
-    """Return the parameters that this run and the one of the current calibration both measured.
-
-    ``with_base``: the base as well. One that lies elsewhere by a nest that rose is no change of its
-    own.
+    """Return the parameters that this run and that of the current calibration measured; the base's
+    ``with_base``: one that lies elsewhere by a nest that rose is no change of its own.
     """
     before = log.inputs.floor_before
     if before is None or len(floor_points(log)) < FLOOR_NESTS:

@@ -76,10 +76,7 @@ class TargetError(msgspec.Struct, frozen=True):
 
 
 class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Errors as found, and how far they are folded in, with their names in JSON.
-
-    A motion that all targets share is stated where the calibration does not predict it.
-    """
+    """Errors as found, how far they are folded in, and a shared motion, if not predicted."""
 
     calibration: str
     station: str

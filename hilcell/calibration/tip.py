@@ -96,10 +96,7 @@ AT_REFLECTOR = Tip(REFLECTOR, np.eye(4), np.eye(4))  # of a cell that is not kno
 
 
 def tips_of(cell: Cell, number: int | None = None) -> list[Tip]:
-    """Return the cell's tools, behind the reflector, whose controller's number is ``number``.
-
-    Raises `SettingsError` for a tool of the reflector's number: programs could mean either.
-    """
+    """Return reflector and tools; raises `SettingsError` for a tool with the reflector's number."""
     T_F_T = cell.robot.arm().tool
     found = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
     for table in cell.tool:
@@ -112,10 +109,8 @@ def tips_of(cell: Cell, number: int | None = None) -> list[Tip]:
 
 
 def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:
-    """Return the tip of a tool; "" is the cell's only tool, or the reflector where it has none.
-
-    Raises `SettingsError` for a name that the cell does not have, and where it has several tools
-    and none is named.
+    """Return a tool's tip; "" is the only tool, or the reflector; raises `SettingsError` for an
+    unknown name, and for "" among several tools.
     """
     if cell is None:
         if name not in ("", REFLECTOR):
@@ -136,9 +131,7 @@ def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:
 def tip_of_program(
     cell: Cell, name: str, stated: StatedTool, number: int | None, source: str
 ) -> Tip:
-    """Return the tip of the tool that a program states; raises `SettingsError` where it is none of
-    the cell's, or not the one that is named.
-    """
+    """Return the tip that a program states; raises `SettingsError` for another one, or unknown."""
     known = tips_of(cell, number)
     found = next((tip for tip in known if tip.is_stated(stated)), None)
     if found is None:

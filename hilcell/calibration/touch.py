@@ -69,10 +69,7 @@ def _directions(cell: Cell, world_mm: Array) -> Array:
 
 
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
-    """Return the touch poses' targets (N, 3) in {B}, spread through the cube.
-
-    Places that the tracker could take for a nest are passed over as long as there are others.
-    """
+    """Return touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
     spare = 4  # places for each touch pose, for those that are passed over
     # Four places for each touch pose, for those that are passed over.
     number = np.arange(spare * cell.touch.poses)[:, None]
@@ -119,10 +116,7 @@ def touched_base(
 
 
 def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: Array) -> Suspicion:
-    """Return the cause that explains best why ``points`` contradict the station frame.
-
-    ``covariance_mm2`` as in `touched_base`.
-    """
+    """Return why ``points`` contradict the station frame; covariances as in `touched_base`."""
     T_W_B = Frames(log.cell, log).base_in_world(station)
     T_B_W, R = inverse(T_W_B), T_W_B[:3, :3]
     nominal_mm = apply(T_B_W, np.array([point.nominal_mm for point in points]))
@@ -174,7 +168,6 @@ def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
 
 
 def _warmer_k(log: Log, points: list[Point]) -> float:
-    """Return by how much the room is warmer at points than it was at the grid; 0 if unknown."""
     now_c = [p.temperature_c for p in points if p.temperature_c is not None]
     then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
     used = calibration_in(log)

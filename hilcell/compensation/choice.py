@@ -60,9 +60,7 @@ MODELS: dict[str, type[LearntModel]] = {
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model chosen and why; by model the figures of the misses at poses left out,
-    and why others could not be learnt or chosen.
-    """
+    """The model chosen and why; figures of misses at poses left out; why others were refused."""
 
     model: str
     reason: str
@@ -71,10 +69,7 @@ class Choice:
 
 
 def chosen(measured: Measured, *, turned: bool = False) -> Choice:
-    """Return the choice among all models; raises `HilcellError` where none can be learnt.
-
-    For targets whose orientation is not the grid's, models that do not predict it are refused.
-    """
+    """Return the best of all models, for ``turned`` targets of those that predict them."""
     figures, refused = {}, {}
     for name, model in MODELS.items():
         try:
@@ -91,9 +86,7 @@ def chosen(measured: Measured, *, turned: bool = False) -> Choice:
 
 
 def choose(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
-    """Return the model whose figures are least by ``weights``, those of mean and largest miss; one
-    that does not beat nominal is not.
-    """
+    """Return the model, if possible better than nominal, of least figures by ``weights``."""
     nominal = figures.get(NOMINAL)
     best = {kind: min(getattr(each, kind) for each in figures.values()) for kind in weights}
     return min(

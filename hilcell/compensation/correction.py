@@ -42,9 +42,7 @@ def corrected_poses(
     grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
     names: Sequence[str] | None = None, *, turned: bool = True,
 ) -> Array:  # fmt: skip
-    """Return commands (N, 4, 4) as `corrected` does; with ``turned`` the orientation is corrected
-    as well, where the model predicts its error.
-    """
+    """Return commands (N, 4, 4) as `corrected` does, with ``turned`` also their orientation."""
     targets, R, at = poses[:, :3, 3], poses[:, :3, :3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)

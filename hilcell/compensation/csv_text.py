@@ -46,10 +46,7 @@ class CsvText:
 
 
 def read_csv(path: Path, content: bytes, labels: int) -> CsvText:
-    """Return a file whose first ``labels`` columns are words and whose others are numbers.
-
-    Raises `SettingsError`, also where the decimal sign is not certain.
-    """
+    """Return a file with ``labels`` columns of words before numbers; raises `SettingsError`."""
     text = _text(path, content)
     first, _, others = text.partition("\n")
     stated = STATED.fullmatch(first.strip())

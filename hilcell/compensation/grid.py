@@ -71,10 +71,7 @@ class Grid:
         return self.origin_mm + self.pitch_mm * self.serpentine()
 
     def cells(self, targets_mm: ArrayLike) -> tuple[Ints, Array]:
-        """Return the cell's lowest vertex (N, 3) and the place in it, 0..1, (N, 3).
-
-        Raises `OutsideGrid`.
-        """
+        """Return cells' lowest vertices and places in them, 0..1, (N, 3); raises `OutsideGrid`."""
         targets = np.asarray(targets_mm, dtype=float)
         self.check_inside(targets)
         place = (self.clamped(targets) - self.origin_mm) / self.pitch_mm

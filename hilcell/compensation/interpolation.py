@@ -95,10 +95,7 @@ class Interpolation(LearntModel):
         }
 
     def predict(self, poses: Array) -> Prediction:
-        """Return the errors at poses (N, 4, 4) in the grid's frame; their places alone count.
-
-        Raises `OutsideGrid`, and `GridError` where a vertex of a target's cell was not measured.
-        """
+        """Return the errors at the places of poses; raises `OutsideGrid`, `GridError` for gaps."""
         grid, errors = self.lattice.grid, self.lattice.errors_mm
         cells, place = grid.cells(poses[:, :3, 3])
         vertices = cells[:, None, :] + CORNERS
@@ -231,9 +228,7 @@ def _wide_corners(grid: Grid, lows: Ints) -> Ints:
 
 
 def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
-    """Return the wide cells' lowest vertices (B, 3), the steps (M, 3) from them to the vertices
-    left out, and the weights (M, 8) of their corners.
-    """
+    """Return wide cells' lowest vertices (B, 3), steps (M, 3) to those left out, weights (M, 8)."""
     grid = lattice.grid
     if not np.isfinite(lattice.errors_mm).all():
         raise GridError(f"cross-validation: {_missing(lattice.errors_mm)}; measure the whole grid")

@@ -149,10 +149,7 @@ class Kinematic(LearntModel):
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
-        """Return the robot identified from the static poses and, if they help, the curves.
-
-        Raises `IdentificationError`.
-        """
+        """Return the robot identified from poses and curves; raises `IdentificationError`."""
         arm = _arm(measured)
         estimate, decision = _identified(arm)
         known = observability(estimate.system)
@@ -171,10 +168,7 @@ class Kinematic(LearntModel):
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured errors (M, 3), each fifth of the poses left out in turn.
-
-        Gross readings, which nothing was learnt from, are not among them.
-        """
+        """Return predicted less measured (M, 3), each fifth pose left out, without gross ones."""
         return -_left_out_mm(_identified(_arm(measured))[0])
 
     def predict(self, poses: Array) -> Prediction:
@@ -301,16 +295,11 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
 
 
 def seats_mm(measured: Measured) -> Array:
-    """Return where the reflectors (K, 3) are on the flange, as identified.
-
-    They define the tool's orientation: the flange's, by the controller's zero of axis 6. Raises
-    `IdentificationError`.
-    """
+    """Return the reflectors (K, 3) on the flange, by the zero of axis 6, as identified."""
     return _identified(_arm(measured))[0].state.smr_mm
 
 
 def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Estimate:
-    """Return the identification of the same poses with these curves."""
     kinematics = replace(without.kinematics, curves=curves)
     start = kinematics.start(without.state.T, without.state.smr_mm)
     found = identify_trusted(kinematics, without.readings, start, without.noise)
@@ -318,10 +307,7 @@ def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Es
 
 
 def _contradicted(estimate: Estimate) -> list[bool]:
-    """Return which curves the static poses change by more than chance.
-
-    What the poses change of a prior scatters with the prior's covariance less the posterior's.
-    """
+    """Return which curves change by more than prior's less posterior's covariance."""
     kinematics = estimate.kinematics
     mean, prior = kinematics.prior()
     change = kinematics.flat(estimate.state) - mean
@@ -347,7 +333,6 @@ def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
 
 
 def _mean_mm(estimate: Estimate) -> float:
-    """Return the mean miss of poses left out."""
     return float(lengths_mm(_left_out_mm(estimate)).mean())
 
 

@@ -174,10 +174,7 @@ class LearntModel(ABC):
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured errors (M, 3) of poses that were not learnt from.
-
-        Raises `IdentificationError` where no pose was measured.
-        """
+        """Return predicted less measured errors (M, 3) of poses that were not learnt from."""
         poses = measured.poses
         if not len(poses):
             raise IdentificationError(f"{cls.name}: no pose was measured")

@@ -122,10 +122,7 @@ class StatesPosture(Protocol):
     """A program whose targets may state the arm's posture; those of other formats do not."""
 
     def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
-        """Return the targets that do, by name and place, with their status.
-
-        Bits that the program leaves open are the ``expected`` ones.
-        """
+        """Return those with place and status; open bits are the ``expected`` ones."""
 
 
 @runtime_checkable
@@ -150,10 +147,7 @@ def setting_tool(program: object) -> SetsTool | None:
 
 
 def statuses_of(program: object, expected: int) -> Sequence[tuple[str, int]]:
-    """Return the targets whose posture a program states, with their status.
-
-    Bits that it leaves open are the ``expected`` ones.
-    """
+    """Return the targets whose posture a program states; open bits are the ``expected`` ones."""
     return program.statuses(expected) if isinstance(program, StatesPosture) else ()
 
 
@@ -168,10 +162,7 @@ def stands_in_root(program: object) -> bool:
 
 
 def load_program(path: Path) -> Program | None:
-    """Read a program by the format of its suffix; None where no format has it.
-
-    Raises `SettingsError`, and `CorrectedBefore` for one that carries a stamp.
-    """
+    """Read a program by its suffix, if known; raises `SettingsError`, `CorrectedBefore`."""
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in entry_points(group="hilcell.programs").names:
         return None
@@ -186,9 +177,7 @@ def suffixes() -> list[str]:
 
 
 def notes_of(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
-    """Return the program's notes, the base that it needs, if it has one: that of the corrected
-    targets, and what is wrong with the names of the files that were read and written.
-    """
+    """Return a program's notes, the base that it needs, and what is wrong with its files' names."""
     base = "" if stands_in_root(program) else f", its base must be {frame}"
     names = list[str]()
     if isinstance(program, NamesModule):

@@ -55,10 +55,7 @@ class Remainder:
 
     @classmethod
     def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> Remainder:
-        """Return the remainder under its most probable variance.
-
-        ``stated_mm2`` is the variance of one coordinate that the model states of its error.
-        """
+        """Return it by its most probable variance; ``stated_mm2`` is that of the model."""
         return cls(passes, _most_probable(passes, stated_mm2))
 
     @property
@@ -67,9 +64,7 @@ class Remainder:
         return self._known.poses
 
     def at(self, poses: Array) -> tuple[Array, Array]:
-        """Return the remainder (M, 3) in {B} to be expected at poses (M, 4, 4), and which share
-        (M,) of the model's variance is left.
-        """
+        """Return remainders (M, 3) in {B} at poses (M, 4, 4), the share (M,) of variance left."""
         known, solved = self._known, self._solved
         mean_mm, left = np.zeros((len(poses), 3)), np.ones(len(poses))
         near, nearest = known.nearest(poses)
@@ -249,7 +244,6 @@ def _alike(first: Array, second: Array) -> Array:
 
 
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:
-    """Return the variance of greatest marginal likelihood."""
     factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
     if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
         raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")

@@ -50,9 +50,7 @@ def read_targets(path: Path) -> tuple[list[str], Array]:
 
 
 def unit_hint(points_mm: Array) -> str:
-    """Return the question for a list of points (N, 3), elsewhere than expected, that may be in
-    another unit; "" where it cannot be.
-    """
+    """Return the question whether points (N, 3) are in another unit; "" where they cannot be."""
     if not np.abs(points_mm).max() < NEAR_MM:
         return ""
     return "\nis the list in metres or inches? It must be in mm"
@@ -100,10 +98,7 @@ def header_of(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[s
 
 
 def column_of(cell: str, columns: Iterable[str]) -> str:
-    """Return the column that a field of a header means: ``X``, ``x [mm]`` and ``X (mm)`` are x_mm.
-
-    The field itself where it means none, or states another unit.
-    """
+    """Return the column that a header's field means (``X``, ``x [mm]``: x_mm), else the field."""
     word = BRACKETS.sub(r"_\1", cell.strip().casefold().replace("\u00b0", "deg"))
     return next(
         (
@@ -143,7 +138,6 @@ def _take(
     known: set[str],
     fault_of: Callable[[list[str], list[float]], str],
 ) -> list[str]:
-    """Add one line to ``rows``; return what is wrong with it."""
     if len(cells) != len(rows.header):
         more = text.surplus(len(cells), len(rows.header))
         return [f"{len(rows.header)} fields are wanted, found {len(cells)}{more}"]

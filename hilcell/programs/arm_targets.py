@@ -51,10 +51,7 @@ JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
 
 @dataclass(frozen=True, eq=False)
 class ArmTargets(TargetFiles):
-    """Targets of a tool point that ``controller`` knows, corrected by what was fitted.
-
-    ``remark`` says which joints go beyond those that were measured.
-    """
+    """Targets of a tool point, corrected by what was fitted; ``remark`` names joints far beyond."""
 
     controller: Controller
     remark: str
@@ -70,11 +67,7 @@ class ArmTargets(TargetFiles):
         tool: str,
         say: Callable[[str], object],
     ) -> Self:
-        """Return targets of the reflector ``tool``, corrected by the method that was chosen.
-
-        ``train`` are the rows that were learnt from; ``say`` takes what could not be checked.
-        Raises `HilcellError` where a target must not be corrected.
-        """
+        """Return targets of the reflector ``tool``, corrected by the chosen method of ``train``."""
         most_known = 500  # measured poses that are searched from
         chosen = fit.result["chosen"]
         if chosen == NOMINAL:
@@ -149,10 +142,7 @@ def _check_program(
     source: Path,
     say: Callable[[str], object],
 ) -> None:
-    """Refuse what only a calibration can judge, other postures, and whole turns that would change.
-
-    ``joints_rad`` (N, 6) were found for the targets, ``command`` (N, 6) is what is sent.
-    """
+    """Refuse what only a calibration can judge, other postures, and other whole turns."""
     problems = [
         f"{each.where}: strokes are corrected by `compensate` alone" for each in program.strokes
     ]
@@ -211,10 +201,7 @@ class Reach:
         return self.base @ forward(self.arm, joints_rad)
 
     def joints(self, poses: Array, names: Sequence[str]) -> Array:
-        """Return nominal joints (N, 6) for poses in the root, in the posture that was measured.
-
-        Raises `HilcellError` where none is found, and where several postures were measured.
-        """
+        """Return joints (N, 6) for poses in the root, in the one posture that was measured."""
         if not self._one_posture:
             raise HilcellError(
                 "the measured poses have several postures (elbow, wrist), and a pose does not say "
@@ -234,10 +221,7 @@ class Reach:
         return joints
 
     def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
-        """Return nominal joints (N, 6) for poses a correction away from joints (N, 6).
-
-        Raises `HilcellError` where a joint turns far or leaves its limits.
-        """
+        """Return joints (N, 6) for poses a correction away; refuses far turns, and other limits."""
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
         # of a joint by a correction: beyond, the wrist is singular there
         most_turn_rad = np.radians(5.0)
@@ -260,9 +244,8 @@ class Reach:
         return not self._searched(self.poses(self.known_rad), enough=self.STARTS)[2].any()
 
     def _searched(self, poses: Array, enough: int) -> tuple[Array, Bools, Bools]:
-        """Search from the nearest measured poses in turn, until ``enough`` of them lead there.
-
-        Returns joints (N, 6), which poses were found (N,), and which in several postures (N,).
+        """Return joints (N, 6), which were found, which in several postures, each (N,): searched
+        from measured poses nearby until ``enough`` lead there.
         """
         wanted = inverse(self.base) @ poses
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
@@ -313,10 +296,7 @@ def targets_of(names: list[str], values: Array, reach: Reach) -> RobotTargets:
 
 
 def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
-    """Read poses or joints; returns targets and whether they were joints.
-
-    Raises `SettingsError` with every problem and its line, and `HilcellError`.
-    """
+    """Return targets, and whether they were joints; raises `SettingsError`, `HilcellError`."""
     rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
     values = np.array(rows.values)
     if rows.header == HEADER:

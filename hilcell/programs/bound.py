@@ -268,7 +268,6 @@ class Separation:
         return list({cut.sets.tobytes(): cut for cut in found}.values())
 
     def _stretches(self, shares: _Shares) -> Iterator[Bools]:
-        """Seek among all stretches of the tour at once, by sums over a table of its places."""
         first, last = np.triu_indices(self._size, 1)
         broken = 2.0 - self._leaving(shares.edges, shares.share)[first, last]
         yield from self._worst(first, last, np.where(last - first < self._size - 2, broken, 0.0))
@@ -366,10 +365,9 @@ class _Shares:
 
 
 def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
-    """Return a length that no open route through distances (N, N) is below.
+    """Return a length below every open route through distances (N, N), up to ``enough_mm``.
 
-    ``order`` (N,) is a good route: cuts are sought among its stretches, until the bound is near
-    ``enough_mm``.
+    ``order`` (N,) is a good route, among whose stretches cuts are sought.
     """
     rounds = 25
     proven = 1e-4  # share of the bound that is not worth another edge
@@ -408,10 +406,7 @@ class _Program:
         self._node_price, self._cut_price = np.zeros(self._size), np.zeros(0)
 
     def solve(self) -> float:
-        """Find shares and prices for the cuts so far, and return the length of these shares.
-
-        Raises `HilcellError` where there are none.
-        """
+        """Find shares and prices, return the length; raises `HilcellError` where there are none."""
         edges, count = self.edges, len(self.edges)
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
         degree = csr_array((np.ones(2 * count), ends), shape=(self._size, count))

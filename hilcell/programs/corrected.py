@@ -99,10 +99,7 @@ class Corrected:
         return csv_of(named, listed, self.stamp)
 
     def list_of_bounds(self) -> bytes:
-        """Return a row a target: its bound, u of its coordinates in {W}, the bound of its turn.
-
-        Raises `NoBound`.
-        """
+        """Return targets' bounds, u of coordinates in {W}, bounds of turns; raises `NoBound`."""
         if isinstance(self.bounds, NoBound):
             raise self.bounds
         u_mm = np.sqrt(np.diagonal(self.bounds.covariance_mm2, axis1=1, axis2=2))
@@ -134,10 +131,7 @@ class Released:
 
     @classmethod
     def named(cls, name: str, release: Release, cell: Cell | None) -> Self:
-        """Return the calibration of a run or a file, judged for the cell of today, if it is known.
-
-        Raises `Unfit`, `NoCalibration`, `SettingsError`.
-        """
+        """Return that of a run or a file; raises `Unfit`, `NoCalibration`, `SettingsError`."""
         used = CalibrationFile.named(name, release.runs)
         accepted = check_fitness(
             used.calibration,
@@ -188,10 +182,7 @@ class Released:
     def corrected(
         self, station: str, names: list[str], nominal: Array, tip: Tip, cell: Cell | None
     ) -> Corrected:
-        """Return targets (N, 6) of a tip in {W}, corrected for a station of ``cell``.
-
-        Raises `HilcellError` naming each target that the calibration does not correct.
-        """
+        """Return targets (N, 6) of a tip in {W}, corrected; raises `HilcellError` naming others."""
         command = compensate_targets(self.calibration, station, nominal, names, tip)
         seen = poses_from_zyx(nominal) @ tip.T_D_T
         try:
@@ -220,18 +211,12 @@ class Released:
         return replace(self.calibration, uncertainty=stated)
 
     def refuse_corrected(self, source: Path, names: list[str], *targets_mm: Array) -> None:
-        """Raise `CorrectedBefore` where targets (N, 3) are the output of a correction.
-
-        ``targets_mm`` are the same targets in each frame that they may have been corrected in.
-        """
+        """Raise `CorrectedBefore` where targets, in each frame (N, 3), are corrected ones."""
         folders = memories(self.release.runs, self.path)
         refuse_known(folders, source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
-        """Keep pairs of nominal and corrected points, each (N, 3), to be known without the stamp.
-
-        Returns a warning where they cannot be kept.
-        """
+        """Keep nominal and corrected points, each (N, 3), or return a warning why not."""
         runs, folder = self.release.runs, self.path.resolve().parent
         if not is_run(folder):
             folder = runs
@@ -255,10 +240,7 @@ def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
 
 
 def memories(runs: Path, calibration: Path) -> list[Path]:
-    """Return all folders that may keep corrected points, in ``runs`` and beside a calibration's.
-
-    Raises `StorageError`.
-    """
+    """Return all folders that may keep corrected points; raises `StorageError`."""
     folder = calibration.resolve().parent
     places = dict.fromkeys([runs.resolve(), *([folder.parent] if is_run(folder) else [])])
     return [each for place in places for each in (place, *run_folders(place))]
@@ -277,10 +259,7 @@ def note_corrected(folder: Path, stamp: str, nominal_mm: Array, command_mm: Arra
 def refuse_known(
     folders: Iterable[Path], source: str, names: list[str], *targets_mm: Array
 ) -> None:
-    """Raise `CorrectedBefore` where targets are the output of a correction.
-
-    ``targets_mm`` (N, 3) are the same targets in each frame that they may have been corrected in.
-    """
+    """Raise `CorrectedBefore` where targets (N, 3), in one frame or another, are corrected ones."""
     for folder in folders:
         stamps, known = _noted(folder / MEMORY)
         for places_mm in targets_mm if stamps else ():
@@ -313,10 +292,7 @@ def _same(known: Array, places_mm: Array) -> tuple[Bools, NDArray[np.intp]]:
 
 
 def _noted(file: Path) -> tuple[list[str], Array]:
-    """Return the stamps and points with their moves (N, 4) of a file.
-
-    Lines that a crash has cut count for none.
-    """
+    """Return a file's stamps, and points with their moves (N, 4), without lines cut by a crash."""
     stamps, points = list[str](), list[list[float]]()
     if file.is_file():
         with file.open(encoding="utf-8", errors="replace", newline="") as lines:

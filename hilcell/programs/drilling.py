@@ -56,10 +56,7 @@ class Drilling:
         return self.tip.arm(self.cell.robot.arm())
 
     def straight_rad(self, names: Sequence[str], command: Array) -> Array:
-        """Return the joints (N, K, 6) from the stand-off straight to commands (N, 6) in {W}.
-
-        Raises `HilcellError` naming the holes on whose ways the arm leaves its limits.
-        """
+        """Return joints (N, K, 6) from the stand-off to commands (N, 6) in {W}, within limits."""
         count = 1 + int(np.ceil(self.standoff_mm / self.STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(command, back_mm)
@@ -84,9 +81,7 @@ class Drilling:
         return robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
 
     def drawn_back_rad(self, command: Array) -> Iterator[Array]:
-        """Yield the joints (6,) behind the stand-off of a command (6,), nearest first, as far as
-        the arm reaches.
-        """
+        """Yield the joints (6,) in reach behind a command's stand-off, nearest first."""
         back_mm, known = self.standoff_mm + np.array(self.DRAWN_BACK_MM), self._posture
         (poses,) = self._drawn_back(command[None], back_mm)
         yield from posture(self.arm, poses[reachable(self.arm, poses, *known)], *known)
@@ -204,10 +199,7 @@ class Part:
         return cKDTree(self.points_mm)
 
     def free_mm(self, places_mm: Array) -> Array:
-        """Return how far places (K, 3) in {W} are in front of the part, negative inside it.
-
-        Infinite beyond `REACH_MM` of every hole.
-        """
+        """Return how far places (K, 3) in {W} are in front of the part; inf beyond `REACH_MM`."""
         off_mm, nearest = self._tree.query(places_mm)
         from_hole = places_mm - self.points_mm[nearest]
         front_mm = np.einsum("ki,ki->k", from_hole, self.outward[nearest])

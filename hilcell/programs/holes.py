@@ -63,9 +63,7 @@ class Holes:
         return poses
 
     def with_turn_near(self, R: Array) -> Holes:
-        """Return the holes with one more turn each: of free ones the one with {T} nearest to ``R``
-        (3, 3).
-        """
+        """Return the holes with one turn more where free: with {T} nearest to ``R`` (3, 3)."""
         rounding = 1e-9  # of a cosine
         if self.tools.shape[1] == 1:
             return self  # angles, which fix the turn
@@ -108,10 +106,7 @@ class Holes:
 
 
 def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
-    """Read holes with normals, or targets with angles; raises `SettingsError` with all problems.
-
-    ``T_D_T`` (4, 4) is the reflector's frame in that of the tool's tip.
-    """
+    """Read holes by normals or angles, {T} in the tip's frame ``T_D_T``; raises `SettingsError`."""
     rows = read_named_rows(path, read_file(path), [NORMALS, HEADER], "holes", _fault_of)
     if len(rows.names) > MOST_HOLES:
         problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"

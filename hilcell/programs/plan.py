@@ -196,10 +196,7 @@ class Reach:
 def reach(
     cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
 ) -> Reach:
-    """Return which holes each station reaches, and corrects where ``served`` says so.
-
-    Raises `HilcellError` with the reasons.
-    """
+    """Return which holes each station reaches and corrects; raises `HilcellError` with reasons."""
     room_rad = np.empty((len(holes.names), len(stations)))
     turn = np.empty(room_rad.shape, dtype=int)
     poses = holes.reflector_poses()
@@ -219,10 +216,7 @@ def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
 
 
 def _room_rad(cell: Cell, poses: Array) -> Array:
-    """Return the least distance to a joint limit or a straight wrist at poses (..., 4, 4) in {B}.
-
-    Below 0 beyond a limit, -inf where the arm does not reach.
-    """
+    """Return the room to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
     arm, limits = cell.robot.arm(), cell.robot.margin_limits_rad
     room = np.full(poses.shape[:-2], -np.inf)
     there = reach_excess_mm(arm, poses, cell.robot.status) == 0
@@ -271,7 +265,6 @@ def _refuse_unreached(
 
 
 def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Volume | None) -> str:
-    """Return what to do about holes (K,) that are drilled from no station."""
     if served is None:
         return (
             "move the part or the tracker, try --free stations, or another posture: --set "
@@ -301,7 +294,7 @@ def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Volum
 
 
 def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
-    """Return why one hole is reached from no station, at the station where least is missing."""
+    """Return why one hole is reached from no station, where least is missing."""
     range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
     if not low <= range_mm <= high:
         return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"

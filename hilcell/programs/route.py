@@ -93,10 +93,7 @@ class _Search:
         self._chance = random.Random(1)  # noqa: S311 - no secret
 
     def run(self, good_mm: float, kicks_per_hole: int) -> Ints:
-        """Shorten until ``good_mm`` or all kicks are spent; return the order.
-
-        Another run goes on from there.
-        """
+        """Shorten until ``good_mm`` or all kicks are spent; another run goes on from there."""
         self._look_at(self._tour)
         length_mm = self._length() - self._shortened()
         best_mm, best = length_mm, self._tour.copy()

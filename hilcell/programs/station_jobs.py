@@ -289,11 +289,7 @@ class StationJobs:
         }
 
     def write(self, folder: Path, inputs: Iterable[Path]) -> list[str]:
-        """Write all files into a new or an empty folder, and keep the points, to be known again.
-
-        ``inputs`` are the files that were read besides holes and calibration. Returns in words
-        what was done. Raises `NotWritten`.
-        """
+        """Write all into an empty folder; return what was done; raises `NotWritten`."""
         jobs, released = self.stations, self.released
         files = [each for job in jobs for each in job.files.items()]
         counts = Counter(name.lower() for name, _ in files)  # controllers and PCs may ignore case
@@ -351,7 +347,6 @@ class StationJobs:
         )
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Return the facts at the sheet's head, by name."""
         cell, tip, released, release = self.cell, self.tip, self.released, self.released.release
         made, validity = released.calibration.provenance, released.calibration.validity
         stands = "not known to be current"
@@ -390,7 +385,6 @@ class StationJobs:
         return facts
 
     def _checks(self) -> list[str]:
-        """Return what is ticked before the first hole."""
         checks = [
             "The right cell, robot and part; the part clamped, its place in {W} as it was planned",
             "Tool and drill as in the cell file; the drill is drawn back while the robot moves",
@@ -408,7 +402,6 @@ class StationJobs:
 
     @property
     def _air(self) -> str:
-        """Return the temperatures at which the bounds hold."""
         validity, now_c = self.released.calibration.validity, self.released.release.temperature
         if validity.temperature_c is None:
             return "not measured by the calibration"
@@ -418,7 +411,6 @@ class StationJobs:
 
     @property
     def _written(self) -> datetime:
-        """Return when the calibration was written, local."""
         written = self.released.calibration.provenance.written
         return datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC).astimezone()
 
@@ -432,7 +424,6 @@ class StationJobs:
             return "any day"
 
     def _sheet_of(self, job: StationJob) -> SheetStation:
-        """Return the part of the sheet for one station."""
         nominal, nothing = job.plan.poses[:, :3], [None] * len(job.plan.holes)
         turns_deg = job.targets.turns_deg
         columns = (
@@ -470,10 +461,7 @@ def _make(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SheetHole:
-    """A hole: nominal place (mm, {W}), how far its command is from it, its 95 % bound or None.
-
-    ``turn95_deg`` bounds its orientation, None where that is not corrected.
-    """
+    """A hole: nominal place (mm, {W}), its correction, 95 % bounds of place and turn, or None."""
 
     name: str
     place_mm: tuple[float, float, float]

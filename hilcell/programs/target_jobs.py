@@ -69,10 +69,7 @@ class TargetFiles:
     def write_files(
         self, out: Path, bounds: Path | None, inputs: Iterable[Path]
     ) -> tuple[str, list[str]]:
-        """Write the file of bounds, and the list or program; return their paths, and notes.
-
-        ``inputs`` are the files that were read besides the source. Raises `NotWritten`, `NoBound`.
-        """
+        """Write all files; return paths and notes; raises `NotWritten`, `NoBound`."""
         read, program, stamp = [self.source, *inputs], self.program, self.targets.stamp
         form = (CSV, "a list") if program is None else (tuple(program.suffixes), "a program")
         check_output(out, *form, inputs=read)  # before the bounds are written
@@ -94,10 +91,7 @@ class TargetFiles:
 
 
 class Strokes(NamedTuple):
-    """How far a program's relative motions may lead, and by how far they may miss, mm.
-
-    None is the 95 % bound of their point.
-    """
+    """How far a program's strokes may lead and miss (mm); None is the 95 % bound of their point."""
 
     longest_mm: float
     miss_mm: float | None
@@ -196,10 +190,7 @@ class StationTargets(TargetFiles):
         }
 
     def write(self, out: Path, bounds: Path | None, inputs: Iterable[Path]) -> list[str]:
-        """Write all files, and keep the points, to be known again; return in words what was done.
-
-        Raises `NotWritten`, `NoBound`.
-        """
+        """Write all, keep the points; return what was done; raises `NotWritten`, `NoBound`."""
         read = [self.released.path, *inputs]
         written, notes = self.write_files(out, bounds, read)
         count, stamp = len(self.targets.names), self.targets.stamp
@@ -225,10 +216,7 @@ def _where(cell: Cell | None, tip: Tip) -> Iterator[str]:
 
 
 def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Array]:
-    """Read a list of targets, and warn of one hole under two names.
-
-    A file that is no list may be a program of an unknown format.
-    """
+    """Read a list of targets, which may be a program of an unknown format, and warn of twins."""
     from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
 
     try:
@@ -247,10 +235,7 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
 
 
 def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
-    """Return the tip that the targets are given at; raises `SettingsError`.
-
-    A program's own tool decides; of a list, and of a program without one, the named tool does.
-    """
+    """Return the tip of targets: of a program's tool, else the named; raises `SettingsError`."""
     setting = setting_tool(program)
     if cell is None or setting is None:
         return tip_named(cell, name)
@@ -270,7 +255,6 @@ def _check_program(
     strokes: Strokes,
     say: Callable[[str], object],
 ) -> None:
-    """Refuse a program whose strokes or joints do not agree with its corrected targets."""
     stroke_miss_mm = 0.05  # that strokes may miss by where nothing else is stated
     station, name = targets.stamp.station, source.name
     if strokes.miss_mm is not None:
@@ -350,10 +334,7 @@ def _check_base(
 
 
 def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
-    """Raise `HilcellError` naming targets with another posture than the calibrated ``status``.
-
-    A robot's errors are those of its joints: in another posture they are others, of millimetres.
-    """
+    """Raise `HilcellError` for targets in another posture, where a robot has other errors."""
     other = [f"{where}: S {s}" for where, s in stated if s & POSTURE_BITS != status & POSTURE_BITS]
     if other:
         raise HilcellError(
@@ -377,10 +358,7 @@ def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
 
 
 class StrokeLimits(NamedTuple):
-    """How far strokes may lead, and by how far each of N targets' strokes may miss, (N,) or one.
-
-    ``source`` says in words where ``miss_mm`` comes from.
-    """
+    """How far strokes may lead, and each of N targets' may miss, by ``source``, in words."""
 
     longest_mm: float
     miss_mm: Array | float
@@ -453,10 +431,7 @@ def _missed(
     ways: Sequence[Array],
     tip: Tip,
 ) -> list[Array]:
-    """Return by how far each place of ``ways`` is missed, each (K, 3) in {W}.
-
-    ``starts`` and ``command`` (N, 6) are the nominal and the corrected target of each way.
-    """
+    """Return how far places of ``ways`` (K, 3) from nominal ``starts`` (N, 6) are missed in {W}."""
     counts = [len(each) for each in ways]
     places = np.repeat(starts, counts, axis=0)
     places[:, :3] += np.concatenate(ways)
