@@ -12,6 +12,7 @@ import json
 import socket
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -56,16 +57,14 @@ def _channel(channel: str) -> list[str]:
 
 def _network(host: str, port: object) -> list[str]:
     """Return the places of a host's addresses; all of this machine's own are one."""
-    found = {host} if _is_address(host) else _resolved(host.rstrip("."))
+    found = _resolved(host.rstrip(".")) if _number(host) is None else {host}
     return sorted({f"{THIS_MACHINE if _is_ours(each) else each}:{port}" for each in found})
 
 
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
+def _number(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    with suppress(ValueError):
+        return ipaddress.ip_address(address)
+    return None
 
 
 def _resolved(host: str) -> set[str]:
@@ -86,9 +85,9 @@ def _resolved(host: str) -> set[str]:
 
 def _is_ours(address: str) -> bool:
     """Whether an address is one of this machine's: only to those a socket can be bound."""
-    if not _is_address(address):
+    number = _number(address)
+    if number is None:
         return False
-    number = ipaddress.ip_address(address)
     if isinstance(number, ipaddress.IPv6Address) and number.ipv4_mapped is not None:
         number = number.ipv4_mapped
     if number.is_loopback or number.is_unspecified:

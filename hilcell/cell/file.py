@@ -35,10 +35,8 @@ from hilcell.cell.surroundings import (
     keep_out_problems,
 )
 from hilcell.cell.tables import (
-    Acceleration,
     Angle,
     Count,
-    Dwell,
     Frozen,
     Length,
     Name,
@@ -268,14 +266,14 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     travel_min_mm: Length
     travel_max_mm: Length
     speed_mm_s: Speed
-    acceleration_mm_s2: Acceleration
+    acceleration_mm_s2: Annotated[float, Meta(ge=1, le=1e6)]
     back_off_mm: Size = 1.0
     strip_tolerance_mm: Tolerance = 0.01
     slip_limit_mm: Size = 2.0
     max_backlash_mm: Tolerance = 0.4
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     homing_mm_s: Speed = 100.0
-    standstill_dwell_s: Dwell = 0.4
+    standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
     options: Json = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -19,8 +19,6 @@ Step = Annotated[float, Meta(ge=0.01, le=1e6)]
 Turn = Annotated[float, Meta(gt=0, le=180)]  # deg
 Angle = Annotated[float, Meta(ge=-3600, le=3600)]
 Speed = Annotated[float, Meta(ge=0.1, le=1e5)]
-Acceleration = Annotated[float, Meta(ge=1, le=1e6)]
-Dwell = Annotated[float, Meta(ge=0.05, le=5)]
 Rate = Annotated[float, Meta(ge=0, le=1000)]  # um/m, um/(m K)
 Wait = Annotated[float, Meta(ge=0, le=3600)]
 Percent = Annotated[float, Meta(ge=1, le=100)]

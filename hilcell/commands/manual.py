@@ -21,17 +21,7 @@ from hilcell.alarms.catalogue import catalogue
 from hilcell.arguments import MISSING, Argument, Field, Switches, fields_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
-from hilcell.commands.cli import (
-    AFTER,
-    EXITS,
-    GROUPS,
-    OTHERS,
-    OWN_EXITS,
-    PLANT,
-    SAFETY,
-    Commands,
-    whole_parser,
-)
+from hilcell.commands import cli
 from hilcell.commands.orders import Completion, Explain
 from hilcell.commands.output import print_data, print_json
 from hilcell.commands.parser import Parser
@@ -78,7 +68,7 @@ _hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 
 def completion(args: Completion) -> int:
     """Print the script of one shell."""
-    parser = deepcopy(whole_parser())  # it is written into
+    parser = deepcopy(cli.whole_parser())  # it is written into
     for action in _actions(parser):
         if action.dest == "procedure":
             action.choices = sorted(entry_points(group="hilcell.procedures").names)
@@ -125,21 +115,23 @@ STATED = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the hel
 def page() -> str:
     """Return the page as Markdown."""
     parts = [HEAD]
-    for title, commands in GROUPS.items():
+    for title, commands in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
         parts += _sections("hilcell", commands)
-    codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(EXITS))
-    parts.append(f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{AFTER} {SAFETY}\n")
-    own = "\n".join(f"| `{command}` | {words} |" for command, words in OWN_EXITS.items())
-    parts.append(f"{OTHERS}\n\n| command | its exit codes |\n|---|---|\n{own}\n")
+    codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(cli.EXITS))
+    parts.append(
+        f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{cli.AFTER} {cli.SAFETY}\n"
+    )
+    own = "\n".join(f"| `{command}` | {words} |" for command, words in cli.OWN_EXITS.items())
+    parts.append(f"{cli.OTHERS}\n\n| command | its exit codes |\n|---|---|\n{own}\n")
     return "\n".join(parts)
 
 
-def _sections(program: str, commands: Commands) -> Iterator[str]:
+def _sections(program: str, commands: cli.Commands) -> Iterator[str]:
     for name, (takes, act) in commands.items():
         yield f"### {program} {name}\n\n{takes.__doc__}\n"
         if not act:  # what it does is done by commands of its own
-            yield from _sections(f"{program} {name}", PLANT)
+            yield from _sections(f"{program} {name}", cli.PLANT)
             continue
         fields = list(fields_of(takes))
         words = [_given(each) for each in fields if each.is_word or each.needed]

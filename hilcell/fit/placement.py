@@ -6,7 +6,7 @@ that would make them fit are tried, and the one that does is named.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, permutations
@@ -85,7 +85,7 @@ def place(arm: Arm, rows: Measurements) -> Placement:
     try:
         placement, step = _placed(arm, rows)
     except FrameError as error:
-        fitting = next(_supposed(arm, rows, ABSURD_MM / EXPLAINED), None)
+        fitting = next(_fitting(arm, rows, ABSURD_MM / EXPLAINED, np.median), None)
         act = CHECK_ROBOT if fitting is None else f"they fit if {fitting}"
         raise FitError(f"{error}; {act}") from error
     refuse_another_robot(placement, rows)
@@ -110,37 +110,34 @@ def refuse_another_robot(placement: Placement, rows: Measurements) -> None:
     """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
     half_mm = float(np.median(placement.miss_mm(rows)))
     if not half_mm <= ABSURD_MM:
-        found = [*placement.relabelled(rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
-        fitting = f"they fit if {found[0]}; " if found else ""
+        fitting = _fitting(placement.arm, rows, half_mm, np.median)
+        found = [*placement.relabelled(rows, half_mm), *fitting]
+        act = f"they fit if {found[0]}; " if found else ""
         raise FitError(
             f"{rows.source}: nominal kinematics miss half of the measured targets by {half_mm:.4g} "
-            f"mm or more, expected <= {ABSURD_MM:g} mm: {fitting}{CHECK_ROBOT}"
+            f"mm or more, expected <= {ABSURD_MM:g} mm: {act}{CHECK_ROBOT}"
         )
 
 
-def _supposed(arm: Arm, rows: Measurements, half_mm: float) -> Iterator[str]:
-    """Yield what would make the rows fit, the likeliest first."""
+def _fitting(
+    arm: Arm, rows: Measurements, size_mm: float, of: Callable[[Array], float]
+) -> Iterator[str]:
+    """Yield what would make rows fit that miss by ``size_mm``, the likeliest first."""
     for says, changed in _suppositions(rows):
-        try:
-            left_mm = float(np.median(_placed(arm, changed)[0].miss_mm(changed)))
-        except HilcellError:
-            continue
-        if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
-            yield says
+        with suppress(HilcellError):
+            left_mm = float(of(_placed(arm, changed)[0].miss_mm(changed)))
+            if left_mm <= min(EXPLAINED * size_mm, ABSURD_MM):
+                yield says
 
 
 def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int]) -> str:
     """Return what would make all rows fit of which ``bad`` miss absurdly, by up to ``worst_mm``;
     "" where nothing does.
     """
-    limit_mm = min(EXPLAINED * worst_mm, ABSURD_MM)
     most_tried = 500  # rows by which a supposition is judged
     some = range(0, len(rows), len(rows) // most_tried + 1)
-    for says, changed in _suppositions(rows.at(sorted({*some, *islice(bad, most_tried)}))):
-        with suppress(HilcellError):
-            if float(np.max(_placed(arm, changed)[0].miss_mm(changed))) <= limit_mm:
-                return says
-    return ""
+    tried = rows.at(sorted({*some, *islice(bad, most_tried)}))
+    return next(_fitting(arm, tried, worst_mm, np.max), "")
 
 
 def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 Three: TypeAlias = tuple[float, float, float]
 Pair: TypeAlias = tuple[float, float]
 
-HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
-LOSSY = 0.005  # share of the frames on the rail's wire
 NOT_KNOWN = "devices were not all connected, and how they stand is not known"
 SUBJECTS = ("key", "station", "run")  # fields that say what an event is about
 URAD = 1e6
@@ -187,6 +185,8 @@ class Closed(Closing, frozen=True, kw_only=True, omit_defaults=True, tag="closed
 class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
     """Counts and losses of the rail's wire in one session, or in several together."""
 
+    LOSSY: ClassVar[float] = 0.005  # share of the frames
+    BY_SDO: ClassVar[str] = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
     frames: int
     bad_lines: int
     refused: int
@@ -212,11 +212,11 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
     @property
     def warning(self) -> str:
         """Return the warning that so much was lost; "" where the link is well."""
-        if self.lost_share < LOSSY:
+        if self.lost_share < self.LOSSY:
             return ""
         return (
             f"the rail's CAN link loses {100 * self.lost_share:.2f} %, a healthy one less than "
-            f"{100 * LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
+            f"{100 * self.LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
             "gateway's cable"
         )
 
@@ -226,12 +226,12 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
         return (
             f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
             f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
-            f"{f'; {HELD_BY_SDO}' if self.held_by_sdo else ''}"
+            f"{f'; {self.BY_SDO}' if self.held_by_sdo else ''}"
         )
 
     def _text(self) -> str:
         found = [f"{self.lost} of {self.frames} frames lost"] if self.lost else []
-        found += [HELD_BY_SDO] if self.held_by_sdo else []
+        found += [self.BY_SDO] if self.held_by_sdo else []
         return f"rail's wire: {'; '.join(found)}" if found else ""
 
 

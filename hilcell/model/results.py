@@ -163,9 +163,6 @@ class FramesRepeated(ActResult, frozen=True, kw_only=True):
     ratio_interval: Pair
 
 
-ROUND_OFF = 1e-9  # below it a figure is zero but for the arithmetic, which differs between PCs
-
-
 class PaperRow(ActResult, frozen=True, kw_only=True):
     """A figure of the paper beside the run's own. ``fails`` is the mistake that fails it; one that
     the cell file or the simulated machine brings about is ``set``, and cannot fail.
@@ -188,5 +185,6 @@ class PaperRow(ActResult, frozen=True, kw_only=True):
 
     @property
     def shown(self) -> float | str:
-        """Return the run's figure for a person; of round-off the digits say nothing."""
-        return f"< {ROUND_OFF:g}" if 0.0 < abs(self.here) < ROUND_OFF else self.here
+        """Return the run's figure for a person; the digits of round-off differ between PCs."""
+        round_off = 1e-9  # below it a figure is zero but for the arithmetic
+        return f"< {round_off:g}" if 0.0 < abs(self.here) < round_off else self.here

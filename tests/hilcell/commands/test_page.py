@@ -10,7 +10,6 @@ import pytest
 
 from hilcell import errors
 from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
-from hilcell.commands import manual as module
 from hilcell.commands.cli import EXITS, GROUPS, OWN_EXITS, PLANT
 from hilcell.commands.manual import page
 
@@ -45,7 +44,7 @@ class Sample(Signature):
 
 
 def test_a_section_has_usage_and_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "GROUPS", {"some": {"try": (Sample, "x:y")}})
+    monkeypatch.setattr("hilcell.commands.cli.GROUPS", {"some": {"try": (Sample, "x:y")}})
     text = page()
     assert "hilcell try A|B (--csv | --json) -o OUT [OPTIONS]\n" in text
     rows = re.findall(r"^\| `(.*)` \| (.*) \| (.*) \|$", text, re.MULTILINE)
