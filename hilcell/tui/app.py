@@ -11,6 +11,7 @@ import importlib
 import math
 import time
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack, cast
 
@@ -32,8 +33,8 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.engine.open_runs import OpenRuns
-from hilcell.tui.keys import ACTIONS, BY_NAME, Action, shown, wait_until_built, wait_until_processed
-from hilcell.tui.screens.base import Application, BaseScreen, Confirm, Options
+from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
+from hilcell.tui.screens.base import BaseScreen, Confirm, Options
 from hilcell.tui.terminal.driver import LATE_S, StopDriver
 from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
 from hilcell.tui.text.refusals import ELSEWHERE, no_answer_reason, pause_command, refusal
@@ -42,7 +43,6 @@ from hilcell.tui.widgets import CellScrollBar, Choice, TextPanel
 if TYPE_CHECKING:
     from subprocess import Popen
 
-    from hilcell.alarms import Latch
     from hilcell.run.control import Command, Subject
     from hilcell.tui.engine.feed import RunUpdate
     from hilcell.tui.engine.run_view import RunView
@@ -83,23 +83,13 @@ class OpeningScreen(BaseScreen):
         super().on_mount()
 
 
-LATER = (
-    "hilcell.tui.engine.session",
-    "hilcell.journal.index",
-    *(
-        f"hilcell.tui.screens.{name}"
-        for name in ("run", "pages", "plots", "history", "start", "help")
-    ),
-)
-
-
 def run_to_open(runs: Path, name: str) -> Path | None:
     """Return the folder of the run to show; raises `HilcellError` where the name means none.
 
     Loads, in the caller's thread, everything that reads a journal.
     """
-    for module in LATER:
-        importlib.import_module(module)
+    for module in ("engine.session", "screens.help"):  # help is on every screen, so it has all
+        importlib.import_module(f"hilcell.tui.{module}")
     from hilcell.journal.index import find_run
     from hilcell.journal.runs import live_engine, run_folders
 
@@ -109,24 +99,21 @@ def run_to_open(runs: Path, name: str) -> Path | None:
     return live[-1] if live else None
 
 
-PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
-
-
-def page_of(name: str, session: Session | None) -> BaseScreen:
-    """Return the page of an action of `PAGES`; only help and history need no run."""
-    from hilcell.tui.screens import history, pages, plots
+def pages() -> dict[str, type[BaseScreen]]:
+    """Return the page of each action that has one; only help and history need no run."""
+    from hilcell.tui.screens import pages, plots
     from hilcell.tui.screens.help import HelpPage
+    from hilcell.tui.screens.history import HistoryPage
 
-    if name == "report" and session is not None:
-        return pages.ReportPage(session.folder)
-    found: dict[str, type[BaseScreen]] = {
+    return {
         "alarms": pages.AlarmPage,
         "interlocks": pages.InterlockPage,
         "log": pages.LogPage,
+        "report": pages.ReportPage,
         "plots": plots.PlotPage,
-        "history": history.HistoryPage,
+        "help": HelpPage,
+        "history": HistoryPage,
     }
-    return found.get(name, HelpPage)()
 
 
 class Palette(CommandPalette):
@@ -177,30 +164,21 @@ class ActionProvider(Provider):
 
     async def discover(self) -> Hits:
         """Yield every allowed action; the stop last, for it has a key that needs no palette."""
-        for action in sorted(self._allowed(), key=lambda action: action.name == "stop"):
-            yield DiscoveryHit(
-                self._words(action), lambda name=action.name: self._application.do(name)
-            )
+        for words, act in sorted(self._allowed(), key=lambda each: each[0].startswith("STOP")):
+            yield DiscoveryHit(words, act)
 
     async def search(self, query: str) -> Hits:
         """Yield the allowed actions that match."""
         matcher = self.matcher(query)
-        for action in self._allowed():
-            score = matcher.match(self._words(action))
-            if score > 0:
-                yield Hit(
-                    score, self._words(action), lambda name=action.name: self._application.do(name)
-                )
+        for words, act in self._allowed():
+            if (score := matcher.match(words)) > 0:
+                yield Hit(score, words, act)
 
-    def _allowed(self) -> list[Action]:
-        return [action for action in ACTIONS if self._application.allowed(action.name)]
-
-    @property
-    def _application(self) -> Application:
-        return cast("Application", self.app)
-
-    def _words(self, action: Action) -> str:
-        return f"{self._application.label(action.name)}: {action.help}"
+    def _allowed(self) -> list[tuple[str, Callable[[], None]]]:
+        """Return each action that is allowed now in words, and as a function."""
+        app = cast("HilcellApp", self.app)
+        allowed = (action for action in ACTIONS if app.allowed(action.name))
+        return [(f"{app.label(a.name)}: {a.help}", partial(app.do, a.name)) for a in allowed]
 
 
 class RunUpdated(Message):
@@ -214,34 +192,25 @@ class RunUpdated(Message):
 class RunActions:
     """Turns keys into commands to the engine, or starts an engine."""
 
-    def __init__(self, application: Application) -> None:
+    def __init__(self, application: HilcellApp) -> None:
         self._application = application
 
     def do_pause(self) -> None:
         """Pause, go on, answer the prompt, or resume, as the state allows."""
-        session = self._application.session
-        if session is None:
-            return
-        command = pause_command(session.view)
-        if session.view.prompt is not None:
+        view, ask = self._application.shown_session.view, self._application.ask
+        command = pause_command(view)
+        if view.prompt is not None:
             self.answer()
         elif command == "pause":
             self._command("pause")
         elif command == "resume":
             from hilcell.tui.text.run import resume_text
 
-            self._application.ask(
-                "Resume this run?", resume_text(session.view), "resume", self.resume
-            )
+            ask("Resume this run?", resume_text(view), "resume", self.resume)
         else:
-            self._application.ask(
-                "Go on?",
-                "The robot and the rail may move at once."
-                if session.view.has_rail
-                else "The robot may move at once.",
-                "go on",
-                lambda: self._command("proceed"),
-            )
+            what = "The robot and the rail" if view.has_rail else "The robot"
+            text = f"{what} may move at once."
+            ask("Go on?", text, "go on", lambda: self._command("proceed"))
 
     def do_abort(self) -> None:
         """End the run after the point in flight."""
@@ -254,12 +223,13 @@ class RunActions:
 
     def answer(self) -> None:
         """Answer the prompt, where the engine answers and the tracker sees the reflector."""
-        session = self._application.session
-        if session is None or session.view.prompt is None:
+        session = self._application.shown_session
+        prompt = session.view.prompt
+        if prompt is None:
             return
         if refused := no_answer_reason(session.view):
             self._application.show_notice(refused)
-        elif session.view.prompt.check and not session.view.prompt.ready:
+        elif prompt.check and not prompt.ready:
             from hilcell.tui.text.prompt import lost_devices
 
             lost = lost_devices(session.view)
@@ -279,23 +249,20 @@ class RunActions:
         from hilcell.journal.words import in_words, key_words
         from hilcell.run.states import retake_refusal
 
-        session = self._application.session
-        if session is None:
-            return
-        log = session.view.log
-        refused = retake_refusal(log, key) if key else "no point is chosen"
-        point = key_words(key, log) if key in log.points else key
+        view, ask = self._application.shown_session.view, self._application.ask
+        refused = retake_refusal(view.log, key) if key else "no point is chosen"
+        point = key_words(key, view.log) if key in view.log.points else key
         if refused:
-            self._application.show_notice(in_words(refused, log))
-        elif session.view.live:
-            self._application.ask(
+            self._application.show_notice(in_words(refused, view.log))
+        elif view.live:
+            ask(
                 "Re-measure this point?",
                 f"{point}: before the robot's next point; it moves there.",
                 "re-measure",
                 lambda: self._command("retake", key=key),
             )
         else:
-            self._application.ask(
+            ask(
                 "Open this run again and re-measure the point?",
                 f"{point}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
@@ -304,9 +271,7 @@ class RunActions:
 
     def resume(self, *options: str) -> None:
         """Start an engine that goes on with the run that is shown."""
-        session = self._application.session
-        if session is None:
-            return
+        session = self._application.shown_session
         folder = session.folder
         attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
         command = ["resume", folder.name, "--runs", str(folder.parent), *attended, *options]
@@ -316,7 +281,12 @@ class RunActions:
         """Start an engine and show its run; report an end that the journal does not hold."""
         started = process.start_engine(folder.parent, folder.name, arguments)
         self._application.attach(folder, started.process)
-        self._application.start_task(_watch(started))
+
+        async def watch() -> None:
+            if reason := await run_in_thread(started.wait_for_end):
+                raise HilcellError(reason)
+
+        self._application.start_task(watch())
 
     async def _answer_prompt(self, session: Session) -> None:
         self._application.show_notice("the tracker looks once more ...")
@@ -325,14 +295,8 @@ class RunActions:
 
     def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command to the engine from another thread: keys do not wait."""
-        session = self._application.session
-        if session is not None:
-            self._application.start_task(run_in_thread(session.ask, command, **subject))
-
-
-async def _watch(started: process.StartedEngine) -> None:
-    if reason := await run_in_thread(started.wait_for_end):
-        raise HilcellError(reason)
+        session = self._application.shown_session
+        self._application.start_task(run_in_thread(session.ask, command, **subject))
 
 
 class HilcellApp(App[int]):
@@ -391,11 +355,11 @@ class HilcellApp(App[int]):
         return self.view is not None and self.view.live
 
     @property
-    def latch(self) -> Latch:
-        """Return the alarms of the run that is shown."""
+    def shown_session(self) -> Session:
+        """Return the session of the run that is shown; raises `HilcellError` where none is."""
         if self.session is None:
             raise HilcellError("no run is shown")
-        return self.session.latch
+        return self.session
 
     # -- opening ------------------------------------------------------------------------------
 
@@ -602,13 +566,9 @@ class HilcellApp(App[int]):
         """Return why an action does nothing now on the top screen."""
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
-        unacknowledged = self.session is not None and self.latch.waits()
-        return refusal(
-            name,
-            self.view,
-            background=self.open_runs.background is not None,
-            unacknowledged=unacknowledged,
-        )
+        unacknowledged = self.session is not None and self.session.latch.waits()
+        behind = self.open_runs.background is not None
+        return refusal(name, self.view, background=behind, unacknowledged=unacknowledged)
 
     def label(self, name: str) -> str:
         """Return the current label of an action on the page that is shown."""
@@ -638,11 +598,9 @@ class HilcellApp(App[int]):
                 return
             if name == "detach" and not self.key_is_deliberate:
                 name = "quit"  # which asks: no scanned code leaves an attended run alone
-            if name in PAGES:
-                self._turn_to(page_of(name, self.session))
-            else:
-                makers = (self.screen, self.actions, self)
-                next(filter(None, (getattr(each, f"do_{name}", None) for each in makers)))()
+            makers = (self.screen, self.actions, self)
+            acts = filter(None, (getattr(each, f"do_{name}", None) for each in makers))
+            next(acts, lambda: self._turn_to(pages()[name]))()
 
     def do_stop(self) -> None:
         """Stop everything; where nothing runs, go back."""
@@ -681,13 +639,13 @@ class HilcellApp(App[int]):
 
         self.push_screen(Confirm(title, text, yes), replied)
 
-    def _turn_to(self, page: BaseScreen) -> None:
+    def _turn_to(self, page: type[BaseScreen]) -> None:
         """Show a page; one of its kind that is open is gone back to: keys may be held down."""
-        if any(type(each) is type(page) for each in self.screen_stack):
-            while type(self.screen) is not type(page):
+        if any(type(each) is page for each in self.screen_stack):
+            while type(self.screen) is not page:
                 self.pop_screen()
         else:
-            self.push_screen(page)
+            self.push_screen(page())
 
     def action_command_palette(self) -> None:
         """Show the palette, or go back from it."""
@@ -698,10 +656,10 @@ class HilcellApp(App[int]):
 
     def do_acknowledge(self) -> None:
         """Acknowledge every alarm, here and in the run's journal."""
-        if self.session is not None:
-            made = self.session.acknowledge()
-            self._show()
-            self.start_task(run_in_thread(self.session.send, made))
+        session = self.shown_session
+        made = session.acknowledge()
+        self._show()
+        self.start_task(run_in_thread(session.send, made))
 
     def do_theme(self) -> None:
         """Show the next theme; 16 colours have one."""

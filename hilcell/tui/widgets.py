@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, cast
+from typing import ClassVar
 
 from rich.cells import cell_len, set_cell_size
 from rich.segment import Segment
@@ -29,24 +29,19 @@ from textual.widgets import Input, Static
 
 from hilcell.clean import UNSAFE, clean
 from hilcell.tui.layout import Lines, look_of
-from hilcell.tui.terminal.capabilities import Glyphs, to_ascii
+from hilcell.tui.terminal.capabilities import to_ascii
 
 
-class HasGlyphs(Protocol):
-    """The application, as far as widgets use it."""
+def _is_plain(widget: Widget) -> bool:
+    """Whether the terminal shows ASCII alone."""
+    return widget.app.has_class("plain")
 
-    glyphs: Glyphs
 
-
-def safe_content(content: Content, *, plain: bool) -> Content:
+def _safe(content: Content, *, plain: bool) -> Content:
     """Return content of the same length whose characters are all safe to print."""
-    text = "\n".join(UNSAFE.sub("?", line) for line in content.plain.split("\n"))
-    return Content(to_ascii_lines(text) if plain else text, spans=list(content.spans))
-
-
-def to_ascii_lines(text: str) -> str:
-    """Return text in ASCII, line by line."""
-    return "\n".join(to_ascii(line) for line in text.split("\n"))
+    lines = (UNSAFE.sub("?", line) for line in content.plain.split("\n"))
+    text = "\n".join(map(to_ascii, lines) if plain else lines)
+    return Content(text, spans=list(content.spans))
 
 
 class Shown(Visual):
@@ -58,7 +53,7 @@ class Shown(Visual):
     def content(self, width: int, height: int = 0) -> Content:
         """Return the lines for a panel of this size."""
         lines = self._source.lines(width, height)
-        return Content("\n").join(safe_content(line, plain=self._plain) for line in lines)
+        return Content("\n").join(_safe(line, plain=self._plain) for line in lines)
 
     def render_strips(
         self, width: int, height: int | None, style: VisualStyle, options: RenderOptions
@@ -84,10 +79,11 @@ class TextPanel(Static):
 
     def show(self, text: Content | str | Lines) -> None:
         """Show a text, where it differs from what is shown."""
-        plain = cast("HasGlyphs", self.app).glyphs.plain
+        plain = _is_plain(self)
         content = Content(text) if isinstance(text, str) else text
+        visual: Visual
         if isinstance(content, Content):
-            state, visual = look_of(content), cast("Visual", safe_content(content, plain=plain))
+            state, visual = look_of(content), _safe(content, plain=plain)
         else:
             state, visual = content.state, Shown(content, plain=plain)
         if state != self._state:
@@ -113,7 +109,7 @@ class Titled(Widget):
         """Show both."""
         if (state := (look_of(title), note)) != self._titles:
             self._titles = state
-            self.border_title = safe_content(title, plain=cast("HasGlyphs", self.app).glyphs.plain)
+            self.border_title = _safe(title, plain=_is_plain(self))
             self.border_subtitle = note
 
 
@@ -252,12 +248,10 @@ class Table(ScrollView, can_focus=True):
             super().__init__()
             self.key = key
 
-    def __init__(
-        self, columns: Sequence[Column], *, empty: str, plain: bool = False, id: str | None = None
-    ) -> None:
+    def __init__(self, columns: Sequence[Column], *, empty: str, id: str | None = None) -> None:
         super().__init__(id=id)
         self.columns = tuple(columns)
-        self.empty, self.plain = empty, plain
+        self.empty = empty
         self.rows: Sequence[Row] = ()
         self.cursor = 0
         self.follow = False  # keep the cursor on the last row while rows come
@@ -357,7 +351,7 @@ class Table(ScrollView, can_focus=True):
         return Strip(segments).adjust_cell_length(self.size.width, style).crop(0, self.size.width)
 
     def _shown(self, text: str) -> str:
-        return to_ascii(text) if self.plain else text
+        return to_ascii(text) if _is_plain(self) else text
 
     def _colour(self, tone: str) -> str:
         return self.app.theme_variables[tone]

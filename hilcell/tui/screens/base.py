@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -23,12 +23,8 @@ from hilcell.tui.text.refusals import pause_command
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
-    from subprocess import Popen
-
-    from hilcell.alarms import Latch
-    from hilcell.tui.engine.open_runs import OpenRuns
+    from hilcell.tui.app import HilcellApp
     from hilcell.tui.engine.run_view import RunView
-    from hilcell.tui.engine.session import Session
     from hilcell.tui.text.alarms import AlarmContext
 
 
@@ -48,75 +44,6 @@ class Options:
     settings: tuple[str, ...] = ()
     theme: str = NAMES[0]
     slow: bool = False
-
-
-class Actions(Protocol):
-    """The actions on a run that screens take by themselves."""
-
-    def answer(self) -> None:
-        """Answer the prompt, where the engine answers and the tracker sees the reflector."""
-
-    def retake(self, key: str) -> None:
-        """Re-measure a point: in the live run, or by opening a finished one again."""
-
-    def start(self, folder: Path, arguments: list[str]) -> None:
-        """Start an engine and show its run; report an end that the journal does not hold."""
-
-
-class Application(Protocol):
-    """The application as its screens see it."""
-
-    options: Options
-    glyphs: Glyphs
-    keymap: Keymap
-    open_runs: OpenRuns
-    key_is_deliberate: bool  # whether the current key came by itself, not in a burst
-
-    @property
-    def actions(self) -> Actions:
-        """Return the actions on the run that is shown."""
-
-    @property
-    def session(self) -> Session | None:
-        """Return the session of the run that is shown."""
-
-    @property
-    def view(self) -> RunView | None:
-        """Return what is known of the run that is shown."""
-
-    @property
-    def latch(self) -> Latch:
-        """Return its alarms; raises `HilcellError` where no run is shown."""
-
-    def allowed(self, name: str) -> bool:
-        """Whether an action does something now."""
-
-    def refusal(self, name: str) -> str:
-        """Return why an action does nothing now."""
-
-    def label(self, name: str) -> str:
-        """Return the current label of an action."""
-
-    def do(self, name: str) -> None:
-        """Do an action, where it is allowed."""
-
-    def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
-        """Ask before an act; only a yes does it."""
-
-    def show_notice(self, text: str, *, for_now: bool = False) -> None:
-        """Show a notice on the line above the keys."""
-
-    def start_task(self, work: Awaitable[None]) -> None:
-        """Start work that may take a while; show its error as a notice."""
-
-    def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
-        """Show a run in place of the one shown."""
-
-    def show_background_run(self) -> None:
-        """Show the background run again."""
-
-    def open_run(self, folder: Path) -> None:
-        """Show another run; leaving a live one asks."""
 
 
 class BaseScreen(Screen[None]):
@@ -140,9 +67,9 @@ class BaseScreen(Screen[None]):
         return built and self.app.is_running and self in self.app.screen_stack
 
     @property
-    def application(self) -> Application:
-        """Return the application, as screens see it."""
-        return cast("Application", self.app)
+    def application(self) -> HilcellApp:
+        """Return the application."""
+        return cast("HilcellApp", self.app)
 
     @property
     def line_width(self) -> int:
@@ -323,7 +250,7 @@ class Dialog(ModalScreen[T]):
     @property
     def deliberate(self) -> bool:
         """Whether the current key is an answer: Enter from a scanner, or a held one, is not."""
-        return cast("Application", self.app).key_is_deliberate
+        return cast("HilcellApp", self.app).key_is_deliberate
 
     def show_texts(self, question: Content, answers: Content) -> None:
         """Show both."""

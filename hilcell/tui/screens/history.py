@@ -46,11 +46,7 @@ class HistoryPage(FilterScreen, Page):
 
     def body(self) -> ComposeResult:
         """Build filter and rows."""
-        yield Table(
-            columns_for(self.line_width),
-            empty="reading the index ...",
-            plain=self.application.glyphs.plain,
-        )
+        yield Table(columns_for(self.line_width), empty="reading the index ...")
         yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
     def on_mount(self) -> None:
@@ -142,7 +138,7 @@ class ComparePage(Page):
     def body(self) -> ComposeResult:
         """Build the heading and the rows."""
         yield TextPanel("comparison_text")
-        yield Table(COLUMNS, empty="reading both journals ...", plain=self.application.glyphs.plain)
+        yield Table(COLUMNS, empty="reading both journals ...")
 
     def on_mount(self) -> None:
         """Compare."""

@@ -57,7 +57,8 @@ class AlarmPage(TextPage):
         """Return the alarms, newest first."""
         if view is None:
             return Content("")
-        return alarm_page(view.alarms, self.application.latch, self.alarm_context())
+        latch = self.application.shown_session.latch
+        return alarm_page(view.alarms, latch, self.alarm_context())
 
 
 class InterlockPage(TextPage):
@@ -143,7 +144,7 @@ class LogPage(FilterScreen, Page):
 
     def body(self) -> ComposeResult:
         """Build rows and filter."""
-        rows = Table(log_columns(BEGIN), empty="no records", plain=self.application.glyphs.plain)
+        rows = Table(log_columns(BEGIN), empty="no records")
         rows.follow = True
         yield rows
         yield self.filter_box("filter: words of a record")
@@ -182,9 +183,8 @@ class ReportPage(TextPage):
     title_text = "Report"
     footer = ("stop", "history", "quit")
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._folder = folder
         self._where = "writing the report ..."
         self._state = "computing the figures from the journal ..."
         self._figures: Json | None = None
@@ -192,8 +192,9 @@ class ReportPage(TextPage):
     def on_mount(self) -> None:
         """Write the report."""
         super().on_mount()
-        self.application.start_task(self._show_figures())
-        self.application.start_task(self._write())
+        folder = self.application.shown_session.folder
+        self.application.start_task(self._show_figures(folder))
+        self.application.start_task(self._write(folder))
 
     def text(self, view: RunView | None) -> Lines:
         """Return where the file is, and the figures."""
@@ -203,10 +204,10 @@ class ReportPage(TextPage):
         log = view.log if view is not None else None
         return Stack(where, BLANK, report_lines(self._figures, log))
 
-    async def _show_figures(self) -> None:
-        runs = str(self._folder.parent)
+    async def _show_figures(self, folder: Path) -> None:
+        runs = str(folder.parent)
         try:
-            text = await process.run_command("show", self._folder.name, "--json", "--runs", runs)
+            text = await process.run_command("show", folder.name, "--json", "--runs", runs)
             self._figures = decoded(text.partition("\n")[0], Json)  # remarks follow
         except (HilcellError, msgspec.DecodeError) as error:
             self._state = "the figures could not be computed"
@@ -216,11 +217,10 @@ class ReportPage(TextPage):
         finally:
             self.show_again()
 
-    async def _write(self) -> None:
-        path = (self._folder / FILE).resolve()
-        runs = str(self._folder.parent)
+    async def _write(self, folder: Path) -> None:
+        path, runs = (folder / FILE).resolve(), str(folder.parent)
         try:
-            await process.run_command("report", self._folder.name, "--runs", runs, "-o", str(path))
+            await process.run_command("report", folder.name, "--runs", runs, "-o", str(path))
         except Exception:
             self._where = "the report was not written"
             self.show_again()

@@ -14,6 +14,7 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widgets import Input
 
+from hilcell.alarms import Latched
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
@@ -144,12 +145,7 @@ class RunScreen(FilterScreen):
                     yield TextPanel(name)
                 yield PromptBox(id="prompt")
                 yield AlarmBox(id="alarm")
-                yield Table(
-                    columns_for(80),
-                    empty="no points yet",
-                    id="points",
-                    plain=self.application.glyphs.plain,
-                )
+                yield Table(columns_for(80), empty="no points yet", id="points")
                 yield self.filter_box("filter: words of name, station or state")
                 yield TextPanel("status")
                 yield TextPanel("below")
@@ -183,6 +179,10 @@ class RunScreen(FilterScreen):
         self._show_middle(view)
 
     @property
+    def _standing(self) -> list[Latched]:
+        return self.application.shown_session.latch.standing()
+
+    @property
     def instead(self) -> str:
         """Return which panel stands in the place of the points: prompt, verdict, alarm, or none."""
         view = self.application.view
@@ -190,7 +190,7 @@ class RunScreen(FilterScreen):
             return "prompt" if view is not None else ""
         if self.points_open:
             return ""
-        if panel_is_due(view, self.application.latch.standing()):
+        if panel_is_due(view, self._standing):
             return "alarm"
         known = verdict_of(view) is not None or self._result_of(view) is not None
         return "verdict" if known else ""
@@ -214,7 +214,7 @@ class RunScreen(FilterScreen):
 
     def _show_middle(self, view: RunView) -> None:
         """Show the newest point or what stands in its place, and the status under the points."""
-        instead, standing = self.instead, self.application.latch.standing()
+        instead, standing = self.instead, self._standing
         glyphs, height = self.application.glyphs, self.app.size.height
         for name in BOXES:
             self.query_one(f"#{name}").display = name == (instead or "deviation")
@@ -239,11 +239,11 @@ class RunScreen(FilterScreen):
     def _other_alarms(self, view: RunView) -> bool:
         """Whether alarms stand that a verdict does not show."""
         shown = view.state == "intolerant" and verdict_of(view) is not None
-        return len(self.application.latch.standing()) > shown
+        return len(self._standing) > shown
 
     def _status(self, view: RunView) -> Lines:
         """Return the worst alarm that is not shown, or that there is none and what comes next."""
-        standing, context = self.application.latch.standing(), self.alarm_context()
+        standing, context = self._standing, self.alarm_context()
         if self.instead == "alarm":
             return Stack(alarm_line(standing, context, skip=1), newest_line(view))
         if standing:
@@ -264,8 +264,8 @@ class RunScreen(FilterScreen):
     def _show_verdict(self, view: RunView) -> None:
         glyphs, verdict, result = self.application.glyphs, verdict_of(view), self._result_of(view)
         if verdict is not None:
-            standing = len(self.application.latch.standing())
-            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, standing))
+            lines = verdict_lines(view, verdict, glyphs, len(self._standing))
+            self.panel("verdict").show(lines)
         elif result is not None:
             self.panel("verdict").show(result_lines(view, result, glyphs))
 

@@ -29,7 +29,8 @@ class TableApp(App[None]):
 
     def __init__(self, *, follow: bool = False, plain: bool = False) -> None:
         super().__init__()
-        self.rows = Table(COLUMNS, empty="nothing here", plain=plain)
+        self.set_class(plain, "plain")
+        self.rows = Table(COLUMNS, empty="nothing here")
         self.rows.follow = follow
         self.chosen: list[str] = []
         self.moved: list[str] = []
