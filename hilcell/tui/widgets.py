@@ -153,14 +153,10 @@ class Choice(TextPanel, can_focus=True):
 
     def action_turn(self, step: int) -> None:
         """Choose the next word."""
-        self.choose(self.index + step)
+        self.action_choose(self.index + step)
 
     def action_choose(self, index: int) -> None:
-        """Choose the first or the last word."""
-        self.choose(index)
-
-    def choose(self, index: int) -> None:
-        """Choose a word by its index."""
+        """Choose a word by its index, the last one by -1."""
         self.index = index % len(self.words)
         self._draw()
         self.post_message(self.Turned())
@@ -170,9 +166,6 @@ class Choice(TextPanel, can_focus=True):
         self.show(f"< {self._labels[self.index]} >{count}")
 
 
-_KEYS = BindingsMap(Input.BINDINGS).key_to_bindings
-
-
 class TextField(Input):
     """A text box whose keys act in the order typed, however fast they come.
 
@@ -180,9 +173,11 @@ class TextField(Input):
     application first; a scanner of barcodes sends its next letters before that.
     """
 
+    KEYS: ClassVar = BindingsMap(Input.BINDINGS).key_to_bindings
+
     async def on_key(self, event: Key) -> None:
         """Edit, or submit, before the next letter is taken."""
-        for binding in _KEYS.get(event.key, ()):
+        for binding in self.KEYS.get(event.key, ()):
             event.stop()
             event.prevent_default()
             await self.run_action(binding.action)
@@ -234,19 +229,17 @@ class Table(ScrollView, can_focus=True):
         )
     ]
 
+    @dataclass
     class RowSelected(Message):
         """A row was chosen with Enter."""
 
-        def __init__(self, key: str) -> None:
-            super().__init__()
-            self.key = key
+        key: str
 
+    @dataclass
     class RowHighlighted(Message):
         """The cursor moved to another row."""
 
-        def __init__(self, key: str) -> None:
-            super().__init__()
-            self.key = key
+        key: str
 
     def __init__(self, columns: Sequence[Column], *, empty: str, id: str | None = None) -> None:
         super().__init__(id=id)
@@ -265,16 +258,14 @@ class Table(ScrollView, can_focus=True):
         """Show these rows; the cursor stays on its row where that is still there."""
         if columns is not None:
             self.columns = tuple(columns)
-        key, at_end = self.key, self.follow and self.cursor >= len(self.rows) - 1
-        same = len(rows) > self.cursor and rows[self.cursor].key == key
-        if not same:
-            found = next((n for n, row in enumerate(rows) if row.key == key), None)
-            self.cursor = min(self.cursor, max(len(rows) - 1, 0)) if found is None else found
+        key, last = self.key, max(len(rows) - 1, 0)
+        if self.follow and self.cursor >= len(self.rows) - 1:
+            self.cursor = last
+        elif self.cursor > last or not rows or rows[self.cursor].key != key:
+            found = (n for n, row in enumerate(rows) if row.key == key)
+            self.cursor = next(found, min(self.cursor, last))
         self.rows = rows
-        self.virtual_size = Size(self.size.width, len(rows) + 1)
-        if at_end and rows:
-            self.cursor = len(rows) - 1
-        self._show_cursor()
+        self.on_resize()
         self.refresh()
 
     def on_resize(self) -> None:
@@ -322,55 +313,40 @@ class Table(ScrollView, can_focus=True):
 
     def render_line(self, y: int) -> Strip:
         """Draw one line: the header stays, the rows scroll under it."""
-        width = self.size.width
+        base, index = self.rich_style, int(self.scroll_offset.y) + y - 1
         if y == 0:
-            style = self.get_component_rich_style("table--head")
-            titles = [column.title for column in self.columns]
-            return self._strip(self._line(titles), style, width)
-        index = int(self.scroll_offset.y) + y - 1
-        base = self.rich_style
+            titles = tuple(column.title for column in self.columns)
+            return self._drawn(Row("", titles), self.get_component_rich_style("table--head"))
         if not self.rows and y == 1:
-            return self._strip(f" {self.empty}", base, width)
+            return self._strip([Segment(self._shown(f" {self.empty}"), base)], base)
         if index >= len(self.rows):
-            return Strip.blank(width, base)
+            return Strip.blank(self.size.width, base)
         row = self.rows[index]
-        style = base + Style(color=self._colour(row.tone)) if row.tone else base
         if index == self.cursor:
-            style = self.get_component_rich_style("table--cursor")
-        if row.tones:
-            return self._styled_cells(row, style, cursor=index == self.cursor)
-        return self._strip(self._line(row.cells, cursor=index == self.cursor), style, width)
+            return self._drawn(row, self.get_component_rich_style("table--cursor"), "►")
+        return self._drawn(row, base + self._tone(row.tone))
 
-    def _styled_cells(self, row: Row, style: Style, *, cursor: bool) -> Strip:
-        """Draw a row whose cells have tones of their own."""
-        segments = [Segment(self._shown("►" if cursor else " "), style)]
-        for n, (text, tone) in enumerate(zip(self._cells(row.cells), row.tones, strict=True)):
-            name = tone.removeprefix("*")
-            own = Style(color=self._colour(name) if name else None, bold=tone != name or None)
-            segments += [Segment(" ", style)] * bool(n) + [Segment(text, style + own)]
+    def _drawn(self, row: Row, style: Style, mark: str = " ") -> Strip:
+        """Draw a row after its mark, each cell in its own tone where it has one."""
+        segments = [Segment(self._shown(mark), style)]
+        tones = row.tones or ("",) * len(row.cells)
+        for n, (cell, tone, column) in enumerate(zip(row.cells, tones, self.columns, strict=False)):
+            text = _fit(self._shown(clean(cell)), self._width(column), right=column.right)
+            segments += [Segment(" ", style)] * bool(n)
+            segments.append(Segment(self._shown(text), style + self._tone(tone)))
+        return self._strip(segments, style)
+
+    def _strip(self, segments: Sequence[Segment], style: Style) -> Strip:
         return Strip(segments).adjust_cell_length(self.size.width, style).crop(0, self.size.width)
 
     def _shown(self, text: str) -> str:
         return to_ascii(text) if _is_plain(self) else text
 
-    def _colour(self, tone: str) -> str:
-        return self.app.theme_variables[tone]
-
-    def _strip(self, text: str, style: Style, width: int) -> Strip:
-        return (
-            Strip([Segment(self._shown(text), style)])
-            .adjust_cell_length(width, style)
-            .crop(0, width)
-        )
-
-    def _line(self, cells: Sequence[str], *, cursor: bool = False) -> str:
-        return ("►" if cursor else " ") + " ".join(self._cells(cells))
-
-    def _cells(self, cells: Sequence[str]) -> list[str]:
-        safe = [self._shown(clean(cell)) for cell in cells]
-        columns = zip(safe, self.columns, strict=False)
-        fitted = (_fit(text, self._width(each), right=each.right) for text, each in columns)
-        return [self._shown(text) for text in fitted]  # the mark of what is cut, too
+    def _tone(self, tone: str) -> Style:
+        """Return the style of a tone, ``*`` before it for bold."""
+        name = tone.removeprefix("*")
+        colour = self.app.theme_variables[name] if name else None
+        return Style(color=colour, bold=tone != name or None)
 
     def _width(self, column: Column) -> int:
         if not column.grows:

@@ -144,7 +144,7 @@ class StartScreen(BaseScreen):
         self.panel("notice").display = False
         procedure = self.query_one("#procedure", Choice)
         if "calibrate" in self._names:
-            procedure.choose(self._names.index("calibrate"))
+            procedure.action_choose(self._names.index("calibrate"))
         procedure.focus()
         super().on_mount()
         self.application.start_task(self._read_summaries())
