@@ -109,9 +109,12 @@ def load_keys(path: Path | None) -> Keymap:
         raise SettingsError(str(file), [f"cannot be read: {error.strerror}"]) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(str(file), [f"cannot be read as TOML: {error}"]) from error
-    problems: list[str] = []
-    found = dict(defaults)
-    for name, value in _table_of_keys(table, problems).items():
+    problems = [f"{name}: only [keys] is known" for name in table if name != "keys"]
+    keys, found = table.get("keys", {}), dict(defaults)
+    if not isinstance(keys, dict):
+        problems.append(f"keys: expected a table, got {keys!r}")
+        keys = {}
+    for name, value in keys.items():
         if name not in BY_NAME:
             hint = did_you_mean(name, BY_NAME) or f"; actions: {', '.join(BY_NAME)}"
             problems.append(f"keys.{name}: no such action{hint}")
@@ -122,15 +125,6 @@ def load_keys(path: Path | None) -> Keymap:
     if problems:
         raise SettingsError(str(file), problems)
     return found
-
-
-def _table_of_keys(table: dict[str, object], problems: list[str]) -> dict[str, object]:
-    problems.extend(f"{name}: only [keys] is known" for name in table if name != "keys")
-    keys = table.get("keys", {})
-    if isinstance(keys, dict):
-        return keys
-    problems.append(f"keys: expected a table, got {keys!r}")
-    return {}
 
 
 def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:

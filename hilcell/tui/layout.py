@@ -90,7 +90,10 @@ class Grid(Lines):
         gap: int = 1,
         styles: Mapping[int, str] | None = None,
     ) -> None:
-        self._rows = [[content_of(cell) for cell in row] for row in rows]
+        self._rows = [
+            [Content.assemble(cell) if isinstance(cell, (str, tuple)) else cell for cell in row]
+            for row in rows
+        ]
         self._columns, self._gap, self._styles = columns, gap, styles or {}
 
     def _widths(self, width: int) -> list[int]:
@@ -285,10 +288,3 @@ class Ticks(Filler):
             if gap >= min(line.cell_length, 1):
                 line = line.append(" " * gap).append(text)
         return line
-
-
-def content_of(cell: Cell) -> Content | Filler:
-    """Return a text as content."""
-    if isinstance(cell, str):
-        return Content(cell)
-    return Content.styled(*cell) if isinstance(cell, tuple) else cell

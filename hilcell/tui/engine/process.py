@@ -20,8 +20,6 @@ from hilcell.model.plan import Step
 from hilcell.run.order import Order
 from hilcell.typed import decoded
 
-LISTS_WORDS = "--help` lists what there is"  # the end of `hilcell.commands.parser`'s errors
-OPTION = "argument --"  # before the name of a field whose entry is refused
 REASON = "hilcell: "
 MOST_LINES = 7  # of an engine's log are shown
 EXIT_REASONS = {  # exits that the journal may not hold
@@ -63,7 +61,7 @@ def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngin
     folder = runs / run
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _new_file(folder) as log:
+        with _new_log(folder) as log:
             process = subprocess.Popen(  # noqa: S603 - our own interpreter, no shell reads the arguments
                 [*HILCELL, *arguments, "--screen"],
                 stdin=subprocess.DEVNULL,
@@ -76,7 +74,7 @@ def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngin
         raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
 
 
-def _new_file(folder: Path) -> BinaryIO:
+def _new_log(folder: Path) -> BinaryIO:
     """Open a new file: two screens may resume one run at a time."""
     for number in count(1):
         with suppress(FileExistsError):
@@ -108,8 +106,8 @@ async def run_command(*arguments: str) -> str:
     if process.returncode:
         reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
         words, _, hint = reason.partition("\n")
-        if hint.endswith(LISTS_WORDS):  # of a command line, which nobody wrote here
-            reason = words.partition(": ")[2].removeprefix(OPTION)
+        if hint.endswith("--help` lists what there is"):  # of a command line: nobody wrote it here
+            reason = words.partition(": ")[2].removeprefix("argument --")  # the field's name
         raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
 
