@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import groupby, pairwise, product
+from operator import itemgetter
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -75,7 +76,9 @@ class Scale:
     def _ladders(self) -> Iterable[list[float]]:
         """Yield the ticks, fewer each time."""
         if self.is_log:
-            steps = steps_between(self.low, self.high)
+            steps = [self.low]
+            while steps[-1] < self.high * (1 - ROUNDING):
+                steps.append(step_above(steps[-1]))
             yield steps
             yield [step for step in steps if float(f"{step:e}".partition("e")[0]) == 1.0]
         else:
@@ -92,7 +95,8 @@ def log_scale(values: Array, limits: Sequence[float] = (), before: Scale | None 
     """Return a log scale for values (N,) in mm, of whole steps of 1, 2 and 5."""
     known = [each for each in np.asarray(values, dtype=float).tolist() if LEAST <= each <= MOST]
     lows, highs = [LOG_LOW], [LOG_HIGH]
-    lows += [step_at_most(each) for each in known] + [step_below(each) for each in limits]
+    lows += [max(s for s in _around(each) if s <= each * (1 + ROUNDING)) for each in known]
+    lows += [max(s for s in _around(each) if s < each * (1 - ROUNDING)) for each in limits]
     highs += [step_at_least(each) for each in known] + [step_above(each) for each in limits]
     if before is not None and before.is_log:
         lows, highs = [*lows, before.low], [*highs, before.high]
@@ -115,32 +119,14 @@ def even_scale(
     return Scale(first * step, max(last, first + 1) * step, step)
 
 
-def steps_between(low: float, high: float) -> list[float]:
-    """Return the steps of 1, 2 and 5 from one to another, both among them."""
-    found = [low]
-    while found[-1] < high * (1 - ROUNDING):
-        found.append(step_above(found[-1]))
-    return found
-
-
 def step_at_least(value: float) -> float:
     """Return the least of 1, 2, 5 x 10^n that is not below a value."""
-    return next(each for each in _around(value) if each >= value * (1 - ROUNDING))
-
-
-def step_at_most(value: float) -> float:
-    """Return the greatest of 1, 2, 5 x 10^n that is not above a value."""
-    return next(each for each in reversed(_around(value)) if each <= value * (1 + ROUNDING))
+    return min(each for each in _around(value) if each >= value * (1 - ROUNDING))
 
 
 def step_above(value: float) -> float:
     """Return the least step above a value."""
-    return next(each for each in _around(value) if each > value * (1 + ROUNDING))
-
-
-def step_below(value: float) -> float:
-    """Return the greatest step below a value."""
-    return next(each for each in reversed(_around(value)) if each < value * (1 - ROUNDING))
+    return min(each for each in _around(value) if each > value * (1 + ROUNDING))
 
 
 def _around(value: float) -> list[float]:
@@ -195,31 +181,24 @@ class Canvas:
         """Return the rows as styled text."""
         return [self._line(row) for row in range(self.height)]
 
-    def _pair(self, row: int, column: int) -> tuple[int, int]:
-        return self._halves[2 * row][column], self._halves[2 * row + 1][column]
-
     def _line(self, row: int) -> Content:
-        parts: list[tuple[str, str]] = []
-        for column in range(self.width):
-            letter, style = self._cell(row, column)
-            if parts and parts[-1][1] == style:
-                parts[-1] = (parts[-1][0] + letter, style)
-            else:
-                parts.append((letter, style))
-        return Content.assemble(*parts)
+        cells = [self._cell(row, column) for column in range(self.width)]
+        runs = groupby(cells, key=itemgetter(1))
+        return Content.assemble(*(("".join(cell for cell, _ in run), style) for style, run in runs))
 
     def _cell(self, row: int, column: int) -> tuple[str, str]:
-        upper, lower = self._pair(row, column)
-        if (upper, lower) == (NONE, NONE):
+        upper, lower = self._halves[2 * row][column], self._halves[2 * row + 1][column]
+        if upper == lower == NONE:
             return self._texts[row][column], self._styles[row][column]
         if self._letters:
             ink = self._inks[max(upper, lower)]
             return ink.letter, ink.words
         if upper == lower:
             return "█", self._inks[upper].colour
-        if NONE in (upper, lower):
-            return ("▀", self._inks[upper].colour) if lower == NONE else (
-                "▄", self._inks[lower].colour)  # fmt: skip
+        if lower == NONE:
+            return "▀", self._inks[upper].colour
+        if upper == NONE:
+            return "▄", self._inks[lower].colour
         return "▀", f"{self._inks[upper].colour} on {self._inks[lower].colour}"
 
 
@@ -410,7 +389,7 @@ class _Drawing:
         spots = place(names, [*lines, words], wanted)
         for name, style, spot in zip(names, styles, spots, strict=True):
             if spot is not None:
-                self._canvas.text(spot.row, self._left + spot.column, name, style)
+                self._canvas.text(spot[0], self._left + spot[1], name, style)
 
 
 FARTHEST = 3  # rows between a name and its line
@@ -418,31 +397,23 @@ EDGE = 1  # free columns around a name
 ENOUGH = 4  # rows to another line, beyond which more are no better
 
 
-@dataclass(frozen=True, slots=True)
-class Spot:
-    """Row and column of a name's first letter."""
-
-    row: int
-    column: int
-
-
 def place(
     names: Sequence[str], lines: Sequence[Bools], wanted: Sequence[float]
-) -> list[Spot | None]:
-    """Return a spot for each name, or None where there is no room.
+) -> list[tuple[int, int] | None]:
+    """Return row and column of the first letter of each name, or None where there is no room.
 
     ``lines``: the cells (rows, columns) that each series covers. ``wanted``: the share of the
     width at which each name had best begin, so that names are apart.
     """
     taken: Bools = np.any(lines, axis=0)
     away = [_rows_away(line) for line in lines]
-    spots: list[Spot | None] = []
+    spots: list[tuple[int, int] | None] = []
     for number, name in enumerate(names):
         others = [each for n, each in enumerate(away) if n != number]
         spot = _spot(len(name), lines[number], others, taken, wanted[number])
         if spot is not None:
-            around = slice(max(spot.column - EDGE, 0), spot.column + len(name) + EDGE)
-            taken[spot.row, around] = True
+            row, column = spot
+            taken[row, max(column - EDGE, 0) : column + len(name) + EDGE] = True
         spots.append(spot)
     return spots
 
@@ -458,20 +429,17 @@ def _rows_away(line: Bools) -> Ints:
     return away
 
 
-def _in_windows(cells: Bools, span: int) -> Bools:
-    """Return whether any of ``span`` cells from each start on is set, (rows, starts)."""
-    found: Bools = np.any(sliding_window_view(cells, span, axis=1), axis=2)
-    return found
-
-
 def _spot(
     length: int, own: Bools, others: Sequence[Ints], taken: Bools, wanted: float
-) -> Spot | None:
+) -> tuple[int, int] | None:
     height, width = own.shape
     span = length + 2 * EDGE
     if width < span:
         return None
-    covered, busy = _in_windows(own, span), _in_windows(taken, span)
+    # Whether any of ``span`` cells from each start on is set, (rows, starts).
+    covered, busy = (
+        np.any(sliding_window_view(each, span, axis=1), axis=2) for each in (own, taken)
+    )
     foreign = np.full(covered.shape, height)
     for away in others:
         foreign = np.minimum(foreign, sliding_window_view(away, span, axis=1).min(axis=2))
@@ -487,5 +455,5 @@ def _spot(
         costs = np.where(fits, far + aside - 0.5 * np.minimum(near, ENOUGH), np.inf)
         at = int(costs.argmin())
         if costs[at] < least:
-            best, least = Spot(int(rows[at]), at + EDGE), float(costs[at])
+            best, least = (int(rows[at]), at + EDGE), float(costs[at])
     return best

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import NamedTuple, Self, TypeVar
+from operator import itemgetter
+from typing import Self, TypeVar
 
 import msgspec
 from textual.content import Content
@@ -62,7 +62,7 @@ from hilcell.tui.layout import (
 )
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
-from hilcell.tui.text.run import is_simulated, simulation_block
+from hilcell.tui.text.run import SAID, is_simulated, simulation_block
 from hilcell.typed import Json, typed
 
 LEAST_WIDTH, LEAST_ROWS = 78, 14
@@ -178,11 +178,6 @@ def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int)
 
 
 TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
-SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
-    Outcome.ACCEPTED: ("fresh", "$passed"),
-    Outcome.UNDECIDED: ("warned", "$ask"),
-    Outcome.REJECTED: ("warned", "bold $fault"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +220,10 @@ class Station:
     def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
         """Return its row of the table."""
         judged, outcome = self.judged, self.judged.outcome
-        shape, tone = SHOWN[outcome]
-        word = outcome.short.upper() if outcome is Outcome.REJECTED else outcome.short
+        role, shape, *_ = SAID[outcome]
+        word, tone = outcome.short, f"${role}"
+        if outcome is Outcome.REJECTED:
+            word, tone = word.upper(), f"bold {tone}"
         mean_style = "bold" if judged.mean_mm <= limits.mean_mm else "bold $fault"
         max_style = "" if judged.max_mm <= limits.max_mm else "bold $fault"
         return [
@@ -245,16 +242,10 @@ class Station:
 class Finished:
     """A finished validation: its stations, its limits and the run's outcome."""
 
-    passed: bool
     outcome: Outcome
     stations: tuple[Station, ...]
     limits: Limits
     floor_mm: float
-
-    @property
-    def undecided(self) -> bool:
-        """Whether neither that the limits are kept is shown nor the contrary."""
-        return self.outcome is Outcome.UNDECIDED
 
     @property
     def worst_mean(self) -> Station:
@@ -269,9 +260,9 @@ class Finished:
     @property
     def words(self) -> tuple[str, str]:
         """Return the verdict in one word, and what it states."""
-        outcome = Outcome.ACCEPTED if self.passed else self.outcome
-        said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
-        return outcome.short.upper(), said
+        undecided = self.outcome is Outcome.UNDECIDED
+        said = "neither pass nor fail" if undecided else self.outcome.words
+        return self.outcome.short.upper(), said
 
     @property
     def reason_words(self) -> str:
@@ -297,8 +288,7 @@ class Finished:
             Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
                    single.judged.max_U_mm),
         )  # fmt: skip
-        role = "passed" if self.passed else "ask" if self.undecided else "fault"
-        return Head((word,), stated, role, figures)
+        return Head((word,), stated, SAID[self.outcome][0], figures)
 
     @property
     def orientation(self) -> list[Lines | Text]:
@@ -340,22 +330,21 @@ def verdict_of(view: RunView) -> Finished | None:
         return None
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
-    found = {name: view.log.verdict(Judged, f"{VALIDATION}{name}") for name in names}
-    judged = {name: each for name, each in found.items() if each is not None}
-    if not judged:
+    stations = [
+        Station(name, place.points, place.before.mean, place.chosen.p95, judged)
+        for name in names
+        for place in (places[name],)
+        if (judged := view.log.verdict(Judged, f"{VALIDATION}{name}")) is not None
+    ]
+    if not stations:
         return None
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
-    return Finished(
-        passed=view.state == "done",
-        outcome=run_judged(view.log) or Outcome.REJECTED,
-        stations=tuple(
-            Station(name, place.points, place.before.mean, place.chosen.p95, each)
-            for name, each in judged.items()
-            for place in (places[name],)
-        ),
-        limits=limits_of(view.log.cell),
-        floor_mm=max(floors, default=math.nan),
-    )
+    outcome = Outcome.ACCEPTED
+    if view.state != "done":
+        undecided = run_judged(view.log) is Outcome.UNDECIDED
+        outcome = Outcome.UNDECIDED if undecided else Outcome.REJECTED
+    limits = limits_of(view.log.cell)
+    return Finished(outcome, tuple(stations), limits, max(floors, default=math.nan))
 
 
 # -- drawing ---------------------------------------------------------------------------------------
@@ -382,7 +371,7 @@ def verdict_lines(view: RunView, found: Finished, glyphs: Glyphs, standing: int 
 
 def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
-    if not found.passed and view.alarms:
+    if found.outcome is not Outcome.ACCEPTED and view.alarms:
         gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
         return _advice(view, found, gravest_alarm, glyphs)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
@@ -416,15 +405,13 @@ def _advice(view: RunView, found: Finished, alarm: Alarm, glyphs: Glyphs) -> lis
 
 
 def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:
-    celsius = view.log.temperatures_c()
-    unit = f"{glyphs.degree}C"
-    air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
+    celsius, air = view.log.temperatures_c(), ""
+    if celsius:
+        air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {glyphs.degree}C"
     if not view.log.calibrates:
-        none = " no calibration file was to be written"
-        return _whole((none, "$label"), (air, "$label"))
+        return _whole((" no calibration file was to be written", "$label"), (air, "$label"))
     if view.calibration_lost:
-        text = f" {glyphs.warned} calibration.json is not written: space writes it"
-        return Content.styled(text, "$ask")
+        return f" {glyphs.warned} calibration.json is not written: space writes it", "$ask"
     names = " ".join(each.name for each in found.stations)
     head = Content.assemble((" written: ", "$label"), "calibration.json")
     return _whole(head, (f" for {names}", "$label"), (air, "$label"))
@@ -464,31 +451,30 @@ class Result:
             Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
             Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
         )
-        rows = [
-            _PoseRow(
+        rows: list[tuple[str, ...]] = [
+            (
                 name,
-                figure(each.ap_mm),
-                figure(each.ap_u95_mm),
-                figure(each.rp_mm),
-                figure(each.rp_u95_mm),
+                *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm)),
                 *_worst_angles(turned.get(name)),
                 "pass" if test.keeps(name) else "FAIL",
             )
             for name, each in test.poses.items()
         ]
-        columns = [*POSES, *(ANGLES if turned else ())]
+        heads = [("pose", ""), (AP.symbol, "mm"), ("U", "mm"), (RP.symbol, "mm"), ("U", "mm")]
+        heads += [(AP_ANGLES.symbol, "°"), (RP_ANGLES.symbol, "°"), ("verdict", "")]
+        columns = [
+            Column(name, itemgetter(n), unit, "s" if unit else "")
+            for n, (name, unit) in enumerate(heads)
+            if (n < 5 or turned or n == 7) and (n < 7 or limits)
+        ]
+        words = (("ISO",), "no limits stated", "label")
         if limits:
-            columns.append(Column("verdict", attrgetter("verdict")))
             angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
-            rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
-        words, stated, role = (("ISO",), "no limits stated", "label")
-        if test.limits:
-            words, stated, role = (
-                (("PASS",), "within its limits", "passed")
-                if passed
-                else (("FAIL",), "not within its limits", "fault")
-            )
-        return cls(Head(words, stated, role, figures), _distance_words(test), Table(columns, rows))
+            rows.append(("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles, ""))
+            words = ("FAIL",), "not within its limits", "fault"
+            if passed:
+                words = ("PASS",), "within its limits", "passed"
+        return cls(Head(*words, figures), _distance_words(test), Table(columns, rows))
 
     @classmethod
     def of_recheck(cls, found: RecheckResult, log: Log) -> Self:
@@ -554,35 +540,6 @@ def own_words(name: str, result: Json) -> tuple[Table, str]:
         return Table((), ()), ""  # of another version, or of a procedure that is not installed here
 
 
-# -- a pose test -----------------------------------------------------------------------------------
-
-
-class _PoseRow(NamedTuple):
-    """A pose's figures as they are shown, or their limits."""
-
-    name: str
-    ap: str
-    ap_U: str
-    rp: str
-    rp_U: str
-    ap_angle: str
-    rp_angle: str
-    verdict: str = ""
-
-
-POSES = (
-    Column[_PoseRow]("pose", attrgetter("name")),
-    Column[_PoseRow](AP.symbol, attrgetter("ap"), "mm", "s"),
-    Column[_PoseRow]("U", attrgetter("ap_U"), "mm", "s"),
-    Column[_PoseRow](RP.symbol, attrgetter("rp"), "mm", "s"),
-    Column[_PoseRow]("U", attrgetter("rp_U"), "mm", "s"),
-)
-ANGLES = (
-    Column[_PoseRow](AP_ANGLES.symbol, attrgetter("ap_angle"), "°", "s"),
-    Column[_PoseRow](RP_ANGLES.symbol, attrgetter("rp_angle"), "°", "s"),
-)
-
-
 def _distance_words(test: PoseTest) -> str:
     found, stated = test.distance, ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
     limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
@@ -637,12 +594,14 @@ NAMES = {  # of the summary, by the name shown
 
 def report_lines(found: Mapping[str, object], log: Log | None) -> Lines:
     """Return the facts of a run, its own table and its sentence."""
-    procedure = str(found.get("procedure", ""))
-    facts = [("run", str(found.get("run", ""))), ("procedure", procedure_words(procedure))]
-    facts += [("cell", str(found.get("cell", "")))]
-    facts += [("simulated", "yes, no device moved" if found.get("simulated") else "no")]
-    facts += [(shown, _words(found[name])) for name, shown in NAMES.items() if found.get(name)]
-    standing = found.get("standing")
+    procedure, standing = str(found.get("procedure", "")), found.get("standing")
+    facts = [
+        ("run", str(found.get("run", ""))),
+        ("procedure", procedure_words(procedure)),
+        ("cell", str(found.get("cell", ""))),
+        ("simulated", "yes, no device moved" if found.get("simulated") else "no"),
+        *((shown, _words(found[name])) for name, shown in NAMES.items() if found.get(name)),
+    ]
     if isinstance(standing, Mapping):
         facts.append(("calibration", str(standing.get("text", ""))))
     parts: list[Lines | Text] = [facts_grid((name, harmless(text)) for name, text in facts)]
@@ -684,13 +643,13 @@ def sheet_lines(table: Table, log: Log | None = None) -> Lines:
         if sum(widths) + GAP * len(widths) > width:  # headers wrap before columns go on below
             widths = [max(map(len, [*head.split(), *cells])) for head, *cells in columns]
         widths = [max(min(each, WIDEST, width - 2), 1) for each in widths]
-        lines: list[Content] = []
         blocks: list[list[int]] = [[0]] if widths else []  # columns; the first begins each block
         for n in range(1, len(widths)):
             used = sum(widths[m] + GAP for m in blocks[-1])
             if used + widths[n] > width - 1 and len(blocks[-1]) > 1:
                 blocks.append([0])
             blocks[-1].append(n)
+        lines: list[Content] = []
         for block in blocks:
             cols = (Col(most=widths[n], right=n > 0, wraps=True) for n in block)
             rows = [[row[n] for n in block] for row in shown]

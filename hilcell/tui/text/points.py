@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
@@ -18,7 +18,7 @@ from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point, Sent
-from hilcell.ports import Array, HilcellError
+from hilcell.ports import HilcellError
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Lines, Stack, facts_grid
 from hilcell.tui.text.digits import figure
@@ -36,8 +36,8 @@ class Deviation:
     """
 
     key: str
-    error_mm: tuple[float, float, float]
-    actual_mm: tuple[float, float, float]
+    error_mm: tuple[float, ...]  # x, y, z
+    actual_mm: tuple[float, ...]
     limit_mm: float | None
     U_mm: float = 0.0
 
@@ -88,13 +88,8 @@ def deviations_of(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviat
     limit_mm = log.cell.validation.max_tolerance_mm
     for n, error, actual in zip(known, errors.error_mm, actual_mm, strict=True):
         judged = (limit_mm, U_mm) if is_judged(points[n]) else (None, 0.0)
-        found[n] = Deviation(points[n].key, _xyz(error), _xyz(actual), *judged)
+        found[n] = Deviation(points[n].key, (*error.tolist(),), (*actual.tolist(),), *judged)
     return found
-
-
-def _xyz(vector: Array) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
@@ -114,6 +109,11 @@ class PointRow:
     deviation: Deviation | None
     state: str
 
+    @classmethod
+    def of(cls, log: Log, point: Point, deviation: Deviation | None) -> Self:
+        """Return the row of a point and its deviation."""
+        return cls(point, deviation, state_of(log, point, deviation))
+
     @property
     def norm_mm(self) -> float:
         """Return |e|, or -1 where there is none, so that it sorts last."""
@@ -122,23 +122,7 @@ class PointRow:
 
 def row_of(log: Log, point: Point) -> PointRow:
     """Return one point's row."""
-    deviation = deviation_of(log, point)
-    return PointRow(point, deviation, state_of(log, point, deviation))
-
-
-def rows_of(log: Log, points: Sequence[Point], U_mm: float) -> list[PointRow]:
-    """Return the rows of points; ``U_mm`` as in `deviations_of`."""
-    found = zip(points, deviations_of(log, points, U_mm), strict=True)
-    return [PointRow(point, each, state_of(log, point, each)) for point, each in found]
-
-
-def judged_by(log: Log, row: PointRow, U_mm: float) -> PointRow:
-    """Return a row whose error is judged with another U, mm."""
-    known = row.deviation
-    if known is None or known.limit_mm is None or known.U_mm == U_mm:
-        return row
-    deviation = replace(known, U_mm=U_mm)
-    return PointRow(row.point, deviation, state_of(log, row.point, deviation))
+    return PointRow.of(log, point, deviation_of(log, point))
 
 
 BARS_FROM, RMS_FROM, WIDE_WITH_BARS = 78, 69, 128  # widths of the table
@@ -165,32 +149,19 @@ class _Field(NamedTuple):
     cell: Callable[[PointRow], tuple[str, str]]
 
 
+def _known(tone: str, text: Callable[[Deviation], str]) -> Callable[[PointRow], tuple[str, str]]:
+    """Return the cell of a figure that rows without a deviation do not have."""
+    return lambda row: ("" if row.deviation is None else text(row.deviation), tone)
+
+
 def _error(axis: int) -> Callable[[PointRow], tuple[str, str]]:
-    def cell(row: PointRow) -> tuple[str, str]:
-        known = row.deviation
-        return "" if known is None else f"{known.error_mm[axis]:+z.3f}".replace("-", "−"), ""
-
-    return cell
+    return _known("", lambda e: f"{e.error_mm[axis]:+z.3f}".replace("-", "−"))
 
 
-def _nominal(row: PointRow) -> tuple[str, str]:
-    nominal_mm = row.point.nominal_mm
-    return "" if nominal_mm is None else _triple(nominal_mm, 1, 22), "label"
-
-
-def _actual(row: PointRow) -> tuple[str, str]:
-    """Return a place in {W}; the page of a point shows one that is known in {L} only."""
-    return "" if row.deviation is None else _triple(row.deviation.actual_mm, 3, 26), "label"
-
-
-def _triple(values: Sequence[float], digits: int, room: int) -> str:
+def _triple(values: Sequence[float] | None, digits: int, room: int) -> str:
     """Return three lengths in mm; decimals that have no room go, no number is cut."""
-    texts = (" ".join(f"{value:.{n}f}" for value in values) for n in range(digits, -1, -1))
+    texts = (" ".join(f"{value:.{n}f}" for value in values or ()) for n in range(digits, -1, -1))
     return next((text for text in texts if len(text) <= room), "see its page")
-
-
-def _norm(row: PointRow) -> tuple[str, str]:
-    return "" if row.deviation is None else figure(row.deviation.norm_mm), "*"
 
 
 def _bar(row: PointRow) -> tuple[str, str]:
@@ -211,12 +182,15 @@ def _said(row: PointRow) -> tuple[str, str]:
 _FIELDS = (  # after the name
     _Field(Column("station", 7), lambda width: width >= STATIONS_FROM,
            lambda row: (row.point.station, "label")),
-    _Field(Column("nominal x y z mm", 22, right=True), lambda width: width >= WIDE, _nominal),
-    _Field(Column("measured x y z mm", 26, right=True), lambda width: width >= WIDE, _actual),
+    _Field(Column("nominal x y z mm", 22, right=True), lambda width: width >= WIDE,
+           lambda row: (_triple(row.point.nominal_mm, 1, 22), "label")),
+    _Field(Column("measured x y z mm", 26, right=True), lambda width: width >= WIDE,
+           _known("label", lambda e: _triple(e.actual_mm, 3, 26))),
     _Field(Column("dx", 6, right=True), lambda width: width >= FIGURES_FROM, _error(0)),
     _Field(Column("dy", 7, right=True), lambda width: width >= FIGURES_FROM, _error(1)),
     _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
-    _Field(Column("|e| mm", 6, right=True), lambda width: True, _norm),
+    _Field(Column("|e| mm", 6, right=True), lambda width: True,
+           _known("*", lambda e: figure(e.norm_mm))),
     _Field(Column("", 8), lambda width: BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS, _bar),
     _Field(Column("rms", 6, right=True), lambda width: width >= RMS_FROM,
            lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
@@ -269,12 +243,12 @@ class PointRows:
             self._world = log.frames.get("world")
             self._found.clear()
             self._U_of = (0, False)
-        new = [key for key in log.points if self._row(key, log.changed[key]) is None]
+        new = (key for key in log.points if self._row(key, log.changed[key]) is None)
         points = [log.points[key] for key in new]
         if any(is_judged(point) for point in points) or self._U_of[0]:
             self._take_expanded(log)
-        for key, row in zip(new, rows_of(log, points, self._U_mm), strict=True):
-            self._found[key] = log.changed[key], row
+        for point, each in zip(points, deviations_of(log, points, self._U_mm), strict=True):
+            self._found[point.key] = log.changed[point.key], PointRow.of(log, point, each)
         return [self._found[key][1] for key in log.points]
 
     def _row(self, key: str, number: int) -> PointRow | None:
@@ -288,7 +262,10 @@ class PointRows:
             return
         self._U_mm, self._U_of = expanded_of(log), (count, ended)
         for key, (number, row) in self._found.items():
-            self._found[key] = number, judged_by(log, row, self._U_mm)
+            known = row.deviation
+            if known is not None and known.limit_mm is not None and known.U_mm != self._U_mm:
+                judged = PointRow.of(log, row.point, replace(known, U_mm=self._U_mm))
+                self._found[key] = number, judged
 
     def deviation(self, log: Log, point: Point) -> Deviation | None:
         """Return the deviation of a point, as its row has it."""
@@ -339,11 +316,14 @@ def point_page(view: RunView, key: str) -> Lines:
     if point is None:
         return Stack(f"{key}: the journal holds no such point")
     row = row_of(view.log, point)
-    facts: list[tuple[str, str]] = [("point", point.id.words(point.station))]
-    facts += [("key", key), ("state", row.state)]
-    facts += [("group", point.group), ("station", point.station or "-")]
-    if row.deviation is not None:
-        found = row.deviation
+    facts = [
+        ("point", point.id.words(point.station)),
+        ("key", key),
+        ("state", row.state),
+        ("group", point.group),
+        ("station", point.station or "-"),
+    ]
+    if (found := row.deviation) is not None:
         facts += [
             ("nominal, world {W}, mm", _numbers(point.nominal_mm or (), 3)),
             ("measured, world {W}, mm", _numbers(found.actual_mm, 3)),
@@ -365,10 +345,8 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
         return []
     counted = measured.index(counting(log, point))
     norms_mm = errors_of(log, measured).norms_mm.tolist()
-    texts = [
-        f"{norm_mm:.4f}{' (the larger: counts)' if n == counted else ''}"
-        for n, norm_mm in enumerate(norms_mm)
-    ]
+    texts = [f"{norm_mm:.4f}" for norm_mm in norms_mm]
+    texts[counted] += " (the larger: counts)"
     return [("|e| first, then again, mm", ", ".join(texts))]
 
 
@@ -398,9 +376,8 @@ def _measured(point: Point, *, has_rail: bool) -> list[tuple[str, str]]:
 def _readings(point: Point, *, has_rail: bool) -> str:
     if (times := point.readings) is None:
         return "times not recorded"
-    known = {"tracker": times.tracker, "rail": times.rail, "robot": times.robot}
-    if not has_rail:
-        del known["rail"]
+    rail = times.rail if has_rail else None
+    known = {"tracker": times.tracker, "rail": rail, "robot": times.robot}
     ages = ", ".join(f"{name} {each.age_s:.2f}" for name, each in known.items() if each)
     settled_s = times.settled_s
     rest = "" if settled_s is None else f"; at rest for {settled_s:.2f} s when measured"
