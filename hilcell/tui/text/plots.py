@@ -7,6 +7,7 @@ away: a table of its series, of stations and of the worst targets, and words.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,7 +22,7 @@ from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, figures_of, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
-from hilcell.model.point import Point, PointId, Sent
+from hilcell.model.point import Point, Sent
 from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
@@ -91,30 +92,28 @@ class Errors3D:
         return tuple(dict.fromkeys(name for name, _ in self.targets))
 
 
-def errors_by_target(log: Log) -> Errors3D:
-    """Return |e| of every target, in the order in which each was first measured.
-
-    Of a target that was measured more than once the larger error counts, as in the verdict.
-    """
-    if "world" not in log.frames:
-        return Errors3D((), {})
-    points = [*log.measured("validate")]
-    grid = not points
-    points = [*log.measured("grid")] if grid else points
-    points = [counting(log, point) for point in points if point.nominal_mm is not None]
-    return Errors3D.of(points, errors_of(log, points).norms_mm, grid=grid)
-
-
 class Measured:
-    """A journal as the plots see it: errors and residuals are computed once for each drawing."""
+    """A journal as the plots see it: errors and residuals are computed once for each drawing.
+
+    Each plot is turned by its pick.
+    """
 
     def __init__(self, log: Log) -> None:
         self.log = log
 
     @cached_property
     def errors(self) -> Errors3D:
-        """Return |e| of every target."""
-        return errors_by_target(self.log)
+        """Return |e| of every target, in the order in which each was first measured.
+
+        Of a target that was measured more than once the larger error counts, as in the verdict.
+        """
+        log = self.log
+        if "world" not in log.frames:
+            return Errors3D((), {})
+        validated = [*log.measured("validate")]
+        points = validated or [*log.measured("grid")]
+        points = [counting(log, point) for point in points if point.nominal_mm is not None]
+        return Errors3D.of(points, errors_of(log, points).norms_mm, grid=not validated)
 
     def stations(self) -> tuple[str, ...]:
         """Return the stations of the targets, after "" for all."""
@@ -137,7 +136,10 @@ class Measured:
         groups: dict[str, list[Point]] = {}
         for kind in ("repeat", "repeatability", ISO):
             for point in self.log.measured(kind):
-                groups.setdefault(_place(point.id), []).append(point)
+                id, place = point.id, f"place {(point.id.place or 0) + 1}"
+                if id.kind in (ISO, "repeat"):
+                    place = f"pose {id.pose}" if id.kind == ISO else f"{id.how} {id.way}"
+                groups.setdefault(place, []).append(point)
         return {name: from_mean_mm(positions_mm(points)) for name, points in groups.items()}
 
     @cached_property
@@ -175,128 +177,117 @@ class Measured:
         """Return the swept axes by name, A1 first."""
         return tuple(f"A{axis}" for axis in sorted(self.log.curves))
 
+    def errors_plot(self, pick: str = "") -> Plot:
+        """Return |e| target by target."""
+        found = self.errors.at(pick)
+        return target_plot(found, *self._limit(found))
 
-def _place(id: PointId) -> str:
-    if id.kind == ISO:
-        return f"pose {id.pose}"
-    return f"{id.how} {id.way}" if id.kind == "repeat" else f"place {(id.place or 0) + 1}"
+    def sorted_plot(self, pick: str = "") -> Plot:
+        """Return |e| in rising order, over the share of the targets that have less."""
+        found = self.errors.at(pick)
+        series = []
+        for how, y in found.by_how.items():
+            known = np.sort(y[np.isfinite(y)])
+            x = np.arange(len(known)) / max(len(known), 1)
+            series.append(Series(how.text, INKS[how], x, known, joined=True))
+        what = "grid points" if found.grid else "targets"
+        ticks = tuple((share / 100, f"{share} %") for share in (0, 25, 50, 75, 95))
+        x_title = f"share of the {what} that have less than this error"
+        return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *self._limit(found))
 
+    def _limit(self, found: Errors3D) -> tuple[tuple[float, ...], str]:
+        """Return the limit and its name; there is none before anything is corrected."""
+        corrected = bool(found.by_how) and not found.grid
+        limits = (self.log.cell.validation.max_tolerance_mm,) if corrected else ()
+        return limits, "limit of each target"
 
-def errors_plot(of: Measured, pick: str = "") -> Plot:
-    """Return |e| target by target."""
-    found = of.errors.at(pick)
-    return target_plot(found, *_limit(of.log, found))
+    def poses_plot(self, pick: str = "") -> Plot:
+        """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
+        poses, limit_mm = self.poses, self.log.cell.iso9283.ap_limit_mm
+        middles = _middles(len(poses))
+        norms_mm = [np.linalg.norm(found.error_mm, axis=1) for found in poses.values()]
+        x = [
+            middle + np.linspace(-0.3, 0.3, len(each)) / len(poses)  # visits, around the middle
+            for middle, each in zip(middles, norms_mm, strict=True)
+        ]
+        ap_mm = np.array([ap_mm for ap_mm, _ in self.figures_by_pose.values()])
+        series = [Series("each visit", AS_SENT, np.concatenate(x), np.concatenate(norms_mm)),
+                  Series("AP_p", LIVE, middles, ap_mm)] if poses else []  # fmt: skip
+        ticks = tuple(zip(middles.tolist(), poses, strict=True))
+        limits = () if limit_mm is None else (limit_mm,)
+        title = "pose accuracy AP_p, mm"
+        return Plot(title, "pose", ticks, tuple(series), limits, "limit of AP_p")
+
+    def recheck_plot(self, pick: str = "") -> Plot:
+        """Return |e| of the targets of a re-check, beside the bound that is predicted."""
+        found_mm, bounds_mm = self.rechecked_mm
+        x = _middles(len(found_mm))
+        series = [Series("now", LIVE, x, found_mm)] if len(found_mm) else []
+        if len(bounds_mm):
+            series.insert(0, Series("95 % bound", PAPER, x, bounds_mm))
+        title = "|e| of the re-checked targets, mm"
+        return Plot(title, "re-checked target", _counted(len(x) or 1), tuple(series))
+
+    def repeat_plot(self, pick: str = "") -> Plot:
+        """Return how far repeated readings of a place lie from their mean."""
+        values = self.visits_mm
+        if len(values) > len(PLACES):
+            values = {"all visits": np.concatenate([*values.values()])}
+        count = max((len(each) for each in values.values()), default=1)
+        series = [
+            Series(name, ink, _middles(len(y), count), y)
+            for ink, (name, y) in zip(PLACES, values.items(), strict=False)
+        ]
+        title = "distance from the mean of the visits, mm"
+        return Plot(title, "visit", _counted(count), tuple(series))
+
+    def strip_plot(self, pick: str = "") -> Plot:
+        """Return the strip's reading less the station's value at every point, in its own scale.
+
+        The limit is that of a slide that is held: twice the tolerance to which it was approached.
+        """
+        shown = [each for name, each in self.strip_mm.items() if pick in ("", name)]
+        values = np.concatenate([np.zeros(0), *shown])
+        within_mm, count = self.log.cell.rail.held_within_mm, len(values)
+        series = (Series("strip", LIVE, _middles(count), values),) if count else ()
+        return Plot("strip's reading less the station's, mm", "point", _counted(count), series,
+                    (within_mm, -within_mm), "station held within")  # fmt: skip
+
+    def sweep_plot(self, pick: str = "") -> Plot:
+        """Return the spectrum of a swept axis, with the lines of its gears."""
+        axes = self.swept
+        title, x_title = "transmission error, µrad", "cycles per revolution of the joint"
+        if not axes:
+            return Plot(title, x_title, (), ())
+        record = self.log.curves[int((pick or axes[0])[1:])]
+        spectrum = np.array(record.spectrum).reshape(-1, 2)
+        most = 1.02 * float(spectrum[:, 0].max(initial=1.0))
+        step = step_at_least(most / MOST_TICKS)
+        ticks = [(n * step / most, f"{n * step:g}") for n in range(math.floor(most / step) + 1)]
+        series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
+        lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
+        if lines:
+            x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
+            y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
+            series.append(Series("gear lines", LIVE, x, y))
+        marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
+        used = "" if record.holds else f"; not used: {record.reason}"
+        return Plot(f"{title}: axis A{record.axis}{used}", x_title, tuple(ticks), tuple(series),
+                    marks=marks)  # fmt: skip
 
 
 def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
     """Return |e| target by target."""
-    count = max(len(found.targets), 1)
-    x = (np.arange(len(found.targets)) + 0.5) / count
+    count, x = max(len(found.targets), 1), _middles(len(found.targets))
     series = [Series(how.text, INKS[how], x, y) for how, y in found.by_how.items()]
     what = "grid point" if found.grid else "target"
     title = f"|e| {what} by {what}, mm"
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
 
 
-def sorted_plot(of: Measured, pick: str = "") -> Plot:
-    """Return |e| in rising order, over the share of the targets that have less."""
-    found = of.errors.at(pick)
-    series = []
-    for how, y in found.by_how.items():
-        known = np.sort(y[np.isfinite(y)])
-        x = np.arange(len(known)) / max(len(known), 1)
-        series.append(Series(how.text, INKS[how], x, known, joined=True))
-    what = "grid points" if found.grid else "targets"
-    ticks = tuple((share / 100, f"{share} %") for share in (0, 25, 50, 75, 95))
-    x_title = f"share of the {what} that have less than this error"
-    return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *_limit(of.log, found))
-
-
-def _limit(log: Log, found: Errors3D) -> tuple[tuple[float, ...], str]:
-    """Return the limit and its name; there is none before anything is corrected."""
-    limits = () if found.grid or not found.by_how else (log.cell.validation.max_tolerance_mm,)
-    return limits, "limit of each target"
-
-
-def poses_plot(of: Measured, pick: str = "") -> Plot:
-    """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
-    poses, limit_mm = of.poses, of.log.cell.iso9283.ap_limit_mm
-    count = max(len(poses), 1)
-    middles: Array = (np.arange(len(poses)) + 0.5) / count
-    norms_mm = [np.linalg.norm(found.error_mm, axis=1) for found in poses.values()]
-    x = [
-        middle + np.linspace(-0.3, 0.3, len(each)) / count  # visits, around the middle
-        for middle, each in zip(middles, norms_mm, strict=True)
-    ]
-    ap_mm = np.array([ap_mm for ap_mm, _ in of.figures_by_pose.values()])
-    series = [Series("each visit", AS_SENT, np.concatenate(x), np.concatenate(norms_mm)),
-              Series("AP_p", LIVE, middles, ap_mm)] if poses else []  # fmt: skip
-    ticks = tuple(zip(middles.tolist(), poses, strict=True))
-    limits = () if limit_mm is None else (limit_mm,)
-    title = "pose accuracy AP_p, mm"
-    return Plot(title, "pose", ticks, tuple(series), limits, "limit of AP_p")
-
-
-def recheck_plot(of: Measured, pick: str = "") -> Plot:
-    """Return |e| of the targets of a re-check, beside the bound that the calibration predicts."""
-    found_mm, bounds_mm = of.rechecked_mm
-    count = max(len(found_mm), 1)
-    x = (np.arange(count) + 0.5) / count
-    series = [Series("now", LIVE, x, found_mm)] if len(found_mm) else []
-    if len(bounds_mm):
-        series.insert(0, Series("95 % bound", PAPER, x, bounds_mm))
-    title = "|e| of the re-checked targets, mm"
-    return Plot(title, "re-checked target", _counted(count), tuple(series))
-
-
-def repeat_plot(of: Measured, pick: str = "") -> Plot:
-    """Return how far repeated readings of a place lie from their mean."""
-    values = of.visits_mm
-    if len(values) > len(PLACES):
-        values = {"all visits": np.concatenate([*values.values()])}
-    count = max((len(each) for each in values.values()), default=1)
-    series = [
-        Series(name, ink, (np.arange(len(y)) + 0.5) / count, y)
-        for ink, (name, y) in zip(PLACES, values.items(), strict=False)
-    ]
-    return Plot("distance from the mean of the visits, mm", "visit", _counted(count), tuple(series))
-
-
-def strip_plot(of: Measured, pick: str = "") -> Plot:
-    """Return the strip's reading less the station's value at every point, in its own scale.
-
-    The limit is that of a slide that is held: twice the tolerance to which it was approached.
-    """
-    shown = [each for name, each in of.strip_mm.items() if pick in ("", name)]
-    values = np.concatenate([np.zeros(0), *shown])
-    x = (np.arange(len(values)) + 0.5) / max(len(values), 1)
-    within_mm = of.log.cell.rail.held_within_mm
-    series = (Series("strip", LIVE, x, values),) if len(values) else ()
-    return Plot("strip's reading less the station's, mm", "point", _counted(len(values)), series,
-                (within_mm, -within_mm), "station held within")  # fmt: skip
-
-
-def sweep_plot(of: Measured, pick: str = "") -> Plot:
-    """Return the spectrum of a swept axis, with the lines of its gears."""
-    axes = of.swept
-    title, x_title = "transmission error, µrad", "cycles per revolution of the joint"
-    if not axes:
-        return Plot(title, x_title, (), ())
-    record = of.log.curves[int((pick or axes[0])[1:])]
-    spectrum = np.array(record.spectrum).reshape(-1, 2)
-    most = 1.02 * float(spectrum[:, 0].max(initial=1.0))
-    step = step_at_least(most / MOST_TICKS)
-    ticks = [(n * step / most, f"{n * step:g}") for n in range(math.floor(most / step) + 1)]
-    series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
-    lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
-    if lines:
-        x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
-        y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
-        series.append(Series("gear lines", LIVE, x, y))
-    marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
-    used = "" if record.holds else f"; not used: {record.reason}"
-    return Plot(f"{title}: axis A{record.axis}{used}", x_title, tuple(ticks), tuple(series),
-                marks=marks)  # fmt: skip
+def _middles(count: int, of: int | None = None) -> Array:
+    """Return the middles (count,), in shares of the width, of things that are ``of`` in a row."""
+    return (np.arange(count) + 0.5) / (of or max(count, 1))
 
 
 def _counted(count: int) -> tuple[tuple[float, str], ...]:
@@ -333,7 +324,7 @@ class Tab:
 
     name: str
     make: Callable[[Measured, str], Plot]
-    figures: Callable[[Measured, str, Plot, Look], Lines]
+    figures: Callable[[Figures], Lines]
     picks: Callable[[Measured], Sequence[str]] = lambda of: ("",)
     is_log: bool = False  # at first
     may_be_log: bool = False
@@ -344,19 +335,19 @@ class Choice:
     """The state of the page: plot, station, scale and series, and the scales so far."""
 
     tab: int = 0
-    picks: dict[int, int] = field(default_factory=dict)  # by tab
-    turned: dict[int, bool] = field(default_factory=dict)  # by tab: the other kind of scale
+    picks: Counter[int] = field(default_factory=Counter)  # by tab
+    turned: Counter[int] = field(default_factory=Counter)  # by tab: to the other kind of scale
     series: int = 0  # 0: all, else only that
     scales: dict[tuple[object, ...], Scale] = field(default_factory=dict)
 
     def pick(self, of: Measured, tab: Tab) -> str:
         """Return the station, or axis, that is shown."""
         picks = tab.picks(of)
-        return picks[self.picks.get(self.tab, 0) % len(picks)]
+        return picks[self.picks[self.tab] % len(picks)]
 
     def is_log(self, tab: Tab) -> bool:
         """Whether the scale is logarithmic."""
-        return tab.is_log != self.turned.get(self.tab, False) if tab.may_be_log else False
+        return tab.may_be_log and tab.is_log != bool(self.turned[self.tab] % 2)
 
     @property
     def state(self) -> tuple[object, ...]:
@@ -365,11 +356,11 @@ class Choice:
 
     def turn_pick(self) -> None:
         """Choose the next station, or axis."""
-        self.picks[self.tab] = self.picks.get(self.tab, 0) + 1
+        self.picks[self.tab] += 1
 
     def turn_scale(self) -> None:
         """Choose the other scale."""
-        self.turned[self.tab] = not self.turned.get(self.tab, False)
+        self.turned[self.tab] += 1
 
     def turn_series(self, count: int) -> None:
         """Show the next series alone; after the last, all."""
@@ -442,7 +433,7 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     across = width - WIDTH - GAP if beside else width
     named = [replace(each, name=_short(each)) for each in shown.plot.series]
     drawn = draw(replace(shown.plot, series=tuple(named)), shown.scale, across, rows, look)
-    figures = shown.tab.figures(of, shown.pick, shown.plot, look).lines(WIDTH)
+    figures = shown.tab.figures(Figures(of, shown.pick, shown.plot, look)).lines(WIDTH)
     if beside:
         figures += [BLANK] * (len(drawn) - len(figures))
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
@@ -458,7 +449,6 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
 
 # -- the figures -----------------------------------------------------------------------------------
 
-Parts = list[Lines | Text]
 Numbers = Sequence[float | str | None]
 Row = tuple[Text, Text, Numbers]  # a mark, a name and at most three numbers
 
@@ -489,185 +479,203 @@ def _figures(words: str, *rows: Row, heads: Sequence[str], title: str = "figures
     return Stack(section(title), _table(*rows, heads=heads), BLANK, (words, "$label"))
 
 
-def _series(plot: Plot, look: Look, numbers: Iterable[Numbers]) -> list[Row]:
-    named = zip(plot.series, numbers, strict=True)
-    return [(mark_of(look, each.ink), _short(each), values) for each, values in named]
-
-
 def _three(values: Array) -> Numbers:
     known = values[np.isfinite(values)]
     return (*figures_of(known),) if len(known) else ()
 
 
-def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
-    log, found = of.log, of.errors.at(pick)
-    by_name = {way.text: values for way, values in found.by_how.items()}
-    rows = _series(plot, look, (_three(by_name[each.name]) for each in plot.series))
-    floor = floor_mm(log)
-    if floor:
-        rows.append(("", ("floor", "$label"), (floor.get("mean"), floor.get("p95"))))
-    if plot.limits:
-        table = log.cell.validation
-        rows.append(("", "limit", (table.mean_tolerance_mm, None, table.max_tolerance_mm)))
-    parts: Parts = [section("figures"), _table(*rows, heads=HEADS, bold=Sent.CHOSEN.text)]
-    if Sent.CHOSEN in found.by_how:
-        parts += _by_station(of.errors) + _worst(found) + _words(log, found, floor)
-    return Stack(*parts)
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """The figures of a plot that is turned to its pick, as tables and words."""
 
+    of: Measured
+    pick: str
+    plot: Plot
+    look: Look
 
-def floor_mm(log: Log) -> Mapping[str, float]:
-    """Return mean and p95 that robot and tracker leave by themselves, of a run that has ended."""
-    places = log.result.get("validation", {})
-    place = places.get(log.cell.grid.station, {}) if isinstance(places, dict) else {}
-    floor = place.get("floor", {}) if isinstance(place, dict) else {}
-    return {name: each for name, each in floor.items() if isinstance(each, float)}
+    def errors(self) -> Lines:
+        """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
+        log, found = self.of.log, self.of.errors.at(self.pick)
+        by_name = {way.text: values for way, values in found.by_how.items()}
+        rows = self._series(_three(by_name[each.name]) for each in self.plot.series)
+        if floor := self._floor_mm:
+            rows.append(("", ("floor", "$label"), (floor.get("mean"), floor.get("p95"))))
+        if self.plot.limits:
+            table = log.cell.validation
+            rows.append(("", "limit", (table.mean_tolerance_mm, None, table.max_tolerance_mm)))
+        parts: list[Lines | Text] = [
+            section("figures"),
+            _table(*rows, heads=HEADS, bold=Sent.CHOSEN.text),
+        ]
+        if Sent.CHOSEN in found.by_how:
+            parts += self._by_station() + self._worst(found) + self._words(found)
+        return Stack(*parts)
 
+    def visits(self) -> Lines:
+        """Return mean, RP (ISO 9283) and maximum of the distances from the mean, by place."""
+        inks, rows = {series.name: series.ink for series in self.plot.series}, []
+        for name, distances_mm in self.of.visits_mm.items():
+            rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
+            numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
+            rows.append((mark_of(self.look, inks.get(name, PLACES[0])), name, numbers))
+        words = f"RP: mean + 3 s of the distances from the mean (ISO 9283, {RP.clause})."
+        return _figures(words, *rows, heads=("mean", "RP", "max"))
 
-def _by_station(errors: Errors3D) -> Parts:
-    if len(errors.stations) < 2:
-        return []
-    by_station = {name: errors.at(name).by_how.get(Sent.CHOSEN) for name in errors.stations}
-    rows = (("", name, _three(e)) for name, e in by_station.items() if e is not None)
-    return [BLANK, section("corrected, by station"), _table(*rows)]
+    def poses(self) -> Lines:
+        """Return AP_p and RP_l of each pose, and the limits that are stated."""
+        rows: list[Row] = [
+            ("", name, (*figures, str(len(self.of.poses[name].error_mm))))
+            for name, figures in self.of.figures_by_pose.items()
+        ]
+        table = self.of.log.cell.iso9283
+        stated, words = (table.ap_limit_mm, table.rp_limit_mm), ""
+        if any(each is not None for each in stated):
+            rows.append(("", "limit", stated))
+        else:
+            words = "No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). "
+        words += f"AP_p: from the commanded place to the visits' mean (ISO 9283, {AP.clause})."
+        return _figures(words, *rows, heads=("AP_p", "RP_l", "n"))
 
+    def recheck(self) -> Lines:
+        """Return |e| now and its predicted bound, mean and largest, and the worst targets."""
+        now_mm, bounds_mm = self.of.rechecked_mm
+        rows = self._series(_three(each.y) for each in self.plot.series)
+        if not len(bounds_mm):
+            words = "The calibration predicts no bound of these targets."
+            return _figures(words, *rows, heads=HEADS)
+        worst: list[Row] = [
+            ("", f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n])))
+            for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist()
+        ]
+        over = int(np.sum(~(now_mm <= bounds_mm)))
+        words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
+        below = _figures(words, *worst, heads=("bound", "", "now"), title="worst targets")
+        return Stack(section("figures"), _table(*rows, heads=HEADS), BLANK, below)
 
-def _worst(found: Errors3D) -> Parts:
-    errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
-    rows: list[Sequence[Cell]] = []
-    for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
-        if errors[at] >= 0:
-            station, number = found.targets[at]
-            rows.append((f"target {number + 1}", (station, "$label"), f"{errors[at]:.3f}"))
-    grid = Grid(rows, Col(11), Col(12), Col(5, right=True))
-    return [BLANK, section("worst targets"), grid]
-
-
-def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Parts:
-    limit_mm = log.cell.validation.max_tolerance_mm
-    errors = found.by_how[Sent.CHOSEN][np.isfinite(found.by_how[Sent.CHOSEN])]
-    over = int(np.sum(~(errors <= limit_mm)))
-    near = int(np.sum(errors > NEAR * limit_mm)) - over
-    said = "No target near its limit."
-    if over or near:
-        said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
-    means_mm = {
-        name: mean_of(found.at(name).by_how[Sent.CHOSEN])
-        for name in found.stations
-        if Sent.CHOSEN in found.at(name).by_how
-    }
-    worst = max(means_mm, key=lambda name: means_mm[name])
-    worst_mm, limit_mm = means_mm[worst], log.cell.validation.mean_tolerance_mm
-    of_means = "No station's mean near its limit."
-    if not worst_mm <= limit_mm:
-        of_means = f"Mean at {worst} {worst_mm:.3f}: over its limit {limit_mm:.3f}."
-    elif worst_mm > NEAR * limit_mm:
-        of_means = f"Mean at {worst} {worst_mm:.3f}: near its limit {limit_mm:.3f}."
-    sentences, mean_mm = [said, of_means], mean_of(errors)
-    if Sent.BEFORE in found.by_how and mean_mm > 0:
-        same = found.by_how[Sent.BEFORE][np.isfinite(found.by_how[Sent.CHOSEN])]
-        sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
-    if floor.get("mean", 0) > 0:
-        times = mean_mm / floor["mean"]
-        sentences.append(
-            f"Corrected is {times:.1f} times the floor that the robot and tracker leave by "
-            "themselves."
+    def strip(self) -> Lines:
+        """Return mean and largest of the strip's residual, by station, and its limit."""
+        rows: list[Row] = [
+            ("", name, (float(values.mean()), None, float(np.abs(values).max())))
+            for name, values in self.of.strip_mm.items()
+        ]
+        rail = self.of.log.cell.rail
+        rows.append(("", "approached", (None, None, rail.strip_tolerance_mm)))
+        rows.append(("", "held within", (None, None, rail.held_within_mm)))
+        words = (
+            "max: largest distance from the station, either way. An approach ends within the "
+            "tolerance; a slide at rest may read up to twice as far off."
         )
-    return [BLANK, section("what it tells"), *((each, "$label") for each in sentences)]
+        return _figures(words, *rows, heads=("mean", "", "max"))
+
+    def sweeps(self) -> Lines:
+        """Return the gear lines of every swept axis."""
+        heads = ("axis", "cycles/rev.", "size µrad")
+        rows: list[Sequence[Cell]] = [[(head, "$label") for head in heads]]
+        remarks: list[Lines | Text] = []
+        for name in self.of.swept:
+            record = self.of.log.curves[int(name[1:])]
+            style = "bold" if name == (self.pick or self.of.swept[0]) else "$label"
+            for cycles, size in zip(record.cycles, record.amplitudes_urad, strict=True):
+                rows.append([(each, style) for each in (name, f"{cycles:.1f}", f"{size:.1f}")])
+            if not record.holds:
+                remarks.append((f"{name} not used: {record.reason}", "$label"))
+            elif not record.cycles:
+                rows.append([(name, style), ("none", style), ""])
+        words = ("A line is an error that comes back so often in one turn of the joint.", "$label")
+        columns = Col(4), Col(13, right=True), Col(11, right=True)
+        return Stack(section("gear lines"), Grid(rows, *columns), *remarks, BLANK, words)
+
+    def _series(self, numbers: Iterable[Numbers]) -> list[Row]:
+        named = zip(self.plot.series, numbers, strict=True)
+        return [(mark_of(self.look, each.ink), _short(each), values) for each, values in named]
+
+    @property
+    def _floor_mm(self) -> Mapping[str, float]:
+        """Return mean and p95 that robot and tracker leave, of a run that has ended."""
+        places = self.of.log.result.get("validation", {})
+        place = places.get(self.of.log.cell.grid.station, {}) if isinstance(places, dict) else {}
+        floor = place.get("floor", {}) if isinstance(place, dict) else {}
+        return {name: each for name, each in floor.items() if isinstance(each, float)}
+
+    def _by_station(self) -> list[Lines | Text]:
+        errors = self.of.errors
+        if len(errors.stations) < 2:
+            return []
+        by_station = {name: errors.at(name).by_how.get(Sent.CHOSEN) for name in errors.stations}
+        rows = (("", name, _three(e)) for name, e in by_station.items() if e is not None)
+        return [BLANK, section("corrected, by station"), _table(*rows)]
+
+    @staticmethod
+    def _worst(found: Errors3D) -> list[Lines | Text]:
+        errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
+        rows: list[Sequence[Cell]] = []
+        for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
+            if errors[at] >= 0:
+                station, number = found.targets[at]
+                rows.append((f"target {number + 1}", (station, "$label"), f"{errors[at]:.3f}"))
+        grid = Grid(rows, Col(11), Col(12), Col(5, right=True))
+        return [BLANK, section("worst targets"), grid]
+
+    def _words(self, found: Errors3D) -> list[Lines | Text]:
+        table, floor_mm = self.of.log.cell.validation, self._floor_mm
+        limit_mm = table.max_tolerance_mm
+        errors = found.by_how[Sent.CHOSEN][np.isfinite(found.by_how[Sent.CHOSEN])]
+        over = int(np.sum(~(errors <= limit_mm)))
+        near = int(np.sum(errors > NEAR * limit_mm)) - over
+        said = "No target near its limit."
+        if over or near:
+            said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
+        means_mm = {
+            name: mean_of(found.at(name).by_how[Sent.CHOSEN])
+            for name in found.stations
+            if Sent.CHOSEN in found.at(name).by_how
+        }
+        worst = max(means_mm, key=lambda name: means_mm[name])
+        worst_mm, limit_mm = means_mm[worst], table.mean_tolerance_mm
+        of_means = "No station's mean near its limit."
+        if not worst_mm <= limit_mm:
+            of_means = f"Mean at {worst} {worst_mm:.3f}: over its limit {limit_mm:.3f}."
+        elif worst_mm > NEAR * limit_mm:
+            of_means = f"Mean at {worst} {worst_mm:.3f}: near its limit {limit_mm:.3f}."
+        sentences, mean_mm = [said, of_means], mean_of(errors)
+        if Sent.BEFORE in found.by_how and mean_mm > 0:
+            same = found.by_how[Sent.BEFORE][np.isfinite(found.by_how[Sent.CHOSEN])]
+            sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
+        if floor_mm.get("mean", 0) > 0:
+            times = mean_mm / floor_mm["mean"]
+            sentences.append(
+                f"Corrected is {times:.1f} times the floor that the robot and tracker leave by "
+                "themselves."
+            )
+        return [BLANK, section("what it tells"), *((each, "$label") for each in sentences)]
 
 
-def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return mean, RP (ISO 9283) and maximum of the distances from the mean, by place."""
-    inks, rows = {series.name: series.ink for series in plot.series}, []
-    for name, distances_mm in of.visits_mm.items():
-        rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
-        numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
-        rows.append((mark_of(look, inks.get(name, PLACES[0])), name, numbers))
-    words = f"RP: mean + 3 s of the distances from the mean (ISO 9283, {RP.clause})."
-    return _figures(words, *rows, heads=("mean", "RP", "max"))
-
-
-def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return AP_p and RP_l of each pose, and the limits that are stated."""
-    rows: list[Row] = [
-        ("", name, (*figures, str(len(of.poses[name].error_mm))))
-        for name, figures in of.figures_by_pose.items()
-    ]
-    table = of.log.cell.iso9283
-    stated, words = (table.ap_limit_mm, table.rp_limit_mm), ""
-    if any(each is not None for each in stated):
-        rows.append(("", "limit", stated))
-    else:
-        words = "No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). "
-    words += f"AP_p: from the commanded place to the visits' mean (ISO 9283, {AP.clause})."
-    return _figures(words, *rows, heads=("AP_p", "RP_l", "n"))
-
-
-def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return |e| now and its predicted bound, mean and largest, and the worst targets."""
-    now_mm, bounds_mm = of.rechecked_mm
-    rows = _series(plot, look, (_three(each.y) for each in plot.series))
-    if not len(bounds_mm):
-        words = "The calibration predicts no bound of these targets."
-        return _figures(words, *rows, heads=HEADS)
-    worst: list[Row] = [
-        ("", f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n])))
-        for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist()
-    ]
-    over = int(np.sum(~(now_mm <= bounds_mm)))
-    words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
-    below = _figures(words, *worst, heads=("bound", "", "now"), title="worst targets")
-    return Stack(section("figures"), _table(*rows, heads=HEADS), BLANK, below)
-
-
-def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return mean and largest of the strip's residual, by station, and its limit."""
-    rows: list[Row] = [
-        ("", name, (float(values.mean()), None, float(np.abs(values).max())))
-        for name, values in of.strip_mm.items()
-    ]
-    rail = of.log.cell.rail
-    rows.append(("", "approached", (None, None, rail.strip_tolerance_mm)))
-    rows.append(("", "held within", (None, None, rail.held_within_mm)))
-    words = (
-        "max: largest distance from the station, either way. An approach ends within the "
-        "tolerance; a slide at rest may read up to twice as far off."
-    )
-    return _figures(words, *rows, heads=("mean", "", "max"))
-
-
-def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
-    """Return the gear lines of every swept axis."""
-    rows: list[Sequence[Cell]] = [
-        [(head, "$label") for head in ("axis", "cycles/rev.", "size µrad")]
-    ]
-    remarks: Parts = []
-    for name in of.swept:
-        record = of.log.curves[int(name[1:])]
-        style = "bold" if name == (pick or of.swept[0]) else "$label"
-        for cycles, size in zip(record.cycles, record.amplitudes_urad, strict=True):
-            rows.append([(each, style) for each in (name, f"{cycles:.1f}", f"{size:.1f}")])
-        if not record.holds:
-            remarks.append((f"{name} not used: {record.reason}", "$label"))
-        elif not record.cycles:
-            rows.append([(name, style), ("none", style), ""])
-    words = ("A line is an error that comes back so often in one turn of the joint.", "$label")
-    columns = Col(4), Col(13, right=True), Col(11, right=True)
-    return Stack(section("gear lines"), Grid(rows, *columns), *remarks, BLANK, words)
-
-
-REPEAT = Tab("repeatability", repeat_plot, repeat_figures, may_be_log=True)
+REPEAT = Tab("repeatability", Measured.repeat_plot, Figures.visits, may_be_log=True)
 TABS = (
-    Tab("each target", errors_plot, error_figures, Measured.stations, is_log=True, may_be_log=True),
-    Tab("sorted", sorted_plot, error_figures, Measured.stations, is_log=True, may_be_log=True),
+    Tab(
+        "each target",
+        Measured.errors_plot,
+        Figures.errors,
+        Measured.stations,
+        is_log=True,
+        may_be_log=True,
+    ),
+    Tab(
+        "sorted",
+        Measured.sorted_plot,
+        Figures.errors,
+        Measured.stations,
+        is_log=True,
+        may_be_log=True,
+    ),
     REPEAT,
 )
-STRIP = Tab("strip", strip_plot, strip_figures, lambda of: ("", *of.strip_mm))
-SWEEPS = Tab("sweeps", sweep_plot, sweep_figures, lambda of: of.swept)
+STRIP = Tab("strip", Measured.strip_plot, Figures.strip, lambda of: ("", *of.strip_mm))
+SWEEPS = Tab("sweeps", Measured.sweep_plot, Figures.sweeps, lambda of: of.swept)
 MOST_TABS = len((*TABS, STRIP, SWEEPS))
 OF_PROCEDURE = {
-    ISO: (Tab("pose accuracy", poses_plot, pose_figures, may_be_log=True), REPEAT),
-    RECHECK: (Tab("re-check", recheck_plot, recheck_figures, may_be_log=True),),
+    ISO: (Tab("pose accuracy", Measured.poses_plot, Figures.poses, may_be_log=True), REPEAT),
+    RECHECK: (Tab("re-check", Measured.recheck_plot, Figures.recheck, may_be_log=True),),
 }
 
 

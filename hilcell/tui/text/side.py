@@ -30,14 +30,15 @@ from hilcell.tui.text.plots import (
     Measured,
     mark_of,
     mean_of,
-    poses_plot,
-    recheck_plot,
     target_plot,
 )
 from hilcell.tui.text.points import PointRow
 
 MAP_ROWS, LEAST_PLOT = 22, 9
-OWN = {ISO: ("|e| of the poses", poses_plot), RECHECK: ("|e| re-checked", recheck_plot)}
+OWN = {
+    ISO: ("|e| of the poses", Measured.poses_plot),
+    RECHECK: ("|e| re-checked", Measured.recheck_plot),
+}
 KINDS = ("grid", "validate", *OWN)
 Rows = list[PointRow]
 Lines = list[Content]

@@ -20,15 +20,10 @@ from hilcell.tui.text.plots import (
     STRIP,
     TABS,
     Choice,
+    Figures,
     Measured,
     Shown,
-    error_figures,
-    errors_by_target,
-    errors_plot,
     plot_lines,
-    repeat_plot,
-    sorted_plot,
-    strip_plot,
     tab_line,
     tabs_of,
 )
@@ -54,20 +49,20 @@ def test_plots_show_the_reports_errors(tmp_path: Path) -> None:
         points = log.select("validate", how=how)
         if points:
             wanted = errors_of(log, points).norms_mm
-            np.testing.assert_allclose(errors_by_target(log).by_how[how], wanted, atol=1e-9)
+            np.testing.assert_allclose(Measured(log).errors.by_how[how], wanted, atol=1e-9)
 
 
 def test_each_way_is_a_series_with_the_name_of_the_work() -> None:
     of = measured_of(validated())
-    for make in (errors_plot, sorted_plot):
+    for make in (Measured.errors_plot, Measured.sorted_plot):
         names = [series.name for series in make(of).series]
         assert names == ["as sent", "paper method", "corrected"]
         assert make(of).limits == (of.log.cell.validation.max_tolerance_mm,)
-    assert np.all(np.diff(sorted_plot(of).series[1].y) >= 0)
+    assert np.all(np.diff(of.sorted_plot().series[1].y) >= 0)
 
 
 def test_before_validation_the_grids_errors_have_no_limit() -> None:
-    plot = errors_plot(measured_of(measuring()))
+    plot = measured_of(measuring()).errors_plot()
     assert [series.name for series in plot.series] == ["as sent"]
     assert plot.limits == ()
 
@@ -75,7 +70,7 @@ def test_before_validation_the_grids_errors_have_no_limit() -> None:
 def test_a_target_that_was_not_measured_yet_keeps_its_place() -> None:
     story = validated()
     story.records = [r for r in story.records if r.key != "validate/S1100/chosen/000"]
-    found = errors_by_target(Log(story.records))
+    found = measured_of(story).errors
     assert math.isnan(found.by_how[Sent.CHOSEN][0])
     assert found.by_how[Sent.CHOSEN][1] == pytest.approx(np.hypot(0.1, 0.01))
     assert np.isfinite(found.by_how[Sent.BEFORE]).all()
@@ -104,7 +99,7 @@ def test_words_beside_the_errors_speak_of_the_mean_too(tolerance_mm: float, said
     plan = of.log.inputs
     table = plan.cell["validation"] | {"mean_tolerance_mm": tolerance_mm}
     of.log.plan = msgspec.structs.replace(plan, cell=plan.cell | {"validation": table})
-    text = " ".join(drawn(error_figures(of, "", errors_plot(of), LETTERS), 31).split())
+    text = " ".join(drawn(Figures(of, "", of.errors_plot(), LETTERS).errors(), 31).split())
     assert "No target near its limit." in text
     assert said in text
 
@@ -126,7 +121,7 @@ def test_repeated_visits_scatter_about_their_mean() -> None:
         for visit, x in enumerate((0.0, 0.3)):
             id = PointId("repeatability", place=place, number=visit)
             story.point(id, off=(x + place, 0.0, 0.0))
-    series = repeat_plot(measured_of(story)).series
+    series = measured_of(story).repeat_plot().series
     assert [each.name for each in series] == ["place 1", "place 2"]
     for each in series:
         assert each.y == pytest.approx([0.15, 0.15])
@@ -137,7 +132,7 @@ def test_many_places_become_one_series() -> None:
     for place in range(5):
         for visit in range(2):
             story.point(PointId("repeatability", place=place, number=visit))
-    (series,) = repeat_plot(measured_of(story)).series
+    (series,) = measured_of(story).repeat_plot().series
     assert len(series.y) == 10
 
 
@@ -145,7 +140,7 @@ def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
     of = measured_of(measuring(2))
     station = next(each for each in of.log.cell.station if each.name == "S1100")
     changed(of.log, "grid/0-0-1", strip_mm=station.strip_mm + 0.02)
-    plot = strip_plot(of)
+    plot = of.strip_plot()
     assert plot.series[0].y == pytest.approx([0.0, 0.02])
     within_mm = 2.0 * of.log.cell.rail.strip_tolerance_mm
     assert plot.limits == (within_mm, -within_mm)
@@ -178,8 +173,8 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
 
 def test_figures_say_mean_limit_and_the_worst() -> None:
     of = measured_of(validated(worst_mm=1.2))
-    plot = errors_plot(of)
-    text = drawn(error_figures(of, "", plot, Look()), 31)
+    plot = of.errors_plot()
+    text = drawn(Figures(of, "", plot, Look()).errors(), 31)
     limit_mm = of.log.cell.validation.max_tolerance_mm
     assert f"{limit_mm:.3f}" in text
     assert "target 2    S1100        1.200" in text
@@ -216,5 +211,5 @@ def test_series_are_shown_one_by_one_and_then_all() -> None:
 
 def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:
     log = validated_run(tmp_path / "run").facts().log
-    assert strip_plot in [tab.make for tab in tabs_of(log)]
+    assert Measured.strip_plot in [tab.make for tab in tabs_of(log)]
     assert Shown.of(Measured(log), Choice(tab=tabs_of(log).index(STRIP)), 20).scale.step > 0

@@ -24,7 +24,7 @@ from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.devices import end_remark
-from hilcell.tui.text.plots import strip_plot, tabs_of
+from hilcell.tui.text.plots import Measured, tabs_of
 from hilcell.tui.text.points import Deviation
 from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
@@ -130,7 +130,7 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
     assert "Rail" not in drawn(devices.lamps(view, UNICODE), 80)
     assert "Robot" in drawn(devices.lamps(view, UNICODE), 80)
     assert run_text.resume_text(view).startswith("The robot will move")
-    assert strip_plot not in [tab.make for tab in tabs_of(log)]
+    assert Measured.strip_plot not in [tab.make for tab in tabs_of(log)]
 
 
 # -- lines -----------------------------------------------------------------------------------------
