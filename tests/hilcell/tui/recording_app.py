@@ -24,11 +24,11 @@ from textual.strip import Strip
 from textual.worker import WorkerCancelled
 
 from hilcell.run.control import Command, Subject
-from hilcell.tui.app import HilcellApp, RunActions
+from hilcell.tui.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
-from hilcell.tui.screens.base import BaseScreen, Options
+from hilcell.tui.screens.base import Application, BaseScreen, Options, RunActions
 from hilcell.tui.screens.help import HelpPage
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import (
@@ -78,7 +78,7 @@ class RecordingSession(Session):
 class RecordingActions(RunActions):
     """Writes down what an engine would have been started with."""
 
-    def __init__(self, application: HilcellApp) -> None:
+    def __init__(self, application: Application) -> None:
         super().__init__(application)
         self.engines: list[tuple[Path, list[str]]] = []
 
