@@ -60,7 +60,7 @@ def exercises_of(cell: Cell) -> Sequence[FaultExercise]:
     return [each for each in EXERCISES if not each.fault.startswith(lacks)]
 
 
-HEAD = """# Training, and faults on demand
+PAGE = """# Training, and faults on demand
 
 ## Training
 
@@ -76,8 +76,9 @@ HEAD = """# Training, and faults on demand
 | `q`, or ctrl-C | ends the simulated cell |
 
 Resume the run then, as after the real fault. The faults, and the alarm that each raises:
-"""
-MIDDLE = """
+
+{exercises}
+
 ## Faults on demand
 
 `hilcell sim --faults FILE` strikes faults by a TOML file:
@@ -96,6 +97,7 @@ where the name has a *.
 
 | name | effect | occasion |
 | --- | --- | --- |
+{faults}
 """
 
 
@@ -105,7 +107,7 @@ def page() -> str:
     faults = [  # the columns of a text are those of the page
         f"| `{name}`{' *' if name in TEXTS else ''} | {text} |" for name, text in KNOWN.items()
     ]
-    return "\n".join([HEAD, *exercises]) + "\n" + MIDDLE + "\n".join(faults) + "\n"
+    return PAGE.format(exercises="\n".join(exercises), faults="\n".join(faults))
 
 
 if __name__ == "__main__":

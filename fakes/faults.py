@@ -197,17 +197,14 @@ class Faults:
         """
         if problem := _problem(name, value):
             raise SettingsError("fault", [problem])
-        left = count if count != UNTIL_CLEARED else -1
         with self._lock:
-            self._armed[name] = _Armed(value, after, left, at_rest)
+            self._armed[name] = _Armed(value, after, count or -1, at_rest)
 
     def clear(self, name: str = "") -> None:
         """Disarm one fault, or all."""
         with self._lock:
-            if name:
-                self._armed.pop(name, None)
-            else:
-                self._armed.clear()
+            for each in [name] if name else [*self._armed]:
+                self._armed.pop(each, None)
 
     @property
     def any_armed(self) -> bool:

@@ -28,117 +28,25 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from fakes.faults import Faults, load_faults
+from fakes.faults import load_faults
 from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant, ReplayPlant
-from fakes.wires import Listener
+from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.errors import HilcellError, with_place
 from hilcell.typed import decoded
 
 STDIN = 0
-Answer = dict[str, Any]
+Values = dict[str, Any]
 
 
-class ControlServer:
-    """Answers on a port, 0 for one that the system chooses."""
-
-    def __init__(
-        self,
-        time: PlantTime,
-        faults: Faults,
-        *,
-        addresses: Callable[[], Answer],
-        truth: Callable[[Answer], Answer],
-        seat: Callable[[str], None],
-        restore: Callable[[], None],
-        quit_: Callable[[], None],
-        port: int = 0,
-    ) -> None:
-        self._time, self._faults = time, faults
-        self._seat, self._restore, self._quit = seat, restore, quit_
-        self._commands: dict[str, Callable[[Answer], Answer]] = {
-            "addresses": lambda order: addresses(),
-            "now": lambda order: {"now_s": time.now_s()},
-            "wait": self._wait,
-            "fault": self._fault,
-            "clear": self._clear,
-            "truth": truth,
-            "seat": self._carry,
-            "quit": lambda order: {"leaving": True},
-        }
-        self._listener = Listener("control", self._serve, limit=100, port=port)
-        self.address = f"127.0.0.1:{self._listener.port}"
-
-    def start(self) -> None:
-        """Begin to answer."""
-        self._listener.start()
-
-    def close(self) -> None:
-        """Stop answering."""
-        self._listener.close()
-
-    def _serve(self, client: socket.socket) -> None:
-        longest = 1 << 20
-        with client.makefile("rb") as lines:
-            while line := lines.readline(longest):
-                answer = self._answer(line)
-                client.sendall(msgspec.json.encode(answer) + b"\n")
-                if answer.get("leaving"):  # only now, for the end closes this connection too
-                    self._quit()
-
-    def _answer(self, line: bytes) -> Answer:
-        try:
-            order = msgspec.json.decode(line, type=dict[str, Any])
-            command = self._commands.get(str(order.get("do")))
-            if command is None:
-                known = ", ".join(self._commands)
-                return {"ok": False, "error": f"do: one of {known}"}
-            return {"ok": True} | command(order)
-        except (msgspec.DecodeError, HilcellError, KeyError, TypeError, ValueError) as error:
-            return {"ok": False, "error": f"{type(error).__name__}: {error}"}
-
-    def _wait(self, order: Answer) -> Answer:
-        """Let stepped time pass at once; paced time passes by itself, the client sleeps."""
-        duration_s = float(order["s"])
-        if not (math.isfinite(duration_s) and duration_s >= 0):
-            raise ValueError(f"wait {duration_s} s")
-        self._time.advance(duration_s)
-        self._time.catch_up()
-        return {"now_s": self._time.now_s()}
-
-    def _fault(self, order: Answer) -> Answer:
-        self._faults.set(
-            str(order["name"]),
-            order.get("value", True),
-            after=int(order.get("after", 0)),
-            count=int(order.get("count", 1)),
-            at_rest=bool(order.get("at_rest", False)),
-        )
-        return {}
-
-    def _carry(self, order: Answer) -> Answer:
-        """Do a person's acts with the reflector of a cell where it is carried by hand."""
-        self._seat(str(order["place"]))
-        return {}
-
-    def _clear(self, order: Answer) -> Answer:
-        """Disarm faults; with no name also put their consequences right."""
-        name = str(order.get("name", ""))
-        self._faults.clear(name)
-        if not name:
-            self._restore()
-        return {}
-
-
-def truth_of(plant: Plant, order: Answer) -> Answer:
+def truth_of(plant: Plant, order: Values) -> Values:
     """Return the truth in {W}: reflectors, frames; and e (N, 3) in {B} at ``joints_deg`` (N, 6)."""
-    reflectors = {name: at.tolist() for name, at in plant.reflectors_in_world().items()}
-    answer: Answer = {
+    answer: Values = {
         "flange_mm": plant.places_in_world()[FLANGE].tolist(),
-        "reflectors_mm": reflectors,
+        "reflectors_mm": {name: at.tolist() for name, at in plant.reflectors_in_world().items()},
         "slide_mm": plant.rail.slide_mm(),
         "T_W_S": plant.rail.slide_pose().tolist(),
         "T_W_B": plant.base_in_world().tolist(),
@@ -178,57 +86,111 @@ class Host:
         self._order, ports = order, order.ports
         self._ended = threading.Event()
         cell = convert(order.cell, Cell, "simulated cell")
-        faults = load_faults(order.faults)
-        time = PlantTime(math.inf if order.speed is None else order.speed)
+        self._faults = load_faults(order.faults)
+        self._time = PlantTime(math.inf if order.speed is None else order.speed)
         data = cell.simulation.data if cell.simulation is not None else ""
-        plant: Plant | ReplayPlant = (
-            ReplayPlant(cell, Path(data), time, faults)
+        self._plant: Plant | ReplayPlant = (
+            ReplayPlant(cell, Path(data), self._time, self._faults)
             if data
-            else Plant(cell, order.seed, time, faults)
+            else Plant(cell, order.seed, self._time, self._faults)
         )
-        site = Site(cell, plant, faults, time)
+        site = Site(cell, self._plant, self._faults, self._time)
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
             for table, serve in servers_of(cell).items():
                 device = _served(table, partial(serve, site, getattr(ports, table)))
                 made.callback(device.close)
                 self._devices[table] = device
+            self._control = Listener("control", self._serve, limit=100, port=ports.control)
             made.pop_all()
-        self._control = ControlServer(
-            time,
-            faults,
-            addresses=self.addresses,
-            truth=lambda asked: _truth(plant, asked, order),
-            seat=plant.seat,
-            restore=self._restore,
-            quit_=self.end,
-            port=ports.control,
-        )
+        self._commands: dict[str, Callable[[Values], Values]] = {
+            "addresses": lambda order: self.addresses(),
+            "now": lambda order: {"now_s": self._time.now_s()},
+            "wait": self._wait,
+            "fault": self._fault,
+            "clear": self._clear,
+            "truth": self._truth,
+            "seat": self._carry,
+            "quit": lambda order: {"leaving": True},
+        }
 
-    def addresses(self) -> dict[str, Any]:
+    def addresses(self) -> Values:
         """Return where everything listens, and how time passes."""
         found = {table: device.address for table, device in self._devices.items()}
-        return found | {"control": self._control.address, "speed": self._order.speed}
+        control = f"{HOST}:{self._control.port}"
+        return found | {"control": control, "speed": self._order.speed}
 
     def run(self) -> None:
         """Serve until `end`."""
         with ExitStack() as stack:
-            servers: list[SimulatedDevice | ControlServer] = [
-                *self._devices.values(),
-                self._control,
-            ]
-            for server in servers:
+            for server in (*self._devices.values(), self._control):
                 stack.callback(server.close)
                 server.start()
             self._ended.wait()
 
-    def _restore(self) -> None:
-        for device in self._devices.values():
-            device.restore()
-
     def end(self) -> None:
         """End the simulated cell; may come from any thread."""
         self._ended.set()
+
+    def _serve(self, client: socket.socket) -> None:
+        longest = 1 << 20
+        with client.makefile("rb") as lines:
+            while line := lines.readline(longest):
+                answer = self._answer(line)
+                client.sendall(msgspec.json.encode(answer) + b"\n")
+                if answer.get("leaving"):  # only now, for the end closes this connection too
+                    self.end()
+
+    def _answer(self, line: bytes) -> Values:
+        try:
+            order = msgspec.json.decode(line, type=dict[str, Any])
+            command = self._commands.get(str(order.get("do")))
+            if command is None:
+                known = ", ".join(self._commands)
+                return {"ok": False, "error": f"do: one of {known}"}
+            return {"ok": True} | command(order)
+        except (msgspec.DecodeError, HilcellError, KeyError, TypeError, ValueError) as error:
+            return {"ok": False, "error": f"{type(error).__name__}: {error}"}
+
+    def _wait(self, order: Values) -> Values:
+        """Let stepped time pass at once; paced time passes by itself, the client sleeps."""
+        duration_s = float(order["s"])
+        if not (math.isfinite(duration_s) and duration_s >= 0):
+            raise ValueError(f"wait {duration_s} s")
+        self._time.advance(duration_s)
+        self._time.catch_up()
+        return {"now_s": self._time.now_s()}
+
+    def _fault(self, order: Values) -> Values:
+        self._faults.set(
+            str(order["name"]),
+            order.get("value", True),
+            after=int(order.get("after", 0)),
+            count=int(order.get("count", 1)),
+            at_rest=bool(order.get("at_rest", False)),
+        )
+        return {}
+
+    def _clear(self, order: Values) -> Values:
+        """Disarm faults; with no name also put their consequences right."""
+        name = str(order.get("name", ""))
+        self._faults.clear(name)
+        if not name:
+            for device in self._devices.values():
+                device.restore()
+        return {}
+
+    def _truth(self, order: Values) -> Values:
+        if not self._order.truth:
+            raise HilcellError(
+                "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
+            )
+        return truth_of(self._plant, order) if isinstance(self._plant, Plant) else {}
+
+    def _carry(self, order: Values) -> Values:
+        """Do a person's acts with the reflector of a cell where it is carried by hand."""
+        self._plant.seat(str(order["place"]))
+        return {}
 
 
 def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:
@@ -245,14 +207,6 @@ def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice
         what = f"{type(device).__name__} has no {', '.join(lacking)}"
         raise HilcellError(f"simulated {table}: {what}; see fakes.site.SimulatedDevice")
     return device
-
-
-def _truth(plant: Plant | ReplayPlant, asked: dict[str, Any], order: Order) -> dict[str, Any]:
-    if not order.truth:
-        raise HilcellError(
-            "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
-        )
-    return truth_of(plant, asked) if isinstance(plant, Plant) else {}
 
 
 def main() -> int:

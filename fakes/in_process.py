@@ -23,7 +23,6 @@ from fakes.truth.tracker_truth import Followed
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.ports import (
-    Air,
     Array,
     Clock,
     Identity,
@@ -151,30 +150,30 @@ class DirectRobot:
     """Satisfies `hilcell.ports.Robot` and `Sweeps`."""
 
     def __init__(self, motion: RobotMotion, passing: PlantTime, clock: Clock, cell: Cell) -> None:
-        self._motion, self._time, self._clock = motion, passing, clock
+        self.motion, self.time, self._clock = motion, passing, clock
         self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._ended_s: float | None = None
 
     def connect(self) -> list[Identity]:
         """Return the asset."""
-        self._motion.brake()  # it stands
+        self.motion.brake()  # it stands
         return [Identity("Robot", self._arm.model, str(self._arm.serial), ADDRESS, True)]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes in step and return the reading at rest."""
-        self._motion.move(joints_rad, speed_percent / 100.0)
+        self.motion.move(joints_rad, speed_percent / 100.0)
         return self.rest()
 
     def rest(self) -> RobotReading:
         """Let the motion come to its end; return the reading."""
-        self._time.advance(max(0.0, self._motion.rests_s - self._time.now_s()))
+        self.time.advance(max(0.0, self.motion.rests_s - self.time.now_s()))
         self._ended_s = self._clock.pc_s()
         return self.read()
 
     def read(self) -> RobotReading:
         """Return joints and pose as the controller states them."""
-        state = self._motion.state()
+        state = self.motion.state()
         pose = self._arm.chain.pose(state.joints_rad)
         return RobotReading(
             state.joints_rad.copy(), pose, not state.moving, self._clock.pc_s(), self._ended_s
@@ -183,10 +182,10 @@ class DirectRobot:
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[DirectSweep]:
         """Prepare a motion of one axis (0 to 5) alone."""
-        target_rad = self._motion.state().joints_rad.copy()
+        target_rad = self.motion.state().joints_rad.copy()
         target_rad[axis] = end_rad
         share = speed_rad_s / float(self._full_rad_s[axis])
-        yield DirectSweep(self, self._motion, self._time, target_rad, share, speed_rad_s)
+        yield DirectSweep(self, target_rad, share, speed_rad_s)
 
     def stop(self) -> None:
         """Do nothing: nothing moves between two calls."""
@@ -199,25 +198,18 @@ class DirectSweep:
     """Satisfies `hilcell.ports.Sweep`."""
 
     def __init__(
-        self,
-        robot: DirectRobot,
-        motion: RobotMotion,
-        passing: PlantTime,
-        target_rad: Array,
-        share: float,
-        speed_rad_s: float,
+        self, robot: DirectRobot, target_rad: Array, share: float, speed_rad_s: float
     ) -> None:
-        self._robot, self._motion, self._time = robot, motion, passing
-        self._target_rad, self._share = target_rad, share
+        self._robot, self._target_rad, self._share = robot, target_rad, share
         self.speed_rad_s, self.ended = speed_rad_s, False
 
     def kickoff(self) -> None:
         """Start the motion."""
-        self._motion.move(self._target_rad, self._share)
+        self._robot.motion.move(self._target_rad, self._share)
 
     def collect(self) -> JointSample:
         """Return the joints now."""
-        state, now_s = self._motion.state(), self._time.now_s()
+        state, now_s = self._robot.motion.state(), self._robot.time.now_s()
         self.ended = not state.moving
         return JointSample(state.joints_rad.copy(), now_s, now_s)
 
@@ -236,17 +228,14 @@ class DirectTracker:
         """Return the asset."""
         return [Identity("Tracker", "direct", "1", ADDRESS, True)]
 
-    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
-        return self._measured(near_mm, reflector, samples)
-
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure in the second face; raises `NoReading` where there is none."""
-        return self._measured(near_mm, reflector, samples, back=True)
+        return self.measure(near_mm, reflector, samples, back=True)
 
-    def _measured(
+    def measure(
         self, near_mm: Array, reflector: str, samples: int, *, back: bool = False
     ) -> TrackerReading:
+        """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
         found = self._plant.tracker.measurements(self._found(near_mm), samples, back=back)
         if found is None:
             raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
@@ -261,14 +250,7 @@ class DirectTracker:
             off_mm = points_mm - mean_mm
             xyz_mm, std_mm = mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
         air = self._plant.tracker.air()
-        return TrackerReading(
-            xyz_mm,
-            std_mm,
-            samples,
-            reflector,
-            Air(air.temperature_c, air.pressure_mbar, air.humidity_percent),
-            self._clock.pc_s(),
-        )
+        return TrackerReading(xyz_mm, std_mm, samples, reflector, air, self._clock.pc_s())
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[DirectStream]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 
 EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
@@ -78,6 +78,13 @@ class PlantTime:
         if self.stepped:
             with self._lock:
                 self._stepped_s += duration_s
+
+    def passing(self, duration_s: float) -> Iterator[float]:
+        """Let ``duration_s`` pass; in paced time yield the real seconds left, until it has."""
+        self.advance(duration_s)
+        ends_s = -math.inf if self.stepped else time.monotonic() + duration_s / self.speed
+        while (left_s := ends_s - time.monotonic()) > 0:
+            yield left_s
 
     def poll(self, start_s: float, end_s: float) -> float:
         """Return now, after a poll of something that moves from ``start_s`` to ``end_s``."""

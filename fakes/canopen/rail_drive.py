@@ -64,26 +64,26 @@ class Command(Enum):
     FAULT_RESET = "fault reset"
 
 
-# CiA 402-2, figure of the state machine. 0, 1, 13 and 14 are the drive's own; 3 from ENABLE
-# OPERATION is the standard's automatic passage through SWITCHED ON.
-TRANSITIONS = (
-    (2, State.SWITCH_ON_DISABLED, Command.SHUTDOWN, State.READY_TO_SWITCH_ON),
-    (3, State.READY_TO_SWITCH_ON, Command.SWITCH_ON, State.SWITCHED_ON),
-    (3, State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION, State.SWITCHED_ON),
-    (4, State.SWITCHED_ON, Command.ENABLE_OPERATION, State.OPERATION_ENABLED),
-    (5, State.OPERATION_ENABLED, Command.SWITCH_ON, State.SWITCHED_ON),
-    (6, State.SWITCHED_ON, Command.SHUTDOWN, State.READY_TO_SWITCH_ON),
-    (7, State.READY_TO_SWITCH_ON, Command.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
-    (7, State.READY_TO_SWITCH_ON, Command.QUICK_STOP, State.SWITCH_ON_DISABLED),
-    (8, State.OPERATION_ENABLED, Command.SHUTDOWN, State.READY_TO_SWITCH_ON),
-    (9, State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
-    (10, State.SWITCHED_ON, Command.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
-    (10, State.SWITCHED_ON, Command.QUICK_STOP, State.SWITCH_ON_DISABLED),
-    (11, State.OPERATION_ENABLED, Command.QUICK_STOP, State.QUICK_STOP_ACTIVE),
-    (12, State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
-    (15, State.FAULT, Command.FAULT_RESET, State.SWITCH_ON_DISABLED),
-    (16, State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION, State.OPERATION_ENABLED),
-)
+# CiA 402-2, figure of the state machine, by the number of each transition. 0, 1, 13 and 14 are the
+# drive's own; ENABLE OPERATION in READY TO SWITCH ON passes through SWITCHED ON (3, then 4).
+TRANSITIONS = {
+    (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
+    (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
+    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): State.SWITCHED_ON,  # 3
+    (State.SWITCHED_ON, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 4
+    (State.OPERATION_ENABLED, Command.SWITCH_ON): State.SWITCHED_ON,  # 5
+    (State.SWITCHED_ON, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 6
+    (State.READY_TO_SWITCH_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 7
+    (State.READY_TO_SWITCH_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 7
+    (State.OPERATION_ENABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 8
+    (State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
+    (State.SWITCHED_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 10
+    (State.SWITCHED_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 10
+    (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
+    (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
+    (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15
+    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 16
+}
 
 
 class Control(IntEnum):
@@ -142,7 +142,7 @@ class RailDrive(CanopenSlave):
         self._forget()
         self._add_objects(table)
         self._add_pdos()
-        self._close_brake()
+        self._rail.brake(closed=True)
 
     def _forget(self) -> None:
         """Put the drive to where it stands after power-on (transitions 0 and 1)."""
@@ -200,21 +200,16 @@ class RailDrive(CanopenSlave):
                     target, self._pending = self._pending, None
                     self._start(target)
             case State.QUICK_STOP_ACTIVE:
-                self._close_brake()
+                self._rail.brake(closed=True)
                 if self._stays_in_quick_stop():
                     self._reached = True
                 else:
                     self.state = State.SWITCH_ON_DISABLED  # transition 12
-            case State.FAULT_REACTION_ACTIVE:
-                self._close_brake()
+            case State.FAULT_REACTION_ACTIVE | State.FAULT:
+                self._rail.brake(closed=True)
                 self.state = State.FAULT  # transition 14
-            case State.FAULT:
-                self._close_brake()
             case _:
                 pass
-
-    def _close_brake(self) -> None:
-        self._rail.brake(closed=True)
 
     # -- faults -------------------------------------------------------------------------------
 
@@ -279,12 +274,8 @@ class RailDrive(CanopenSlave):
                 pass
 
     def switched_off(self) -> None:
-        """Close the brake; the reference is lost."""
-        self._close_brake()
-        self._forget()
-
-    def restarted(self) -> None:
-        """Stand in SWITCH ON DISABLED."""
+        """Close the brake and stand in SWITCH ON DISABLED; the reference is lost."""
+        self._rail.brake(closed=True)
         self._forget()
 
     def written(self) -> None:
@@ -308,15 +299,13 @@ class RailDrive(CanopenSlave):
     # -- the state machine --------------------------------------------------------------------
 
     def _walk(self, command: Command) -> None:
-        for number, source, wanted, target in TRANSITIONS:
-            if source is not self.state or wanted is not command:
-                continue
-            if number == 16 and not self._stays_in_quick_stop():
-                return
-            self._enter(target)
-            if number == 3:
-                continue  # transition 4 stands below: ENABLE OPERATION passes through
+        target = TRANSITIONS.get((self.state, command))
+        leaves = command is Command.ENABLE_OPERATION and self.state is State.QUICK_STOP_ACTIVE
+        if target is None or (leaves and not self._stays_in_quick_stop()):
             return
+        self._enter(target)
+        if command is Command.ENABLE_OPERATION and target is State.SWITCHED_ON:
+            self._walk(command)
 
     def _enter(self, state: State) -> None:
         was_enabled = self.state is State.OPERATION_ENABLED
@@ -329,7 +318,7 @@ class RailDrive(CanopenSlave):
         elif was_enabled or self._busy:
             self._cancel()
             self._busy = False
-            self._close_brake()
+            self._rail.brake(closed=True)
 
     def _quick_stop(self) -> None:
         self._cancel()
@@ -337,7 +326,7 @@ class RailDrive(CanopenSlave):
         if option == 0:
             self._busy = False
             self._enter(State.SWITCH_ON_DISABLED)
-            self._close_brake()
+            self._rail.brake(closed=True)
             return
         self._brake_down(self.dictionary.number(0x6084 if option in {1, 5} else 0x6085))
 
@@ -458,7 +447,11 @@ class RailDrive(CanopenSlave):
         self.dictionary.entry(0x1018, 2).read = self._product
         add(0x6007, 0, Entry("h", 1, allowed=range(4)))
         add(0x603F, 0, Entry("H", 0, "ro", mappable=True))
-        add(0x6040, 0, Entry("H", 0, mappable=True, write=self._note_command))
+        add(
+            0x6040,
+            0,
+            Entry("H", 0, mappable=True, write=self._note_command),
+        )
         add(0x6041, 0, Entry("H", 0, "ro", mappable=True, read=self._statusword))
         add(0x605A, 0, Entry("h", 2, allowed=(0, 1, 2, 5, 6)))
         modes = tuple(Mode)
@@ -491,20 +484,12 @@ class RailDrive(CanopenSlave):
 
     def _add_pdos(self) -> None:
         """Lay out the PDOs as the profile's defaults do; all but the first are switched off."""
-        receive: list[Mapping] = [
-            ((0x6040, 0),),
-            ((0x6040, 0), (0x6060, 0)),
-            ((0x6040, 0), (0x607A, 0)),
-        ]
-        transmit: list[Mapping] = [
-            ((0x6041, 0),),
-            ((0x6041, 0), (0x6061, 0)),
-            ((0x6041, 0), (0x6064, 0)),
-            ((0x6041, 0), (0x606C, 0)),
-        ]
-        for number, mapped in enumerate(receive):
+        receive, transmit = (None, 0x6060, 0x607A), (None, 0x6061, 0x6064, 0x606C)
+        for number, more in enumerate(receive):
+            mapped: Mapping = ((0x6040, 0), *([(more, 0)] if more else []))
             cob_id = 0x200 + 0x100 * number + NODE | (INVALID if number else 0)
             self.receive_pdos.append(ReceivePdo(self.dictionary, number, cob_id, mapped))
-        for number, mapped in enumerate(transmit):
+        for number, more in enumerate(transmit):
+            mapped = ((0x6041, 0), *([(more, 0)] if more else []))
             cob_id = 0x180 + 0x100 * number + NODE | (INVALID if number else 0)
             self.transmit_pdos.append(TransmitPdo(self.dictionary, number, cob_id, mapped))

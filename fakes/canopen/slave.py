@@ -1,7 +1,7 @@
 """A simulated CANopen node: dictionary, SDO, PDO, NMT, SYNC, heartbeat both ways, EMCY (CiA 301).
 
-A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the four
-hooks `written`, `switched_off`, `connection_lost` and `restarted`. One thread calls everything.
+A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the three
+hooks `written`, `switched_off` and `connection_lost`. One thread calls everything.
 Heartbeats and event timers run in real time, independent of the plant's clock, and no heartbeat is
 punctual. A lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched:
 a new master must start it again, and a START before its first new heartbeat does not hold.
@@ -90,15 +90,12 @@ class ObjectDictionary:
 
     def __init__(self) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
-        self._indices: set[int] = set()
         self._defaults: dict[tuple[int, int], Value] = {}
 
-    def add(self, index: int, sub: int, entry: Entry) -> Entry:
+    def add(self, index: int, sub: int, entry: Entry) -> None:
         """Add an object; its present value is the one that a reset restores."""
         self._entries[index, sub] = entry
-        self._indices.add(index)
         self._defaults[index, sub] = entry.value
-        return entry
 
     def add_array(self, index: int, *entries: Entry) -> None:
         """Add a record or array: sub-index 0 holds the highest sub-index."""
@@ -108,11 +105,10 @@ class ObjectDictionary:
 
     def entry(self, index: int, sub: int) -> Entry:
         """Return an object; raises `SdoAbortError`."""
-        if index not in self._indices:
-            raise SdoAbortError(Abort.NO_SUCH_OBJECT)
         no_such_subindex = 0x06090011
         if (index, sub) not in self._entries:
-            raise SdoAbortError(no_such_subindex)
+            known = (index, 0) in self._entries
+            raise SdoAbortError(no_such_subindex if known else Abort.NO_SUCH_OBJECT)
         return self._entries[index, sub]
 
     def number(self, index: int, sub: int = 0) -> int:
@@ -528,13 +524,10 @@ class CanopenSlave:
         """React to objects that the master has written: all of one frame are in place."""
 
     def switched_off(self) -> None:
-        """React to the loss of power or to a reset of the whole node."""
+        """React to the loss of power or to a reset of the whole node, with which all is lost."""
 
     def connection_lost(self) -> None:
         """React to a lost heartbeat, to NMT stop and to a reset of the communication."""
-
-    def restarted(self) -> None:
-        """React to the end of a reset: the dictionary holds its power-on values."""
 
     # -- called by the bus --------------------------------------------------------------------
 
@@ -595,24 +588,18 @@ class CanopenSlave:
         """Send EMCY ``code`` and keep it in 1001h and 1003h; code 0 clears ``register``."""
         dictionary = self.dictionary
         old = dictionary.number(0x1001)
-        dictionary.set(
-            0x1001, 0, old | register | ErrorKind.GENERIC if code else self._cleared(register)
-        )
         if code:
-            self._keep_error(code)
+            left = old | register | ErrorKind.GENERIC
+            kept = [dictionary.number(0x1003, sub) for sub in range(1, self.KEPT_ERRORS + 1)]
+            for sub, value in enumerate([code, *kept[:-1]], start=1):
+                dictionary.set(0x1003, sub, value)
+            dictionary.set(0x1003, 0, min(self.KEPT_ERRORS, dictionary.number(0x1003) + 1))
+        else:
+            left = old & ~(register | ErrorKind.GENERIC)
+        dictionary.set(0x1001, 0, left | ErrorKind.GENERIC if left else 0)
         if self.nmt is not Nmt.STOPPED:
             frame = struct.pack("<HB5x", code, dictionary.number(0x1001))
             self._send(dictionary.number(0x1014) & 0x7FF, frame)
-
-    def _cleared(self, register: int) -> int:
-        left = self.dictionary.number(0x1001) & ~(register | ErrorKind.GENERIC)
-        return left | ErrorKind.GENERIC if left else 0
-
-    def _keep_error(self, code: int) -> None:
-        kept = [self.dictionary.number(0x1003, sub) for sub in range(1, self.KEPT_ERRORS + 1)]
-        for sub, value in enumerate([code, *kept[:-1]], start=1):
-            self.dictionary.set(0x1003, sub, value)
-        self.dictionary.set(0x1003, 0, min(self.KEPT_ERRORS, self.dictionary.number(0x1003) + 1))
 
     # -- services -----------------------------------------------------------------------------
 
@@ -644,8 +631,6 @@ class CanopenSlave:
         self.dictionary.restore(area)
         self._sdo.reset()
         self._heard_by_s, self._heartbeat_lost = math.inf, False
-        if area == self.WHOLE_DICTIONARY:
-            self.restarted()
         self.boot(now_s)
 
     def _synchronise(self) -> None:

@@ -174,23 +174,11 @@ class SlcanGateway:
             case b"C":
                 self._opened = False
                 self._put(self.OK)
-            case _:
-                self._put(self._settings(line))
-
-    def _settings(self, line: bytes) -> bytes:
-        match line[:1]:
-            case b"":
-                return self.OK
             case b"S" | b"s":
-                return self.REFUSED if self._opened else self.OK
-            case b"V":
-                return b"V1013\r"
-            case b"N":
-                return b"NHC01\r"
-            case b"F":
-                return b"F00\r"
-            case _:
-                return self.REFUSED
+                self._put(self.REFUSED if self._opened else self.OK)
+            case other:
+                answers = {b"": self.OK, b"V": b"V1013\r", b"N": b"NHC01\r", b"F": b"F00\r"}
+                self._put(answers.get(other, self.REFUSED))
 
     def _transmit(self, line: bytes) -> None:
         try:
@@ -271,17 +259,14 @@ class BusServer(Server):
                 node.boot(self.now_s())
 
     def _receive(self, cob_id: int, data: bytes) -> None:
-        """Have the nodes take a frame."""
         now_s = self.now_s()
         for node in self._nodes.values():
             node.receive(cob_id, data, now_s)
 
     def _wait_s(self) -> float:
-        """Return how long nothing is due."""
         due_s = min(node.next_s() for node in self._nodes.values())
         return min(max(0.0, due_s - self.now_s()), self.IDLE_S)
 
     def _tick(self, now_s: float) -> None:
-        """Do what is due."""
         for node in self._nodes.values():
             node.tick(now_s)

@@ -499,7 +499,6 @@ class KrlController:
             self._acknowledged = self._integers["HC_SEQ"]
 
     def _brake(self, why: int) -> None:
-        """Enter the program's interrupt."""
         self._timer.stop()
         self._in_stop, self._error = True, why
         self._brake_all()

@@ -279,7 +279,6 @@ class EkiServer(Server):
             each.hang_up()
 
     def _spoilt(self, former: bytes, state: bytes, segments: Segments) -> bytes:
-        """Return what is sent for a state."""
         if self._faults.take("robot.xml_bomb") is not None:
             return BOMB
         endless = b'<RobotState><Pos A1="' + b"0" * 20_000

@@ -490,7 +490,6 @@ class EmsconDevice:
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
 
     def _broken(self, command: Command) -> Answer:
-        """The beam has lost its reflector."""
         self._target = None
         return Answer([status_change(Change.NOT_READY), reply(command, Status.NOT_READY)])
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-import time as real_time
 
 from fakes.faults import Faults
 from fakes.leica.emscon_device import EmsconDevice, SampleStream
@@ -101,11 +100,7 @@ class EmsconServer(Server):
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
         """Let plant time pass; return False where the client stopped the command meanwhile."""
-        if self._time.stepped:
-            self._time.advance(duration_s)
-            return True
-        ends_s = real_time.monotonic() + duration_s / self._time.speed
-        while (left_s := ends_s - real_time.monotonic()) > 0:
+        for left_s in self._time.passing(duration_s):
             packet = session.receive(left_s)
             if packet is None:
                 continue
@@ -141,8 +136,6 @@ class EmsconServer(Server):
 
 
 class _Session:
-    """One client's connection: whole packets in, bytes out."""
-
     def __init__(self, client: socket.socket) -> None:
         self._client, self.segments = Connection(client), Segments(client.sendall)
         self._pending = b""

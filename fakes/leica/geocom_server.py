@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import re
 import threading
-import time as real_time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -387,11 +386,7 @@ class GeocomServer(Server):
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
         """Let plant time pass; return False where it was ended meanwhile."""
-        if self._time.stepped:
-            self._time.advance(duration_s)
-            return True
-        ends_s = real_time.monotonic() + duration_s / self._time.speed
-        while (left_s := ends_s - real_time.monotonic()) > 0:
+        for left_s in self._time.passing(duration_s):
             if session.aborted(left_s):
                 self._abort(session)
                 return False

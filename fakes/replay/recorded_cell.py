@@ -239,7 +239,6 @@ class RecordedCell:
                 self._time.stop_at(piece.t, f"{paths[CLOCK]}:{line}")
 
     def _address(self, cell: Cell, channels: Mapping[str, Mapping[str, str]]) -> None:
-        """Let the drivers find the recorded wires."""
         anywhere = stand_ins(cell)
         for table, group in TABLES:
             if table in channels:

@@ -438,7 +438,6 @@ class RecordedWire:
         self._time.leave(f"the recording {where} {self._place}:{line}: this run {found}")
 
     def _look_up(self, script: Script | Flow, asked: bytes) -> None:
-        """Let the replay end where the driver asks what was never recorded."""
         if script.knows(asked):
             return
         self._leave(f"asks {shown(asked)}")

@@ -16,7 +16,6 @@ import math
 import socket
 import tempfile
 import threading
-import time as real_time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -378,12 +377,10 @@ class T2saServer(Server):
 
     def _let_pass(self, session: LineSession, duration_s: float) -> bool:
         """Let plant time pass until a halt; return whether that came from this client."""
-        if self._time.stepped:
-            self._time.advance(duration_s)
-            return False
-        ends_s = real_time.monotonic() + duration_s / self._time.speed
         look_s = 0.02
-        while not self._halted.is_set() and (left_s := ends_s - real_time.monotonic()) > 0:
+        for left_s in self._time.passing(duration_s):
+            if self._halted.is_set():
+                return False
             line = session.line(min(left_s, look_s))
             if line == HALT:
                 self._halted.set()

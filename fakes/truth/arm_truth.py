@@ -241,9 +241,9 @@ class ArmTruth:
         self.design = self._design.chain
         sizes = machine.transmission
         self.ripple = Ripple(sizes, rng)
-        self._lost_rad = np.zeros(6)
+        self.lost_rad = np.zeros(6)
         gap_spread = 0.2  # of the half-gaps, over and under the machine's
-        self._half_gap_rad = (
+        self.half_gap_rad = (
             sizes.half_gap_urad * URAD * rng.uniform(1.0 - gap_spread, 1.0 + gap_spread, 6)
         )
         self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
@@ -263,7 +263,7 @@ class ArmTruth:
 
     def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
         """Return how the joints (..., 6) really are turned, however warm the arm is."""
-        lost = side * self._half_gap_rad + landing_rad
+        lost = side * self.half_gap_rad + landing_rad
         return self._by_angles(joints_rad) + lost
 
     def strain(self, warm_k: float) -> float:
@@ -273,18 +273,6 @@ class ArmTruth:
     def pose_of(self, true_rad: Array, strain: float) -> Array:
         """Return the reflector's frame in {R}, (..., 4, 4), with joints really turned so."""
         return self._chain.pose(true_rad, strain)
-
-    def lose_zero(self, axis: int, lost_rad: float) -> None:
-        """Turn an axis, 1 to 6, against its encoder for good."""
-        self._lost_rad[axis - 1] += lost_rad
-
-    def loosen(self, axis: int, slip_rad: float) -> None:
-        """Let an axis, 1 to 6, miss at each stop by this besides: 1 sigma, for good."""
-        self.slip_rad[axis - 1] = slip_rad
-
-    def lose_motion(self, axis: int, lost_rad: float) -> None:
-        """Widen the gap between both sides of an axis, 1 to 6, for good."""
-        self._half_gap_rad[axis - 1] += lost_rad / 2
 
     def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
         """Return e = actual - nominal (N, 3) in the ideal {B}, without noise, from below."""
@@ -366,7 +354,7 @@ class ArmTruth:
         if share:
             ripple *= 1.0 + share * self._design.loads(joints_rad)
         bent = self._errors.deflection(joints_rad, self._design.slopes)
-        return joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
+        return joints_rad + self._errors.zero_rad + self.lost_rad + bent + ripple
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
         """Return the ideal {B} in {R}, (4, 4), after section 4.2.
@@ -374,7 +362,7 @@ class ArmTruth:
         Axis 1 is {R}'s own z. Axis 6 at the given joints gives x, and the centre of its circle
         the height, which is nominal by definition.
         """
-        joints = self._by_angles(axis_6_rad) + self._half_gap_rad
+        joints = self._by_angles(axis_6_rad) + self.half_gap_rad
         axis, centre_mm = axis_6(self._chain, joints)
         x = np.array([axis[0], axis[1], 0.0]) * np.sign(centre_mm[:2] @ axis[:2])
         x /= np.linalg.norm(x)

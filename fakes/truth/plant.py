@@ -24,12 +24,11 @@ from fakes.truth.machine import Machine, machine_of
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
-from fakes.truth.tracker_truth import Air, Measurement, StreamTruth, TrackerTruth
+from fakes.truth.tracker_truth import ReplayTracker, StreamTruth, TrackerTruth
 from fakes.truth.transforms import Array, carried, rigid, rotation
 from hilcell.cell.file import Cell, Nest
 from hilcell.cell.layout import Layout
 from hilcell.cell.settings import SettingsError
-from hilcell.fit.robot_file import read_measurements
 from hilcell.ports import HilcellError
 
 FLANGE = "flange"
@@ -69,13 +68,13 @@ class Plant(Harms):
 
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Turn an axis of the robot, 1 to 6, against its encoder for good."""
-        self.arm.lose_zero(axis, lost_rad)
+        self.arm.lost_rad[axis - 1] += lost_rad
         self._forget()
 
     def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
         """Widen the gap of an axis of the robot, 1 to 6, for good."""
         if lost_rad:
-            self.arm.lose_motion(axis, lost_rad)
+            self.arm.half_gap_rad[axis - 1] += lost_rad / 2
             self._forget()
 
     def grow(self, um_m: float) -> None:
@@ -84,7 +83,7 @@ class Plant(Harms):
 
     def loosen(self, axis: int, slip_rad: float) -> None:
         """Let an axis of the robot, 1 to 6, slip at random at each stop: 1 sigma, for good."""
-        self.arm.loosen(axis, slip_rad)
+        self.arm.slip_rad[axis - 1] = slip_rad
 
     def slip_mount(self, along_mm: float) -> None:
         """Shift the reflector on the flange along its x for good."""
@@ -138,7 +137,6 @@ class Plant(Harms):
         return found
 
     def _strain(self) -> float:
-        """Return the share by which the arm is longer now."""
         grown = self._growing * (self.tracker.measured - self._grows_since) / 1000.0
         return self.arm.strain(self.tracker.warm_k) + grown
 
@@ -229,46 +227,3 @@ class ReplayPlant(Harms):
     def seat(self, place: str) -> None:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""
         raise ValueError("the reflectors of recorded data are where they were")
-
-
-class ReplayTracker:
-    """Sees the reflectors recorded for the pose at which the robot stands."""
-
-    AIR = Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
-
-    def __init__(self, data: Path, robot: RobotMotion) -> None:
-        self._rows = read_measurements(data)
-        self._robot = robot
-
-    def reflectors(self) -> dict[str, Array]:
-        """Return the recorded positions of the reflectors at this pose, by name."""
-        state = self._robot.state()
-        if state.moving:
-            return {}
-        off_rad = np.abs(self._rows.joints_rad - state.joints_rad).max(axis=1)
-        same_pose_rad = 2e-5  # joints travel as decimals
-        here = np.flatnonzero(off_rad <= same_pose_rad)
-        return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
-
-    def reflector(self, name: str) -> Array | None:
-        """Return the recorded position of one reflector, None where there is none."""
-        return self.reflectors().get(name)
-
-    def find(self, near_mm: Array, radius_mm: float) -> str | None:
-        """Return the reflector nearest to a point (3,) within the radius."""
-        found = {
-            name: float(np.linalg.norm(at_mm - near_mm))
-            for name, at_mm in self.reflectors().items()
-        }
-        best = min(found, key=found.__getitem__, default=None)
-        return best if best is not None and found[best] <= radius_mm else None
-
-    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
-        """Return the recorded measurement, whose face the data do not tell."""
-        at_mm = self.reflector(name)
-        std_mm = 0.005  # the data say nothing of each reading's spread
-        return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
-
-    def air(self) -> Air:
-        """Return the air, which the data do not tell."""
-        return self.AIR

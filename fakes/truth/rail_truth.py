@@ -202,7 +202,6 @@ class RailTruth:
     # -- inside ---------------------------------------------------------------------------------
 
     def _strike(self, now_s: float) -> None:
-        """Let the faults of a poll happen."""
         self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0
         if self._braked and now_s >= self._path.end_s:
             pushed_mm = self._faults.number("rail.pushed") or 0.0

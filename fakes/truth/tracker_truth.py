@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,18 +26,8 @@ from fakes.truth.noise import KeyedNoise
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotation
 from hilcell.cell.file import Cell
-
-Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
-PathInWorld = Callable[[str, Array], Array]  # name, times (N,) -> (N, 3) in {W}
-
-
-@dataclass(frozen=True, slots=True)
-class Air:
-    """The air at the tracker."""
-
-    temperature_c: float
-    pressure_mbar: float
-    humidity_percent: float
+from hilcell.fit.robot_file import read_measurements
+from hilcell.ports import Air
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,30 +38,7 @@ class Measurement:
     std_mm: Array
 
 
-class Instrument(Protocol):
-    """The plant's tracker as a device sees it: positions in the tracker's frame, mm."""
-
-    def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
-
-    def reflector(self, name: str) -> Array | None:
-        """Return where a reflector is, None where it is not to be seen."""
-
-    def find(self, near_mm: Array, radius_mm: float) -> str | None:
-        """Return the name of the reflector nearest to a point."""
-
-    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
-        """Return one measurement of a reflector, ``back`` in the second face, None where it cannot
-        be seen.
-        """
-
-    def air(self) -> Air:
-        """Return the air now."""
-
-
 class _Struck(NamedTuple):
-    """The faults of one measurement."""
-
     offset_mm: float
     noisy_mm: float | None
     spike_mm: float
@@ -93,12 +61,12 @@ class TrackerTruth:
         cell: Cell,
         seed: int,
         faults: Faults,
-        reflectors_in_world: Scene,
+        reflectors_in_world: Callable[[], dict[str, Array]],  # (3,) by name
     ) -> None:
         rng = KeyedNoise(seed).generator("tracker")
         self._noise, self._back = KeyedNoise(seed, "tracker"), KeyedNoise(seed, "tracker's back")
         self._faults, self._reflectors = faults, reflectors_in_world
-        self._measured = 0
+        self.measured = 0  # how often
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
         machine = machine_of(cell)
         self._sizes = machine.tracker
@@ -154,7 +122,7 @@ class TrackerTruth:
             at_mm = self.reflector(name)
             if at_mm is None or not self._in_range(at_mm):
                 return None
-            self._measured += not back
+            self.measured += not back
             if back:
                 struck[row] = _Struck(self._offset_mm, None, 0.0)
             elif self._faults.any_armed or self._offset_mm:
@@ -203,11 +171,6 @@ class TrackerTruth:
         return found
 
     @property
-    def measured(self) -> int:
-        """Return how many measurements were made."""
-        return self._measured
-
-    @property
     def warm_k(self) -> float:
         """How much warmer the room is now than its mean."""
         return self._temperature_c() - self._sizes.room_c
@@ -226,11 +189,10 @@ class TrackerTruth:
 
     def _air_wave(self, number: int) -> float:
         air_period_s = 3 * 3600.0
-        age = self._measured * self.MEASUREMENT_S / air_period_s
+        age = self.measured * self.MEASUREMENT_S / air_period_s
         return math.sin(2 * math.pi * age + self._air_phases[number])
 
     def _strike(self, name: str) -> _Struck:
-        """Let the faults of one measurement happen."""
         number = self._faults.number
         noisy_mm = number("tracker.noisy")
         self._bump_mm[0] += number("tracker.drift_step") or 0.0
@@ -244,7 +206,7 @@ class TrackerTruth:
         for axis, fault in enumerate(axes):
             self._axes_rad[axis] += self.URAD * (number(fault) or 0.0)
         if (turning := number("tracker.turning")) is not None:
-            self._turning_rad, self._turning_since = self.URAD * turning, self._measured
+            self._turning_rad, self._turning_since = self.URAD * turning, self.measured
         return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
 
     def _sighted(self, xyz_mm: Array, *, back: bool = False) -> Array:
@@ -258,14 +220,13 @@ class TrackerTruth:
         around = np.stack([-y, x, nought], axis=1)
         down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / range_mm[:, None]
         collimation, transit, index = -self._axes_rad if back else self._axes_rad
-        turned = self._turning_rad * (self._measured - self._turning_since) / 1000.0
+        turned = self._turning_rad * (self.measured - self._turning_since) / 1000.0
         across = (collimation * range_mm + transit * z) / flat_mm + turned
         found: Array = xyz_mm + across[:, None] * around
         found += (index * range_mm / flat_mm)[:, None] * down
         return found
 
     def _sigma_mm(self, range_mm: Array) -> tuple[float, Array]:
-        """Return the noise along the beam and, at ranges (N, 1), across it."""
         return self._sizes.radial_um * 1e-3, self._sizes.across_um_m * 1e-6 * range_mm
 
     def _in_range(self, at_mm: Array) -> bool:
@@ -273,10 +234,54 @@ class TrackerTruth:
 
     def _slow_drift_mm(self) -> Array:
         drift_period_s = 4 * 3600.0
-        angle = 2 * math.pi * self._measured * self.MEASUREMENT_S / drift_period_s
+        angle = 2 * math.pi * self.measured * self.MEASUREMENT_S / drift_period_s
         there, back = self._drift
         drift: Array = there * math.sin(angle) + back * (1 - math.cos(angle))
         return drift
+
+
+class ReplayTracker:
+    """Sees the reflectors recorded for the pose at which the robot stands."""
+
+    def __init__(self, data: Path, robot: RobotMotion) -> None:
+        self._rows = read_measurements(data)
+        self._robot = robot
+
+    def reflectors(self) -> dict[str, Array]:
+        """Return the recorded positions of the reflectors at this pose, by name."""
+        state = self._robot.state()
+        if state.moving:
+            return {}
+        off_rad = np.abs(self._rows.joints_rad - state.joints_rad).max(axis=1)
+        same_pose_rad = 2e-5  # joints travel as decimals
+        here = np.flatnonzero(off_rad <= same_pose_rad)
+        return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
+
+    def reflector(self, name: str) -> Array | None:
+        """Return the recorded position of one reflector, None where there is none."""
+        return self.reflectors().get(name)
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the reflector nearest to a point (3,) within the radius."""
+        found = {
+            name: float(np.linalg.norm(at_mm - near_mm))
+            for name, at_mm in self.reflectors().items()
+        }
+        best = min(found, key=found.__getitem__, default=None)
+        return best if best is not None and found[best] <= radius_mm else None
+
+    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
+        """Return the recorded measurement, whose face the data do not tell."""
+        at_mm = self.reflector(name)
+        std_mm = 0.005  # the data say nothing of each reading's spread
+        return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
+
+    def air(self) -> Air:
+        """Return the air, which the data do not tell."""
+        return Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
+
+
+Instrument = TrackerTruth | ReplayTracker
 
 
 class Followed(NamedTuple):
@@ -290,7 +295,11 @@ class StreamTruth:
     """The streams of one tracker."""
 
     def __init__(
-        self, seed: int, robot: RobotMotion, tracker: TrackerTruth, path_in_world: PathInWorld
+        self,
+        seed: int,
+        robot: RobotMotion,
+        tracker: TrackerTruth,
+        path_in_world: Callable[[str, Array], Array],  # name, times (N,) -> (N, 3)
     ) -> None:
         self._robot, self._tracker, self._path = robot, tracker, path_in_world
         self._noise = KeyedNoise(seed, "stream")

@@ -181,7 +181,7 @@ class UrController:
                 "safetystatus": f"Safetystatus: {safety}",
                 "is in remote control": str(self.remote).lower(),
                 "running": f"Program running: {str(self._runtime == Runtime.PLAYING).lower()}",
-                "programState": f"{self._state_name()} {self._program or 'null'}",
+                "programState": f"{Runtime(self._runtime).name} {self._program or 'null'}",
                 "get serial number": str(self._arm.serial),
                 "PolyscopeVersion": "URSoftware 5.12.0.1101319 (Mar 22 2022)",
             }
@@ -239,7 +239,6 @@ class UrController:
         return self._program == "hilcell" and self._runtime == Runtime.PLAYING
 
     def _run(self) -> None:
-        """Let the program hilcell go through its loop once."""
         if not self._ours:
             return
         self._count += 1
@@ -290,7 +289,6 @@ class UrController:
         self._acknowledge(why)
 
     def _end_program(self) -> None:
-        """End the program; a robot in motion brakes."""
         self._timer.stop()
         if self._motion.moving:
             self._motion.brake()
@@ -303,9 +301,6 @@ class UrController:
             self._run()  # a motion that has ended meanwhile needs no sign any more
             if self._timer.ran_out and self._moves:
                 self._brake(Error.LOST)
-
-    def _state_name(self) -> str:
-        return Runtime(self._runtime).name
 
     # -- faults -------------------------------------------------------------------------------
 

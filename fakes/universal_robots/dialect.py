@@ -105,7 +105,6 @@ class Rtde(Sized):
         return answer[KIND] == DATA and struct.unpack_from("!i", answer, at) != (sequence,)
 
     def _learn(self, asked: bytes, answer: bytes) -> None:
-        """Take note of where each field is."""
         names = asked[HEAD + 8 :].decode("ascii", "replace").split(",")
         sizes = [SIZES.get(each, 0) for each in answer[HEAD + 1 :].decode("ascii").split(",")]
         at = HEAD + 1

@@ -36,23 +36,25 @@ class Package(IntEnum):
 
 
 FASTEST_HZ = 500.0
-SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
-WHOLE = {"robot_mode", "safety_status", "safety_mode"}
-
-
+TYPES = {  # of the outputs, beside the registers that a client writes
+    **dict.fromkeys(("actual_q", "target_q", "actual_qd", "actual_TCP_pose"), "VECTOR6D"),
+    **dict.fromkeys(("robot_mode", "safety_status", "safety_mode"), "INT32"),
+    **dict.fromkeys((f"output_int_register_{n}" for n in range(24, 28)), "INT32"),
+    "runtime_state": "UINT32",
+    **dict.fromkeys(("timestamp", "target_speed_fraction", "speed_scaling"), "DOUBLE"),
+    **dict.fromkeys((f"output_double_register_{n}" for n in range(24, 30)), "DOUBLE"),
+}
 LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
 
 
 class _Session:
-    """One client's exchange."""
-
     HEAD = struct.Struct("!HB")
 
     def __init__(self, client: socket.socket, server: UrServer) -> None:
         self._client, self._server = client, server
         self._segments = Segments(client.sendall)
         self._pending, self._glued, self._sent = b"", b"", 0
-        self._outputs: list[tuple[str, str]] = []
+        self._outputs: list[str] = []
         self._layout = struct.Struct("!B")  # of a state
         self._inputs: dict[int, list[tuple[str, str]]] = {}  # by the number of their recipe
         self._rate_hz, self._started, self._due_s, self._silent = FASTEST_HZ, False, 0.0, False
@@ -91,11 +93,11 @@ class _Session:
             answer = struct.pack("!4I", *software)
         elif kind == Package.OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
-            known = self._server.controller.inputs
-            self._outputs = [(name, _kind(name, known)) for name in _names(payload[8:])]
-            layout = "".join(LAYOUTS.get(kind, "") for _, kind in self._outputs)
-            self._layout = struct.Struct(f"!B{layout}")
-            answer = b"\x01" + ",".join(kind for _, kind in self._outputs).encode()
+            self._outputs = _names(payload[8:])
+            known = TYPES | {name: _register(name) for name in self._server.controller.inputs}
+            types = [known.get(name, "NOT_FOUND") for name in self._outputs]
+            self._layout = struct.Struct("!B" + "".join(LAYOUTS.get(each, "") for each in types))
+            answer = b"\x01" + ",".join(types).encode()
         elif kind == Package.INPUTS:
             number, types = self._claimed(_names(payload))
             answer = bytes([number]) + ",".join(types).encode()
@@ -143,7 +145,7 @@ class _Session:
             time.sleep(late_s)
         number = 2 if faults.take("robot.tag_mismatch") is not None else 1
         numbers: list[float] = []
-        for name, _ in self._outputs:
+        for name in self._outputs:
             value = values[name]
             numbers += value.tolist() if isinstance(value, np.ndarray) else [value]
         payload = self._layout.pack(number, *numbers)
@@ -151,17 +153,13 @@ class _Session:
             self._glued + self.HEAD.pack(self.HEAD.size + len(payload), Package.DATA) + payload
         )
         self._sent += 1
-        glued_every = 29
+        glued_every, glued, self._glued = 29, self._glued, b""
         if faults.take("robot.split_reply") is not None:
-            self._client.sendall(package[: len(package) // 2])
-            time.sleep(0.02)  # so that both halves are segments of their own
-            self._client.sendall(package[len(package) // 2 :])
-            self._glued = b""
-        elif self._sent % glued_every == 0 and not self._glued:
+            self._segments.send_in_two(package, len(package) // 2)
+        elif self._sent % glued_every == 0 and not glued:
             self._glued = package
         else:
             self._segments.send(package)
-            self._glued = b""
 
 
 def _names(payload: bytes) -> list[str]:
@@ -171,21 +169,6 @@ def _names(payload: bytes) -> list[str]:
 
 def _register(name: str) -> str:
     return "INT32" if "_int_" in name else "DOUBLE"
-
-
-def _kind(name: str, registers: set[str]) -> str:
-    """Return the type of an output; registers that a client writes are outputs, too."""
-    if name in registers:
-        return _register(name)
-    if name in SIX:
-        return "VECTOR6D"
-    if name in WHOLE or name in {f"output_int_register_{n}" for n in range(24, 28)}:
-        return "INT32"
-    if name == "runtime_state":
-        return "UINT32"
-    known = {"timestamp", "target_speed_fraction", "speed_scaling"}
-    known |= {f"output_double_register_{n}" for n in range(24, 30)}
-    return "DOUBLE" if name in known else "NOT_FOUND"
 
 
 class UrServer(Server):
