@@ -20,8 +20,6 @@ SPEED_PERCENT = 10.0
 SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
 STEP_DEG, STEP_MM = 2.0, 20.0
 TRAVEL_S = 17.0  # of the cell
-READS_BACK_DEG, READS_BACK_MM = 0.01, 0.1
-STANDS_DEG, STANDS_MM = 0.002, 0.05
 MANY = 30  # readings of a measurement that takes seconds
 
 
@@ -61,18 +59,19 @@ class Acts(Protocol):
         """Return how far two readings are from each other, as a share of what one place allows."""
 
 
-class RailActs:
+class _RailActs:
     """Two places of the slide, near the first station; one and the same where there is no rail."""
 
-    tolerance, unit = READS_BACK_MM, "mm"
+    tolerance, unit = 0.1, "mm"
     lasting = "a motion to the end of the travel"
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        no_rail = "the cell has no rail: no device answers, and nothing moves"
-        self.absent = "" if cell.has_rail else no_rail
-        step_mm = STEP_MM if cell.has_rail else 0.0
-        self.places_mm = (cell.station[0].rail_mm, cell.station[0].rail_mm + step_mm)
+        first_mm = cell.station[0].rail_mm
+        self.absent, self.places_mm = "", (first_mm, first_mm + STEP_MM)
+        if not cell.has_rail:
+            self.absent = "the cell has no rail: no device answers, and nothing moves"
+            self.places_mm = (first_mm, first_mm)
 
     def ready(self, device: Rail) -> None:
         """Find the reference, unless drive and strip agree: that proves it, as in a run."""
@@ -82,24 +81,19 @@ class RailActs:
             device.home()
 
     def ask(self, device: Rail) -> RailReading:
-        """Read."""
         return device.read()
 
     def visit(self, device: Rail, place: int) -> RailReading:
-        """Move, and come to rest."""
         device.move_to(self.places_mm[place])
         return device.settle()
 
     def refused(self, device: Rail, value: float) -> None:
-        """Move to no number."""
         device.move_to(value)
 
     def travel(self, device: Rail) -> None:
-        """Move to the far end."""
         device.move_to(self.cell.rail.travel_max_mm)
 
     def short(self, reading: RailReading) -> bool:
-        """Whether it stands before the end of `travel`."""
         return reading.position_mm < self.cell.rail.travel_max_mm - STEP_MM
 
     def slowly(self) -> dict[str, object]:
@@ -113,15 +107,15 @@ class RailActs:
         return abs(reading.position_mm - self.places_mm[place])
 
     def apart(self, one: RailReading, other: RailReading) -> float:
-        """Compare drive and strip."""
         drive_mm = abs(one.position_mm - other.position_mm)
-        return max(drive_mm, abs(one.strip_mm - other.strip_mm)) / STANDS_MM
+        stands_mm = 0.05
+        return max(drive_mm, abs(one.strip_mm - other.strip_mm)) / stands_mm
 
 
-class RobotActs:
+class _RobotActs:
     """The safe pose, and all axes a step up from it."""
 
-    tolerance, unit, absent = READS_BACK_DEG, "deg", ""
+    tolerance, unit, absent = 0.01, "deg", ""
     lasting = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
 
     def __init__(self, cell: Cell) -> None:
@@ -137,11 +131,9 @@ class RobotActs:
         """Do nothing: connected is ready."""
 
     def ask(self, device: Robot) -> RobotReading:
-        """Read."""
         return device.read()
 
     def visit(self, device: Robot, place: int) -> RobotReading:
-        """Move."""
         return device.move_to(np.radians(self.places_deg[place]), SPEED_PERCENT)
 
     def refused(self, device: Robot, value: float) -> RobotReading:
@@ -151,11 +143,9 @@ class RobotActs:
         return device.move_to(np.radians(target_deg), SPEED_PERCENT)
 
     def travel(self, device: Robot) -> RobotReading:
-        """Turn axis 1 slowly."""
         return device.move_to(np.radians(self.far_deg), SLOW_PERCENT)
 
     def short(self, reading: RobotReading) -> bool:
-        """Whether it stands before the end of `travel`."""
         return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG
 
     def slowly(self) -> dict[str, object]:
@@ -167,8 +157,8 @@ class RobotActs:
         return worst_deg(reading.joints_rad, np.radians(self.places_deg[place]))
 
     def apart(self, one: RobotReading, other: RobotReading) -> float:
-        """Compare all axes."""
-        return worst_deg(one.joints_rad, other.joints_rad) / STANDS_DEG
+        stands_deg = 0.002
+        return worst_deg(one.joints_rad, other.joints_rad) / stands_deg
 
 
 class TrackerActs:
@@ -181,7 +171,6 @@ class TrackerActs:
         self.cell, self.reflector = cell, cell.tracker.reflector
         self.tolerance = cell.tracker.find_radius_mm
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
-        self.nests_mm = nests_mm  # (N, 3) in {W}
         self.near_mm: Array = apply(inverse(cell.tracker.pose.matrix()), nests_mm)
 
     def ready(self, device: Tracker) -> None:
@@ -229,7 +218,7 @@ def worst_deg(one_rad: Array, other_rad: Array) -> float:
 
 
 ACTS: dict[Port, Callable[[Cell], Acts]] = {
-    "rail": RailActs,
-    "robot": RobotActs,
+    "rail": _RailActs,
+    "robot": _RobotActs,
     "tracker": TrackerActs,
 }

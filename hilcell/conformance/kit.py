@@ -26,23 +26,35 @@ from hilcell.conformance.acts import (
     TrackerActs,
     worst_deg,
 )
-from hilcell.conformance.connecting import near
-from hilcell.conformance.trial import LOOK_S, Bench, NotApplicable, Promise, fails, need
+from hilcell.conformance.trial import (
+    LOOK_S,
+    Bench,
+    NotApplicable,
+    Promise,
+    Promises,
+    fails,
+    need,
+)
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, NoReading, Rail, Robot, StreamBlock, Streams, Sweeps, Tracker
 
-BEYOND_MM = 500.0
+OWN = Promises()  # of one port
+
+
+def _able(bench: Bench, kind: type[Sweeps | Streams], what: str) -> Driver:
+    driver = bench.connected()
+    if not isinstance(driver, kind):
+        raise NotApplicable(f"it does not {what}")
+    return driver
 
 
 def _strip_steps(bench: Bench) -> list[tuple[float, float]]:
     """Return steps of drive and strip, mm."""
     bench.present()
     driver: Rail = bench.connected()
-    steps = 3  # from one side, so that the backlash stays out
-    at_mm = [bench.cell.station[0].rail_mm + n * STEP_MM for n in range(steps + 1)]
     readings = []
-    for each in at_mm:
-        driver.move_to(each)
+    for n in range(4):  # from one side, so that the backlash stays out
+        driver.move_to(bench.cell.station[0].rail_mm + n * STEP_MM)
         readings.append(driver.settle())
     return [
         (after.position_mm - before.position_mm, after.strip_mm - before.strip_mm)
@@ -50,8 +62,9 @@ def _strip_steps(bench: Bench) -> list[tuple[float, float]]:
     ]
 
 
+@OWN.add("units", "rail", real=True)
 def rail_units(bench: Bench) -> None:
-    """Compare steps of the drive with the strip."""
+    """A step of 20 mm is one of drive and strip."""
     limit_mm = bench.cell.rail.max_backlash_mm
     for drive_mm, strip_mm in _strip_steps(bench):
         for what, step_mm in (("drive", drive_mm), ("strip", strip_mm)):
@@ -59,8 +72,9 @@ def rail_units(bench: Bench) -> None:
             need(off_mm <= limit_mm, f"a step of {STEP_MM:g} mm: {what} {step_mm:.3f} mm")
 
 
+@OWN.add("handedness", "rail", real=True)
 def direction(bench: Bench) -> None:
-    """See that drive and strip count the same way."""
+    """Drive and strip count in the direction of the command."""
     for drive_mm, strip_mm in _strip_steps(bench):
         need(
             drive_mm > 0 and strip_mm > 0,
@@ -68,8 +82,9 @@ def direction(bench: Bench) -> None:
         )
 
 
+@OWN.add("held", "rail")
 def held(bench: Bench) -> None:
-    """Take the power away, and give it back by a motion."""
+    """Hold takes the power away; a motion leaves the drive holding."""
     bench.present()
     driver: Rail = bench.connected()
     driver.move_to(bench.cell.station[0].rail_mm)
@@ -80,19 +95,20 @@ def held(bench: Bench) -> None:
     need(driver.settle().powered, "not powered after a motion: it leaves the drive holding")
 
 
+@OWN.add("travel", "rail")
 def travel(bench: Bench) -> None:
-    """Ask for places beyond both ends."""
+    """A place beyond the travel is refused, and nothing moves."""
     driver: Rail = bench.connected()
     rail = bench.cell.rail
     before = driver.settle()
-    for beyond_mm in (rail.travel_min_mm - BEYOND_MM, rail.travel_max_mm + BEYOND_MM):
+    for beyond_mm in (rail.travel_min_mm - 500.0, rail.travel_max_mm + 500.0):
         fails(f"a motion to {beyond_mm:g} mm", partial(driver.move_to, beyond_mm))
-    apart = bench.acts.apart(before, driver.read())
-    need(apart <= 1.0, f"the slide has moved: {apart:.1f} of what a rest allows")
+    bench.rested(before, driver.read(), "the slide has moved")
 
 
+@OWN.add("counts", "rail")
 def counts(bench: Bench) -> None:
-    """Ask for the wire's counts after close."""
+    """The wire's counts are there, also after close."""
     bench.present()
     driver: Rail = bench.connected()
     driver.read()
@@ -100,19 +116,6 @@ def counts(bench: Bench) -> None:
     driver.close()
     after = driver.statistics().frames
     need(0 < before <= after, f"{before} frames before close, {after} after it")
-
-
-RAIL = (
-    Promise("units", "A step of 20 mm is one of drive and strip.", rail_units, ("rail",),
-            real=True),
-    Promise("handedness", "Drive and strip count in the direction of the command.", direction,
-            ("rail",), real=True),
-    Promise("held", "Hold takes the power away; a motion leaves the drive holding.", held,
-            ("rail",)),
-    Promise("travel", "A place beyond the travel is refused, and nothing moves.", travel,
-            ("rail",)),
-    Promise("counts", "The wire's counts are there, also after close.", counts, ("rail",)),
-)  # fmt: skip
 
 
 STEP_DEG = 5.0
@@ -135,8 +138,9 @@ def _steps(bench: Bench) -> list[tuple[int, Array, Array]]:
     return found
 
 
+@OWN.add("units", "robot", real=True)
 def robot_units(bench: Bench) -> None:
-    """Step each axis, and compare how far the tool point goes."""
+    """A step of each axis moves the tool point as far as the nominal arm says."""
     for axis, stated_mm, nominal_mm in _steps(bench):
         wanted_mm, found_mm = (float(np.linalg.norm(each)) for each in (nominal_mm, stated_mm))
         limit_mm = NEAR_MM + NEAR_SHARE * wanted_mm
@@ -147,8 +151,9 @@ def robot_units(bench: Bench) -> None:
         )
 
 
+@OWN.add("handedness", "robot", real=True)
 def robot_handedness(bench: Bench) -> None:
-    """Step each axis, and compare where the tool point goes."""
+    """A step of each axis moves the tool point the way the nominal arm says."""
     for axis, stated_mm, nominal_mm in _steps(bench):
         off_mm = float(
             np.linalg.norm(stated_mm / _length(stated_mm) - nominal_mm / _length(nominal_mm))
@@ -165,29 +170,26 @@ def _length(step_mm: Array) -> float:
     return max(float(np.linalg.norm(step_mm)), 1e-9)
 
 
+@OWN.add("speed", "robot")
 def speed(bench: Bench) -> None:
-    """Ask for speeds that are none."""
+    """A speed that is not 1 to 100 % is refused, and nothing moves."""
     driver: Robot = bench.connected()
     there_rad = np.radians(bench.cell.robot.safe_deg)
     before = driver.move_to(there_rad, SPEED_PERCENT)
     for percent in (0.0, -10.0, 0.9, 100.1, math.nan, math.inf):
-        fails(
-            f"a motion at {percent} %",
-            partial(driver.move_to, there_rad + 0.05, percent),
-        )
-    apart = bench.acts.apart(before, driver.read())
-    need(apart <= 1.0, f"the robot has moved: {apart:.1f} of what a rest allows")
+        fails(f"a motion at {percent} %", partial(driver.move_to, there_rad + 0.05, percent))
+    bench.rested(before, driver.read(), "the robot has moved")
 
 
+@OWN.add("sweep", "robot")
 def sweep(bench: Bench) -> None:
-    """Turn axis 1 slowly, and see that no other turns."""
-    driver = _sweeper(bench)
+    """A sweep turns one axis, not faster than asked for."""
+    driver = _able(bench, Sweeps, "sweep")
     start = driver.move_to(np.radians(bench.cell.robot.safe_deg), SPEED_PERCENT)
     end_rad = start.joints_rad[0] + np.radians(SWEEP_DEG)
-    faster = 1.02
     with driver.sweep(0, end_rad, SWEEP_RAD_S) as sweeping:
         need(
-            0 < sweeping.speed_rad_s <= SWEEP_RAD_S * faster,
+            0 < sweeping.speed_rad_s <= SWEEP_RAD_S * 1.02,
             f"set to {sweeping.speed_rad_s:.4f} rad/s, wanted <= {SWEEP_RAD_S:g} rad/s",
         )
         sweeping.kickoff()
@@ -205,9 +207,10 @@ def sweep(bench: Bench) -> None:
     need(times == sorted(times), "times of samples run back")
 
 
+@OWN.add("moving", "robot")
 def moving(bench: Bench) -> None:
-    """Read while an axis turns."""
-    driver = _sweeper(bench)
+    """A reading taken while an axis sweeps is not still."""
+    driver = _able(bench, Sweeps, "sweep")
     start = driver.move_to(np.radians(bench.cell.robot.safe_deg), SPEED_PERCENT)
     with driver.sweep(0, start.joints_rad[0] + np.radians(SWEEP_DEG), SWEEP_RAD_S) as sweeping:
         sweeping.kickoff()
@@ -218,29 +221,7 @@ def moving(bench: Bench) -> None:
         sweeping.complete()
 
 
-def _sweeper(bench: Bench) -> Driver:
-    driver = bench.connected()
-    if not isinstance(driver, Sweeps):
-        raise NotApplicable("it does not sweep")
-    return driver
-
-
-ROBOT = (
-    Promise("units", "A step of each axis moves the tool point as far as the nominal arm says.",
-            robot_units, ("robot",), real=True),
-    Promise("handedness", "A step of each axis moves the tool point the way the nominal arm says.",
-            robot_handedness, ("robot",), real=True),
-    Promise("speed", "A speed that is not 1 to 100 % is refused, and nothing moves.", speed,
-            ("robot",)),
-    Promise("sweep", "A sweep turns one axis, not faster than asked for.", sweep, ("robot",)),
-    Promise("moving", "A reading taken while an axis sweeps is not still.", moving, ("robot",)),
-)  # fmt: skip
-
-
-SAMPLES = 3
 RATE_HZ, STREAM_S = 50.0, 1.0
-RATE_SHARE, GAP_SHARE = 0.02, 1.5
-HELD_LOOKS = range(10, 25)
 
 
 def _acts(bench: Bench) -> TrackerActs:
@@ -259,8 +240,9 @@ def _floor(bench: Bench) -> tuple[Array, Array]:
     return np.array(found), nominal_mm
 
 
+@OWN.add("units", "tracker", real=True)
 def tracker_units(bench: Bench) -> None:
-    """Measure the distance of two nests."""
+    """Two nests are as far apart as the cell file says."""
     found_mm, nominal_mm = _floor(bench)
     limit_mm = 2 * bench.cell.layout.nest_tolerance_mm
     for other in (1, 2):
@@ -273,66 +255,70 @@ def tracker_units(bench: Bench) -> None:
         )
 
 
+@OWN.add("handedness", "tracker", real=True)
 def tracker_handedness(bench: Bench) -> None:
-    """Compare the sense of three nests, as the tracker sees them."""
+    """Three nests have the sense that the cell file says."""
     found_mm, nominal_mm = _floor(bench)
     senses = [float(np.sign(np.linalg.det(each))) for each in (found_mm, nominal_mm)]
     need(senses[0] == senses[1], "the nests are mirrored: the axes are left-handed, or two swapped")
 
 
+@OWN.add("samples", "tracker", real=True)
 def samples(bench: Bench) -> None:
-    """Ask for several readings."""
+    """A reading is the mean of as many as asked for, with their deviation."""
     driver: Tracker = bench.connected()
     acts = _acts(bench)
-    reading = driver.measure(acts.near_mm[0], acts.reflector, SAMPLES)
-    need(reading.samples == SAMPLES, f"mean of {reading.samples} readings, wanted {SAMPLES}")
+    reading = driver.measure(acts.near_mm[0], acts.reflector, 3)
+    need(reading.samples == 3, f"mean of {reading.samples} readings, wanted 3")
     need(reading.reflector == acts.reflector, f"of {reading.reflector!r}")
     std_mm, limit_mm = np.asarray(reading.std_mm), bench.cell.tracker.max_std_mm
     sound = std_mm.shape == (3,) and bool(np.all((std_mm >= 0) & (std_mm <= limit_mm)))
     need(sound, f"standard deviation {std_mm} mm, wanted three of 0 to {limit_mm:g} mm")
 
 
+@OWN.add("nothing-there", "tracker", real=True)
 def nothing_there(bench: Bench) -> None:
-    """Measure where no reflector is."""
+    """Where no reflector is, measure raises NoReading; the next is good."""
     driver: Tracker = bench.connected()
     acts = _acts(bench)
-    beside = 10.0  # find radii from any reflector
-    beside_mm = acts.near_mm[0] + [0.0, 0.0, beside * bench.cell.tracker.find_radius_mm]
+    beside_mm = acts.near_mm[0] + [0.0, 0.0, 10.0 * bench.cell.tracker.find_radius_mm]
     error = fails("no reflector is there", lambda: driver.measure(beside_mm, acts.reflector, 1))
     need(isinstance(error, NoReading), f"{type(error).__name__}, wanted NoReading: {error}")
-    near(bench, acts.visit(driver, 1), 1)
+    bench.visit(driver, 1)
 
 
+@OWN.add("reflector", "tracker")
 def no_such_reflector(bench: Bench) -> None:
-    """Measure with a reflector that the tracker does not know."""
+    """A reflector that the tracker does not know is refused."""
     driver: Tracker = bench.connected()
     acts = _acts(bench)
     fails("an unknown reflector", lambda: driver.measure(acts.near_mm[0], "no such one", 1))
 
 
+@OWN.add("stream-times", "tracker", real=True)
 def stream_times(bench: Bench) -> None:
-    """Compare the samples' times with the rate."""
+    """Times of samples rise, at the stated rate."""
     rate_hz, device_s, _ = _streamed(bench)
     need(len(device_s) >= STREAM_S * RATE_HZ / 2, f"{len(device_s)} samples in {STREAM_S:g} s")
     steps_s = np.diff(device_s)
     need(bool(np.all(steps_s > 0)), "times of samples do not rise")
     found_hz = 1.0 / float(np.median(steps_s))
-    need(
-        abs(found_hz / rate_hz - 1.0) <= RATE_SHARE,
-        f"{found_hz:.2f} samples/s, wanted {rate_hz:.2f}",
-    )
+    even = abs(found_hz / rate_hz - 1.0) <= 0.02
+    need(even, f"{found_hz:.2f} samples/s, wanted {rate_hz:.2f}")
 
 
+@OWN.add("stream-gaps", "tracker")
 def stream_gaps(bench: Bench) -> None:
-    """Hold the wire for a while; no sample is lost, none comes twice."""
+    """No sample is lost, and none comes twice, also where the wire pauses."""
     rate_hz, device_s, _ = _streamed(bench, hold=True)
     steps = np.diff(device_s) * rate_hz
-    lost, twice = int(np.sum(steps > GAP_SHARE)), int(np.sum(steps < 1.0 / GAP_SHARE / 2))
+    lost, twice = int(np.sum(steps > 1.5)), int(np.sum(steps < 1.0 / 1.5 / 2))
     need(not (lost or twice), f"{lost} gaps, {twice} samples twice, in {len(device_s)}")
 
 
+@OWN.add("stream-place", "tracker", real=True)
 def stream_place(bench: Bench) -> None:
-    """Compare the samples with a measurement at rest."""
+    """Samples are of the reflector that was asked for."""
     _, _, xyz_mm = _streamed(bench)
     off_mm = np.linalg.norm(xyz_mm - _acts(bench).near_mm[0], axis=1)
     worst_mm = float(np.max(off_mm, initial=0.0))
@@ -340,38 +326,31 @@ def stream_place(bench: Bench) -> None:
     need(worst_mm <= limit_mm, f"a sample {worst_mm:.2f} mm off, wanted <= {limit_mm:g} mm")
 
 
+@OWN.add("stream-ends", "tracker", real=True)
 def stream_ends(bench: Bench) -> None:
-    """Measure at rest after a stream, ended well or given up."""
-    driver, acts = _streamer(bench), _acts(bench)
-    looks = 10  # until a sample has come
+    """After a stream, ended or given up, the tracker measures at rest."""
+    driver, acts = _able(bench, Streams, "stream"), _acts(bench)
     for ends in (True, False):
         with driver.stream(acts.near_mm[0], acts.reflector, RATE_HZ) as stream:
             stream.kickoff()
-            for _ in range(looks):
+            for _ in range(10):  # until a sample has come
                 bench.clock.wait(LOOK_S)
                 stream.collect()
             if ends:
                 stream.complete()
-        near(bench, acts.visit(driver, 1), 1)
-
-
-def _streamer(bench: Bench) -> Driver:
-    driver = bench.connected()
-    if not isinstance(driver, Streams):
-        raise NotApplicable("it does not stream")
-    return driver
+        bench.visit(driver, 1)
 
 
 def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]:
     """Return the rate, and the samples' times (N,) and positions (N, 3)."""
-    driver, acts = _streamer(bench), _acts(bench)
+    driver, acts = _able(bench, Streams, "stream"), _acts(bench)
     blocks: list[StreamBlock] = []
     with driver.stream(acts.near_mm[0], acts.reflector, RATE_HZ) as stream:
         rate_hz: float = stream.rate_hz
         stream.kickoff()
         for look in range(round(STREAM_S / LOOK_S)):
             if hold:
-                bench.wires.set("hold" if look in HELD_LOOKS else "pass")
+                bench.wires.set("hold" if 10 <= look < 25 else "pass")
             bench.clock.wait(LOOK_S)
             blocks += stream.collect()
         blocks += stream.complete()
@@ -383,35 +362,7 @@ def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]
     )
 
 
-TRACKER = (
-    Promise("units", "Two nests are as far apart as the cell file says.", tracker_units,
-            ("tracker",), real=True),
-    Promise("handedness", "Three nests have the sense that the cell file says.",
-            tracker_handedness, ("tracker",), real=True),
-    Promise("samples", "A reading is the mean of as many as asked for, with their deviation.",
-            samples, ("tracker",), real=True),
-    Promise("nothing-there", "Where no reflector is, measure raises NoReading; the next is good.",
-            nothing_there, ("tracker",), real=True),
-    Promise("reflector", "A reflector that the tracker does not know is refused.",
-            no_such_reflector, ("tracker",)),
-    Promise("stream-times", "Times of samples rise, at the stated rate.", stream_times,
-            ("tracker",), real=True),
-    Promise("stream-gaps", "No sample is lost, and none comes twice, also where the wire pauses.",
-            stream_gaps, ("tracker",)),
-    Promise("stream-place", "Samples are of the reflector that was asked for.", stream_place,
-            ("tracker",), real=True),
-    Promise("stream-ends", "After a stream, ended or given up, the tracker measures at rest.",
-            stream_ends, ("tracker",), real=True),
-)  # fmt: skip
-
-
-PROMISES: tuple[Promise, ...] = (
-    *connecting.PROMISES,
-    *RAIL,
-    *ROBOT,
-    *TRACKER,
-    *wire_faults.PROMISES,
-)
+PROMISES = (*connecting.PROMISES, *OWN, *wire_faults.PROMISES)
 PORT_OF: dict[str, Port] = {
     group: port for port in PORTS for table, group in TABLES if table == port
 }

@@ -21,7 +21,7 @@ import msgspec
 
 from hilcell.cell.devices import TABLES, driver_options, load_entry, start_simulation
 from hilcell.cell.file import Cell
-from hilcell.conformance.acts import ACTS, PORTS, Driver, Port
+from hilcell.conformance.acts import ACTS, PORTS, Driver, Port, Reading
 from hilcell.conformance.wire import Wires
 from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
 from hilcell.ports import Clock, Identity, RidesOnRobot, SimulatedCell
@@ -93,10 +93,6 @@ class Riding:
             self._rail.close()
         finally:
             self._robot.close()
-
-
-def goes_on() -> None:
-    """Stop nothing."""
 
 
 class BenchClock:
@@ -173,12 +169,27 @@ class Bench:
         """Let real time pass, until the run is stopped."""
         end_s = time.monotonic() + duration_s
         while (left_s := end_s - time.monotonic()) > 0:
-            self.check_outer()
+            self.clock.outer()
             time.sleep(min(left_s, LOOK_S))
 
-    def check_outer(self) -> None:
-        """Raise `Stopped` where the run is stopped."""
-        self.clock.outer()
+    def rested(self, one: Reading, other: Reading, otherwise: str) -> None:
+        """Raise `Broken` where two readings are not of one place."""
+        apart = self.acts.apart(one, other)
+        need(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
+
+    def near(self, reading: Reading, place: int) -> None:
+        """Raise `Broken` where a reading is not of a place."""
+        off, limit, unit = self.acts.off(reading, place), self.acts.tolerance, self.acts.unit
+        need(
+            off <= limit,
+            f"reads {off:.4f} {unit} from place {place}, wanted <= {limit:g} {unit}",
+        )
+
+    def visit(self, device: Driver, place: int) -> Reading:
+        """Go to a place; return the reading there; raises `Broken` where it is of another."""
+        reading = self.acts.visit(device, place)
+        self.near(reading, place)
+        return reading
 
     def tidy(self) -> None:
         """Close what a promise has left open, and mend the wires."""
@@ -198,7 +209,7 @@ class SimulatedBench(Bench):
         *,
         kind: type[Driver] | None = None,
         paced: bool = False,
-        outer: Callable[[], None] = goes_on,
+        outer: Callable[[], None] = lambda: None,
     ) -> None:
         if cell.simulation is None:
             raise NotApplicable("the cell is real: nothing simulates its devices")
@@ -275,8 +286,7 @@ class SimulatedBench(Bench):
     def _start(self) -> None:
         if self._simulated is not None:
             return
-        seed = 1
-        simulated = start_simulation(self.cell, seed=seed, speed=self._speed)
+        simulated = start_simulation(self.cell, seed=1, speed=self._speed)
         if simulated is None:
             raise NotApplicable("nothing simulates the device")
         self._simulated = simulated
@@ -307,6 +317,9 @@ class SimulatedBench(Bench):
             simulated.close()
 
 
+Check = Callable[[Bench], None]
+
+
 @dataclass(frozen=True, slots=True)
 class Promise:
     """``check`` raises `Broken`. ``paced``: on a device that moves in real time.
@@ -317,11 +330,24 @@ class Promise:
 
     name: str
     sentence: str
-    check: Callable[[Bench], None]
-    ports: tuple[Port, ...] = PORTS
+    check: Check
+    ports: tuple[Port, ...]
     paced: bool = False
     real: bool = False
     waits: bool = False
+
+
+class Promises(list[Promise]):
+    """Promises in the order in which they are judged."""
+
+    def add(self, name: str, *ports: Port, **flags: bool) -> Callable[[Check], Check]:
+        """Return what adds the promise of a check, which its docstring says in a sentence."""
+
+        def added(check: Check) -> Check:
+            self.append(Promise(name, check.__doc__ or "", check, ports or PORTS, **flags))
+            return check
+
+        return added
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,7 +378,7 @@ def judge(promise: Promise, bench: Bench) -> Outcome:
     except Broken as error:
         verdict, why = "broken", str(error)
     except Stopped as error:
-        bench.check_outer()
+        bench.clock.outer()
         verdict, why = "broken", f"Stopped: {error}"
     except Exception as error:  # noqa: BLE001 - a driver may raise anything, which is its answer
         verdict, why = "broken", with_place(error)
@@ -370,7 +396,7 @@ class Trial:
         port: Port,
         *,
         kind: type[Driver] | None = None,
-        outer: Callable[[], None] = goes_on,
+        outer: Callable[[], None] = lambda: None,
     ) -> None:
         self._bench = partial(SimulatedBench, cell, port, outer=outer)
         self._kind = kind

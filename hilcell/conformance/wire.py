@@ -46,7 +46,7 @@ class End(Protocol):
         """Close it when the other end has been closed, too, which has then taken all."""
 
 
-class SocketEnd:
+class _SocketEnd:
     """One end of a TCP connection."""
 
     RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
@@ -56,19 +56,15 @@ class SocketEnd:
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def fileno(self) -> int:
-        """Return its descriptor."""
         return self._link.fileno()
 
     def receive(self) -> bytes:
-        """Return bytes that have come."""
         return self._link.recv(PIECE)
 
     def send(self, data: bytes) -> None:
-        """Send them."""
         self._link.sendall(data)
 
     def close(self, *, reset: bool) -> None:
-        """Close it."""
         with suppress(OSError):
             if reset:
                 self._link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, self.RESET)
@@ -87,7 +83,7 @@ class SocketEnd:
                     return
 
 
-class LineEnd:
+class _LineEnd:
     """One end of a serial line."""
 
     def __init__(self, descriptor: int) -> None:
@@ -95,11 +91,9 @@ class LineEnd:
         os.set_blocking(descriptor, False)
 
     def fileno(self) -> int:
-        """Return its descriptor."""
         return self._descriptor
 
     def receive(self) -> bytes:
-        """Return bytes that have come."""
         return os.read(self._descriptor, PIECE)
 
     def send(self, data: bytes) -> None:
@@ -109,7 +103,6 @@ class LineEnd:
                 data = data[os.write(self._descriptor, data) :]
 
     def close(self, *, reset: bool) -> None:
-        """Close it."""
         os.close(self._descriptor)
 
     def leave(self) -> None:
@@ -297,7 +290,7 @@ class Proxy(Wire):
             except OSError:
                 near.close()
                 continue
-            self._start(SocketEnd(near), SocketEnd(far))
+            self._start(_SocketEnd(near), _SocketEnd(far))
 
 
 class Line(Wire):
@@ -350,7 +343,7 @@ class Line(Wire):
             with suppress(termios.error):
                 tty.setraw(each)
         self._link.symlink_to(os.ttyname(self._ours))
-        self._start(LineEnd(near), LineEnd(far))
+        self._start(_LineEnd(near), _LineEnd(far))
 
     def close(self) -> None:
         """End."""

@@ -23,18 +23,23 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS, Driver, Port
-from hilcell.conformance.connecting import near
-from hilcell.conformance.trial import LOOK_S, Bench, Broken, Promise, Riding, Settings, fails, need
+from hilcell.conformance.trial import (
+    LOOK_S,
+    Bench,
+    Broken,
+    Promises,
+    Riding,
+    Settings,
+    fails,
+    need,
+)
 from hilcell.errors import DeviceError, Stopped
 from hilcell.typed import Json, decoded
 
+PROMISES = Promises()
 STOP_S = 0.02
 UNDER_WAY_S = 0.7
 END_S = 10.0
-TRAVELLED_S = 30.0  # of the cell: a motion from place to place has ended
-# Requests of a motion, or a measurement, after which answers are kept back; a tracker's first one
-# is kept back by itself.
-HELD_FROM: dict[Port, tuple[int, ...]] = {"rail": (0, 1), "robot": (0, 1), "tracker": (1,)}
 STANDS_S = 0.3
 # A device has seen by then that its client is gone; `travel` would have ended by then, too.
 GONE_S = 5.0
@@ -100,7 +105,7 @@ class Child:
     """The program, from its start to its kill."""
 
     def __init__(self, bench: Bench) -> None:
-        self._check = bench.check_outer
+        self._check = bench.clock.outer
         carrier = bench.carrier()
         order = Order(
             cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
@@ -142,22 +147,23 @@ class Child:
         self._process.communicate()
 
 
+@PROMISES.add("silent", waits=True)
 def silent(bench: Bench) -> None:
-    """Swallow all answers."""
+    """A device that answers no more is a DeviceError within 60 s."""
     driver = bench.connected()
     bench.acts.ask(driver)
     bench.wires.set("mute")
     began_s = time.monotonic()
     fails("no answer comes", lambda: bench.acts.ask(driver))
     took_s = time.monotonic() - began_s
-    longest_s = 60.0
-    need(took_s <= longest_s, f"noticed after {took_s:.0f} s, wanted <= {longest_s:.0f} s")
+    need(took_s <= 60.0, f"noticed after {took_s:.0f} s, wanted <= 60 s")
 
 
+@PROMISES.add("late", waits=True)
 def late(bench: Bench) -> None:
-    """Keep the answers of a question that the driver gives up; they come to the next question."""
+    """A late answer never becomes the answer to the next question."""
     driver = bench.connected()
-    near(bench, bench.acts.visit(driver, 0), 0)
+    bench.visit(driver, 0)
     bench.wires.set("hold")
     with suppress(DeviceError):  # `silent` judges that
         bench.acts.ask(driver)
@@ -169,8 +175,9 @@ def late(bench: Bench) -> None:
         driver.connect()
         bench.acts.ready(driver)
         reading = bench.acts.visit(driver, 1)
-    near(bench, reading, 1)
-    for requests in HELD_FROM[bench.port]:
+    bench.near(reading, 1)
+    # A tracker's first request, its measurement, is kept back by itself.
+    for requests in (1,) if bench.port == "tracker" else (0, 1):
         bench.tidy()
         _late_on_the_way(bench, requests)
     bench.tidy()
@@ -196,7 +203,7 @@ def _answered_again(bench: Bench) -> None:
         reading = question()
     except DeviceError:
         return  # it refuses
-    near(bench, reading, 1)
+    bench.near(reading, 1)
 
 
 def _late_on_the_way(bench: Bench, requests: int) -> None:
@@ -209,7 +216,7 @@ def _late_on_the_way(bench: Bench, requests: int) -> None:
     bench.wires.hold_after(requests)
     with suppress(DeviceError):
         bench.acts.visit(driver, 1)
-    bench.clock.wait(TRAVELLED_S)
+    bench.clock.wait(30.0)  # a motion from place to place has ended
     bench.wires.set("behind")
     try:
         reading = bench.acts.ask(driver)
@@ -218,46 +225,51 @@ def _late_on_the_way(bench: Bench, requests: int) -> None:
     bench.tidy()
     other = bench.build()
     other.connect()
-    apart = bench.acts.apart(reading, bench.acts.ask(other))
-    need(apart <= 1.0, f"an answer from before the question: {apart:.1f} of what a rest allows")
+    bench.rested(reading, bench.acts.ask(other), "an answer from before the question")
 
 
+@PROMISES.add("slow")
 def slow(bench: Bench) -> None:
-    """Delay every answer."""
+    """Answers that come 50 ms late are as good as prompt ones."""
     driver = bench.connected()
-    slow_s = 0.05
-    bench.wires.set("slow", slow_s)
-    _visit_both(bench, driver)
+    bench.wires.set("slow", delay_s=0.05)
+    bench.visit(driver, 0)
+    bench.visit(driver, 1)
     bench.acts.ask(driver)
 
 
+@PROMISES.add("pieces")
 def pieces(bench: Bench) -> None:
-    """Hand bytes on in pieces, the first a single one; then together what comes within 4 ms."""
+    """Answers that come in pieces, or together, are as good as whole ones."""
     driver = bench.connected()
     for mode in ("pieces", "glue"):
         bench.wires.set(mode)
-        _visit_both(bench, driver)
+        bench.visit(driver, 0)
+        bench.visit(driver, 1)
 
 
+@PROMISES.add("garbage", waits=True)
 def garbage(bench: Bench) -> None:
-    """Answer with noise."""
+    """Noise in place of an answer is a DeviceError."""
     driver = bench.connected()
     bench.wires.set("garbage")
     fails("noise comes", lambda: bench.acts.ask(driver))
 
 
+@PROMISES.add("device-killed")
 def device_killed(bench: Bench) -> None:
-    """End the device, and have another in its place."""
+    """A device that was killed is a DeviceError; its successor connects."""
     driver = bench.connected()
     bench.replace_device()
     fails("the device was killed", lambda: bench.acts.ask(driver))
     driver.connect()
     bench.acts.ready(driver)
-    near(bench, bench.acts.visit(driver, 0), 0)
+    bench.visit(driver, 0)
 
 
+@PROMISES.add("client-killed", paced=True, waits=True)
 def client_killed(bench: Bench) -> None:
-    """Kill a program that moves the device; connect another one."""
+    """What a killed program has begun ends; the next program connects."""
     bench.present()
     ready = bench.connected()
     bench.acts.visit(ready, 0)
@@ -271,18 +283,17 @@ def client_killed(bench: Bench) -> None:
     driver.connect()
     one = bench.acts.ask(driver)
     bench.rest(STANDS_S)
-    apart = bench.acts.apart(one, bench.acts.ask(driver))
-    need(apart <= 1.0, f"it goes on without its client: {apart:.1f} of what a rest allows")
+    bench.rested(one, bench.acts.ask(driver), "it goes on without its client")
     need(bench.acts.short(one), f"it went on to its target without its client, for {GONE_S:g} s")
     bench.acts.ready(driver)
-    near(bench, bench.acts.visit(driver, 1), 1)
+    bench.visit(driver, 1)
 
 
+@PROMISES.add("stop-at-once", paced=True)
 def stop_at_once(bench: Bench) -> None:
-    """Stop what moves or measures, and see how long the call takes."""
+    """Stop returns within 20 ms, from another thread."""
     took_s = []
-    tries = 3  # a busy PC may delay one of them
-    for _ in range(tries):
+    for _ in range(3):  # a busy PC may delay one of them
         driver, task = _under_way(bench)
         began_s = time.monotonic()
         driver.stop()
@@ -297,8 +308,9 @@ def stop_at_once(bench: Bench) -> None:
     need(min(took_s) <= STOP_S, f"stop took {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms")
 
 
+@PROMISES.add("stop-rests", "rail", "robot", paced=True)
 def stop_rests(bench: Bench) -> None:
-    """Stop a motion; the device stands, short of its target."""
+    """A stop ends the motion with a DeviceError; the device rests."""
     driver, task = _under_way(bench)
     driver.stop()
     need(task.ended_within(END_S), f"the motion does not end within {END_S:.0f} s of its stop")
@@ -308,24 +320,24 @@ def stop_rests(bench: Bench) -> None:
     other.connect()
     one = bench.acts.ask(other)
     bench.rest(STANDS_S)
-    apart = bench.acts.apart(one, bench.acts.ask(other))
-    need(apart <= 1.0, f"it still moves after its stop: {apart:.1f} of what a rest allows")
+    bench.rested(one, bench.acts.ask(other), "it still moves after its stop")
 
 
+@PROMISES.add("stop-holds", "rail", "robot")
 def stop_holds(bench: Bench) -> None:
-    """Stop, and ask for a motion without connecting again."""
+    """After a stop nothing moves before the next connect."""
     bench.present()
     driver = bench.connected()
     driver.stop()
     fails("a motion after a stop", lambda: bench.acts.visit(driver, 1))
 
 
+@PROMISES.add("checked")
 def checked(bench: Bench) -> None:
-    """Set the run's stop while no answer comes."""
+    """Every wait on a wire ends within 20 ms of the run's stop."""
     took_s = []
     wakes_s = 0.005  # the system wakes a thread
-    pauses_s = (0.05, 0.057, 0.064)  # before a stop: waits may be in step with it
-    for pause_s in pauses_s:
+    for pause_s in (0.05, 0.057, 0.064):  # before a stop: waits may be in step with it
         driver = bench.connected()
         bench.wires.set("mute")
         task = Task(partial(bench.acts.ask, driver))
@@ -339,15 +351,8 @@ def checked(bench: Bench) -> None:
         if took_s[-1] <= STOP_S + wakes_s:
             return
     best_ms = 1000 * min(took_s)
-    need(
-        min(took_s) <= STOP_S + wakes_s,
-        f"left after {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms",
-    )
-
-
-def _visit_both(bench: Bench, driver: Driver) -> None:
-    for place in (0, 1):
-        near(bench, bench.acts.visit(driver, place), place)
+    prompt = min(took_s) <= STOP_S + wakes_s
+    need(prompt, f"left after {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms")
 
 
 def _under_way(bench: Bench) -> tuple[Driver, Task]:
@@ -365,29 +370,6 @@ def _under_way(bench: Bench) -> tuple[Driver, Task]:
     return driver, task
 
 
-PROMISES = (
-    Promise("silent", "A device that answers no more is a DeviceError within 60 s.", silent,
-            waits=True),
-    Promise("late", "A late answer never becomes the answer to the next question.", late,
-            waits=True),
-    Promise("slow", "Answers that come 50 ms late are as good as prompt ones.", slow),
-    Promise("pieces", "Answers that come in pieces, or together, are as good as whole ones.",
-            pieces),
-    Promise("garbage", "Noise in place of an answer is a DeviceError.", garbage, waits=True),
-    Promise("device-killed", "A device that was killed is a DeviceError; its successor connects.",
-            device_killed),
-    Promise("client-killed", "What a killed program has begun ends; the next program connects.",
-            client_killed, paced=True, waits=True),
-    Promise("stop-at-once", "Stop returns within 20 ms, from another thread.", stop_at_once,
-            paced=True),
-    Promise("stop-rests", "A stop ends the motion with a DeviceError; the device rests.",
-            stop_rests, ("rail", "robot"), paced=True),
-    Promise("stop-holds", "After a stop nothing moves before the next connect.", stop_holds,
-            ("rail", "robot")),
-    Promise("checked", "Every wait on a wire ends within 20 ms of the run's stop.", checked),
-)  # fmt: skip
-
-
 def main() -> None:
     """Connect, say so, and begin what takes seconds."""
     order = decoded(sys.stdin.buffer.readline(), Order)
@@ -398,8 +380,7 @@ def main() -> None:
     device.connect()
     print("connected", flush=True)
     ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
-    end_s = 30.0
-    threading.Event().wait(end_s)
+    threading.Event().wait(30.0)
 
 
 if __name__ == "__main__":
