@@ -190,7 +190,7 @@ def _answer(results: Results, planned: int, *, as_json: bool) -> int:
     if as_json:
         print_json(facts(results.study, found, planned))
     else:
-        for each in sheets(results.study, found, rows):
+        for each in filter(None, sheets(results.study, found, rows).values()):
             print_data(harmless_lines(f"\n{each.title}"))
             print_table(each)
             if each.note:

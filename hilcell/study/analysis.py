@@ -14,10 +14,11 @@ that are smallest together.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -29,13 +30,10 @@ from hilcell.study.design import Point, chosen
 from hilcell.study.factor import Factor
 from hilcell.study.study_file import Optimum, Study
 
-LEVEL = 0.95
-UPPER = 0.5 + LEVEL / 2.0
-ROUNDING = 1e-9
+UPPER = 0.975  # end of a 95 % interval
 SAME = 1e-9  # of numbers that rounding alone sets apart
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Row]
-Steps = Collection[tuple[str, str]]  # (factor, level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +46,7 @@ class Interval:
     @property
     def known(self) -> bool:
         """Whether it is shown to be other than nought, by more than rounding."""
-        return self.half >= 0.0 and abs(self.mean) > max(self.half, ROUNDING)
-
-    @property
-    def reversed(self) -> Interval:
-        """Return it with the other sign."""
-        return Interval(-self.mean, self.half)
+        return self.half >= 0.0 and abs(self.mean) > max(self.half, SAME)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -80,7 +73,7 @@ def interval(values: Iterable[float]) -> Interval:
     """Return the mean of values, one a machine, with its 95 % interval."""
     found: Array = np.array(list(values), dtype=float)
     if len(found) < 2:
-        return Interval(float(found.mean()) if len(found) else float("nan"), float("nan"))
+        return Interval(float(found.mean()) if len(found) else math.nan, math.nan)
     factor = _student(len(found) - 1)
     return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
 
@@ -93,9 +86,7 @@ def share(values: Iterable[float], targets: float) -> Share:
     """
     found: Array = np.clip(np.array(list(values), dtype=float), 0.0, 1.0)
     if len(found) < 2 or not targets > 1.0:
-        return Share(
-            float(found.mean()) if len(found) else float("nan"), float("nan"), float("nan")
-        )
+        return Share(float(found.mean()) if len(found) else math.nan, math.nan, math.nan)
     mean, variance = float(found.mean()), float(found.var(ddof=1)) / len(found)
     effective = min(targets, mean * (1.0 - mean) / variance) if variance > 0.0 else targets
     effective *= (_student(targets - 1.0) / _student(len(found) - 1)) ** 2
@@ -131,11 +122,6 @@ class Additive:
         self._average = self._averaged()
 
     @property
-    def rank(self) -> int:
-        """Return how many independent contrasts are estimable."""
-        return len(self._basis)
-
-    @property
     def unknowns(self) -> int:
         """Return how many unknowns it has, of what varies."""
         varies = np.ptp(self._rows, axis=0) > 0.0
@@ -153,7 +139,10 @@ class Additive:
     def mean(self, n: int, level: int) -> Array:
         """Return the contrast of a level, or an end, of a factor with all else averaged."""
         found = self._average.copy()
-        found[self._parts[n]] = self._of_end(n, level)
+        is_range = self._factors[n].is_range
+        found[self._parts[n]] = (
+            2.0 * level - 1.0 if is_range else np.eye(len(self._factors[n].ends))[level]
+        )
         return found
 
     def change(self, n: int, level: int, start: int) -> Array:
@@ -177,8 +166,8 @@ class Additive:
 
         NaN where the points leave nothing to check that by.
         """
-        if not self.rank < len(figures):
-            return float("nan")
+        if not len(self._basis) < len(figures):
+            return math.nan
         total = float(((figures - figures.mean()) ** 2).sum())
         rest = figures - self._u @ (self._u.T @ figures)
         return 1.0 - float((rest**2).sum()) / total if total > 0.0 else 1.0
@@ -213,12 +202,6 @@ class Additive:
                 occurs = self._rows[:, part].any(axis=0)
                 found[part] = occurs / occurs.sum()
         return found if self.estimable(found) else self._rows.mean(axis=0)
-
-    def _of_end(self, n: int, level: int) -> Array:
-        if self._factors[n].is_range:
-            return np.array([2.0 * level - 1.0])
-        found: Array = np.eye(len(self._factors[n].ends))[level]
-        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +254,7 @@ class Answers:
     counts: Mapping[str, int]
     effects: list[Effect] = field(default_factory=list)
     not_estimable: list[str] = field(default_factory=list)
-    share: float = float("nan")
+    share: float = math.nan
     unknowns: int = 0
     best: Design | None = None  # of an optimiser
 
@@ -289,16 +272,16 @@ class Answers:
 
 def answers(study: Study, rows: Rows) -> Answers:
     """Compute the answers of all rows that are there."""
-    counts: dict[str, int] = defaultdict(int)
-    for row in rows:
-        counts[row.state] += 1
+    counts = Counter(row.state for row in rows)
     done = [row for row in rows if row.state == DONE]
     found = designs(study, done)
     within = covered(done) if done else None
-    if study.optimise is not None:  # its points are crowded round the best: no design for effects
-        return Answers(found, within, dict(counts), best=best_of(study, study.optimise, found))
+    if (wanted := study.optimise) is not None:  # its points crowd round the best: no effects
+        best = min(whole(study, found), key=lambda each: value(wanted, each), default=None)
+        sound = best is not None and value(wanted, best) < TOO_LONG
+        return Answers(found, within, counts, best=best if sound else None)
     if not done:
-        return Answers(found, within, dict(counts))
+        return Answers(found, within, counts)
     all_points = points_of(study, done)
     model = Additive(study.factor, list(all_points.values()))
     effects = _effects(study, model, done)
@@ -306,20 +289,16 @@ def answers(study: Study, rows: Rows) -> Answers:
     return Answers(
         found,
         within,
-        dict(counts),
+        counts,
         effects,
         not_estimable(
             study, model, all_points.values(), points_of(study, rows).values(), steps, counts
         ),
-        model.explained(np.array([_mean(own, study.accuracy) for own in _by_point(done).values()])),
+        model.explained(
+            np.array([_mean(own, study.accuracy) for own in _by(done, "point").values()])
+        ),
         model.unknowns,
     )
-
-
-def best_of(study: Study, wanted: Optimum, found: Sequence[Design]) -> Design | None:
-    """Return the design with the least value, of those that every machine did."""
-    best = min(whole(study, found), key=lambda each: value(wanted, each), default=None)
-    return None if best is None or not value(wanted, best) < TOO_LONG else best
 
 
 def whole(study: Study, found: Sequence[Design]) -> list[Design]:
@@ -334,62 +313,40 @@ def value(wanted: Optimum, design: Design) -> float:
     return design.accuracy.mean + (wanted.mm_per_minute or 0.0) * design.minutes
 
 
-def over_machines(rows: Rows, key: str) -> Interval:
-    """Return the mean over machines of each machine's own mean."""
-    return interval(_mean(own, key) for own in _by_machine(rows))
-
-
 def covered(rows: Rows) -> Share:
     """Return the share of targets within their own bound, each machine counted alike."""
-    shares = [_mean(own, "covered") for own in _by_machine(rows)]
+    shares = [_mean(own, "covered") for own in _by(rows, "machine").values()]
     return share(shares, sum(row.figure("targets") for row in rows))
 
 
 def points_of(study: Study, rows: Rows) -> dict[int, Point]:
     """Return the points of rows by number, in that order."""
-    return {number: chosen(study, own[0]) for number, own in _by_point(rows).items()}
+    return {number: chosen(study, own[0]) for number, own in _by(rows, "point").items()}
 
 
 def _mean(rows: Rows, figure: str) -> float:
     return float(np.mean([row.figure(figure) for row in rows]))
 
 
-def _by_point(rows: Rows) -> dict[int, list[Row]]:
+def _by(rows: Rows, of: Literal["point", "machine"]) -> dict[int, list[Row]]:
     found: dict[int, list[Row]] = defaultdict(list)
     for row in rows:
-        found[row.point].append(row)
+        found[getattr(row, of)].append(row)
     return dict(sorted(found.items()))
-
-
-def _by_machine(rows: Rows) -> list[list[Row]]:
-    found: dict[int, list[Row]] = defaultdict(list)
-    for row in rows:
-        found[row.machine].append(row)
-    return [own for _, own in sorted(found.items())]
 
 
 def designs(study: Study, done: Rows) -> list[Design]:
     """Return the designs of rows that were done."""
-    by_point, all_points = _by_point(done), points_of(study, done)
-    places: Array = np.array([
-        [
-            over_machines(own, study.accuracy).mean,
-            _mean(own, "minutes"),
-            all_points[number].cost,
-        ]
-        for number, own in by_point.items()
-    ]).reshape(-1, 3)  # fmt: skip
+    found = []
+    for own in _by(done, "point").values():
+        machines = _by(own, "machine").values()
+        accuracy = interval(_mean(each, study.accuracy) for each in machines)
+        point, minutes = chosen(study, own[0]), _mean(own, "minutes")
+        found.append(Design(point, accuracy, minutes, covered(own), len(machines), len(own), False))
+    places = np.array([[each.accuracy.mean, each.minutes, each.point.cost] for each in found])
     return [
-        Design(
-            all_points[number],
-            over_machines(own, study.accuracy),
-            float(place[1]),
-            covered(own),
-            len(_by_machine(own)),
-            len(own),
-            on_front(place, places),
-        )
-        for (number, own), place in zip(by_point.items(), places, strict=True)
+        replace(each, on_front=on_front(place, places))
+        for each, place in zip(found, places, strict=True)
     ]
 
 
@@ -402,7 +359,6 @@ def on_front(place: Array, places: Array) -> bool:
 def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
     """Return the effects of an additive model, fitted on each machine by itself."""
     all_points = points_of(study, done)
-    by_machine = _by_machine(done)
     targets = _targets(study, all_points, done)
     keys = (study.accuracy, "minutes", "covered")
     fits = [
@@ -410,7 +366,7 @@ def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
             Additive(study.factor, [all_points[row.point] for row in own]),
             np.array([[row.figure(key) for key in keys] for row in own], dtype=float),
         )
-        for own in by_machine
+        for own in _by(done, "machine").values()
     ]
     found = []
     for n, factor in enumerate(study.factor):
@@ -455,8 +411,8 @@ def _known(values: Iterable[float]) -> Interval:
 
 
 def not_estimable(
-    study: Study, model: Additive, done: Collection[Point], tried: Collection[Point], steps: Steps,
-    counts: Mapping[str, int],
+    study: Study, model: Additive, done: Collection[Point], tried: Collection[Point],
+    steps: Collection[tuple[str, str]], counts: Mapping[str, int],
 ) -> list[str]:  # fmt: skip
     """Return why steps other than ``steps`` (factor, level) have no figures, and what would help.
 
@@ -513,7 +469,9 @@ def _extrapolated(
             )
 
 
-def _apart(n: int, factor: Factor, model: Additive, steps: Steps) -> Iterator[str]:
+def _apart(
+    n: int, factor: Factor, model: Additive, steps: Collection[tuple[str, str]]
+) -> Iterator[str]:
     """Yield the steps that only machines together would show."""
     start = model.start(n)
     words = [

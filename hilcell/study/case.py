@@ -75,7 +75,8 @@ def packed(cell: Cell) -> bytes:
 
 def unpacked(content: bytes) -> Cell:
     """Return the cell of such bytes."""
-    return convert(_stated(decoded(content, dict[str, object])), Cell, "cell")
+    stated = typed(_stated(decoded(content, dict[str, object])), dict[str, object])
+    return convert(stated, Cell, "cell")
 
 
 def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> Found:
@@ -119,15 +120,11 @@ def versions() -> dict[str, str]:
     }
 
 
-def _stated(table: Mapping[str, object]) -> dict[str, object]:
-    """Return a table without what is not stated: null in JSON, a missing key in a cell."""
-    return {key: _stated_in(value) for key, value in table.items() if value is not None}
-
-
-def _stated_in(value: object) -> object:
+def _stated(value: object) -> object:
+    """Return a value without what is not stated: null in JSON, a missing key in a cell."""
     if isinstance(value, dict):
-        return _stated(value)
-    return [_stated_in(each) for each in value] if isinstance(value, list) else value
+        return {key: _stated(each) for key, each in value.items() if each is not None}
+    return [_stated(each) for each in value] if isinstance(value, list) else value
 
 
 def _places(result: Calibrated) -> list[Place]:

@@ -32,12 +32,9 @@ ANSWER_S = 15.0  # of a scheduler to its first question
 VERSIONS_S = 15.0  # of all workers to the question for their versions
 SCHEDULER_S = 60.0  # of a scheduler at work to any question
 WORKERS_S = 60.0  # without any worker
-AHEAD = 4  # cases a worker that are handed over before they are needed
-LEAST_AHEAD = 64
 LOOK_S = 5.0  # between two looks whether there are workers, and whether they answer
 SILENT_S = 15.0  # two to thirty heartbeats, by the number of workers
 RESTARTED_S = 60.0  # in which a worker of this PC that froze has been restarted
-WAIT_S = 0.02
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
     "distributed.comm.retry.count": 0,
@@ -45,7 +42,6 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,  # a second worker tries
     "distributed.scheduler.worker-ttl": f"{RESTARTED_S / 2:g}s",  # Dask looks as often
 }
-WORKERS_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
 DROPPED = "after 5 to 10 minutes, or once to twice the scheduler's worker-ttl"
 Say = Callable[[str], object]  # takes a message for the user
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
@@ -88,14 +84,18 @@ class Workers:
         or a worker has other versions.
         """
         killed: list[tuple[Case, bytes]] = []
-        ahead = max(LEAST_AHEAD, AHEAD * len(self._workers()))
+        ahead = max(64, 4 * len(self._workers()))  # handed over before they are needed
         for case, cell, found in self._measured(cases, ahead, "case"):
             if isinstance(found, KilledWorker):
                 killed.append((case, cell))
             else:
                 yield case, found
+        why = "its worker was killed each time, alone at last; the last one was"
         for case, _, found in self._measured(killed, 1, "alone"):
-            yield case, _killed(found) if isinstance(found, KilledWorker) else found
+            if isinstance(found, KilledWorker):
+                yield case, Found(FAILED, f"{why} {found.last_worker.address}")
+            else:
+                yield case, found
 
     def _measured(
         self, cases: Iterable[tuple[Case, bytes]], ahead: int, how: str
@@ -105,34 +105,26 @@ class Workers:
         with self._lost_is_an_error():
             while True:
                 for case, cell in itertools.islice(waiting, ahead - len(asked)):
-                    future = self._submit(case, cell, how)
+                    future = self._client.submit(
+                        measured,
+                        cell,
+                        case.machine,
+                        case.seed,
+                        self._versions,
+                        key=f"{how}-{case.number}-{self._token}",
+                        priority=-case.number,
+                    )
                     asked[future.key] = case, cell
                     running.add(future)
                 if not asked:
                     return
-                future = self._next(running)
+                self._look()
+                while not running.has_ready():
+                    time.sleep(0.02)
+                    self._look()
+                future = next(running)
                 yield *asked.pop(future.key), self._found(future)
                 future.release()
-
-    def _submit(self, case: Case, cell: bytes, how: str) -> Future[Found]:
-        return self._client.submit(
-            measured,
-            cell,
-            case.machine,
-            case.seed,
-            self._versions,
-            key=f"{how}-{case.number}-{self._token}",
-            priority=-case.number,
-        )
-
-    def _next(self, running: as_completed) -> Future[Found]:
-        """Return a case that is done; raises `Cluster` where nobody is left to measure any."""
-        self._look()
-        while not running.has_ready():
-            time.sleep(WAIT_S)
-            self._look()
-        found: Future[Found] = next(running)
-        return found
 
     def _look(self) -> None:
         """Now and then raise `Cluster` where there are no workers, and name those that froze."""
@@ -196,7 +188,8 @@ class Workers:
 @contextmanager
 def local_workers(count: int, say: Say) -> Iterator[Workers]:
     """Start worker processes on this PC, one thread each; end them."""
-    with _quiet(), _environment(WORKERS_ENVIRONMENT), ExitStack() as stack:
+    environment = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
+    with _quiet(), _environment(environment), ExitStack() as stack:
         try:
             get_context("spawn").Lock()  # they share some: without /dev/shm there is none
             # Ctrl-C reaches all processes of a terminal; a cluster that is half started would stay.
@@ -254,11 +247,6 @@ async def _asked(scheduler: str) -> None:
         await found.read()
     finally:
         found.abort()
-
-
-def _killed(error: KilledWorker) -> Found:
-    last = error.last_worker.address
-    return Found(FAILED, f"its worker was killed each time, alone at last; the last one was {last}")
 
 
 class _Worker(msgspec.Struct):

@@ -11,8 +11,6 @@ from hilcell.study.factor import Factor
 from hilcell.study.study_file import Optimum, Study
 from hilcell.typed import typed
 
-LEAST_GENERATION, PER_FACTOR = 8, 4
-
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -98,12 +96,15 @@ def points(study: Study) -> list[Point]:
     """
     match study.design, study.optimise:
         case "optimise", Optimum() as wanted:
-            drawn = _drawn(study, generation(study, wanted))
+            drawn = [placed(study, place) for place in places(study, generation(study, wanted))]
             found = iter({shares_of(each): each for each in drawn}.values())
         case "sobol", _:
-            found = _drawn(study, study.samples or 0)
+            found = (placed(study, place) for place in places(study, study.samples or 0))
         case _:
-            found = _factorial(study)
+            all_of = (
+                each.span if each.is_range else range(len(each.ends)) for each in study.factor
+            )
+            found = (placed(study, place) for place in itertools.product(*all_of))
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
 
 
@@ -112,14 +113,13 @@ def cases(study: Study) -> Iterator[Case]:
 
     Of an optimiser all machines at one point before any at the next: more points may follow.
     """
-    runs = list(itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1)))
     found = points(study)
     if study.optimise is not None:
         yield from (case for point in found for case in cases_at(study, point))
         return
+    runs = itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1))
     drawn = ((point, *run) for run in runs for point in found)
-    for number, (point, machine, seed) in enumerate(drawn, start=1):
-        yield Case(number, point, machine, seed)
+    yield from (Case(number, *each) for number, each in enumerate(drawn, start=1))
 
 
 def cases_at(study: Study, point: Point) -> list[Case]:
@@ -151,20 +151,6 @@ def _found(factor: Factor, shown: Level) -> Choice:
     return choice(factor, known.index(shown))
 
 
-def _factorial(study: Study) -> Iterator[tuple[Choice, ...]]:
-    levels = ([choice(each, value) for value in _all_of(each)] for each in study.factor)
-    return itertools.product(*levels)
-
-
-def _all_of(factor: Factor) -> Sequence[float]:
-    """Return the levels by number, or the ends of a range."""
-    return factor.span if factor.is_range else range(len(factor.ends))
-
-
-def _drawn(study: Study, count: int) -> Iterator[tuple[Choice, ...]]:
-    return (placed(study, place) for place in places(study, count))
-
-
 def places(study: Study, count: int) -> list[list[float]]:
     """Return a Sobol sequence in values of ranges and numbers of levels.
 
@@ -189,7 +175,7 @@ def placed(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
 
 def generation(study: Study, wanted: Optimum) -> int:
     """Return how many points an optimiser asks for at once."""
-    return min(wanted.trials, max(LEAST_GENERATION, PER_FACTOR * len(study.factor)))
+    return min(wanted.trials, max(8, 4 * len(study.factor)))
 
 
 def shares_of(choices: Sequence[Choice]) -> tuple[float, ...]:

@@ -24,7 +24,6 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 }
 PARAMETERS = tuple(dict.fromkeys(key for keys in KINDS.values() for key in keys))
 T = TypeVar("T")
-LEAST_SHARE = 1e-6  # of a distribution between low and high
 
 
 class Distribution(Frozen, frozen=True, kw_only=True):
@@ -63,7 +62,7 @@ class Distribution(Frozen, frozen=True, kw_only=True):
             yield f"distribution.mode: {self.stated['mode']:g} is outside {low:g} .. {high:g}"
         elif self.kind in ("normal", "lognormal"):
             first, last = self._ends(low, high)
-            if not norm.cdf(last) - norm.cdf(first) >= LEAST_SHARE:
+            if not norm.cdf(last) - norm.cdf(first) >= 1e-6:
                 yield f"distribution: hardly any of it is within {low:g} .. {high:g}"
 
     def value(self, share: float, low: float, high: float) -> float:
@@ -108,8 +107,6 @@ class Distribution(Frozen, frozen=True, kw_only=True):
 
 
 Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
-Weight = Annotated[float, Meta(gt=0, le=1e12)]
-OF_EACH = ("labels", "weights", "costs", "minutes")  # one for each level, or each end
 UNITS = {
     "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_percent": "%", "_urad": "µrad", "_mm": "mm",
     "_deg": "deg", "_s": "s",
@@ -129,7 +126,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
     setting: str = ""
     levels: list[object] | None = None
     labels: list[str] | None = None
-    weights: list[Weight] | None = None
+    weights: list[Annotated[float, Meta(gt=0, le=1e12)]] | None = None
     low: int | float | None = None
     high: int | float | None = None
     distribution: Distribution | None = None
@@ -149,7 +146,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
             self._levels_without_range,
             self._levels_apart,
             self._levels_named,
-            *(partial(self._one_each, key) for key in OF_EACH),
+            *(partial(self._one_each, key) for key in ("labels", "weights", "costs", "minutes")),
         ]
 
     @property
@@ -234,10 +231,9 @@ class Factor(Frozen, frozen=True, kw_only=True):
             yield "levels are wanted, or low and high"
 
     def _range_without_levels(self) -> Iterator[str]:
-        if self._has_range and is_stated(self, lambda it: it.labels):
-            yield "labels: these are for levels"
-        if self._has_range and is_stated(self, lambda it: it.weights):
-            yield "weights: these are for levels"
+        for key in ("labels", "weights"):
+            if self._has_range and is_stated(self, attrgetter(key)):
+                yield f"{key}: these are for levels"
 
     def _range_of_one_setting(self) -> Iterator[str]:
         if self._has_range and not self.setting:
@@ -273,6 +269,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
             yield "labels: missing; levels that are tables of settings want names"
 
     def _one_each(self, key: str) -> Iterator[str]:
+        """Yield that a list has not one for each level, or each end."""
         given = getattr(self, key)
         if not (self._has_range or self._has_levels) or given is None:
             return

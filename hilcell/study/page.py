@@ -29,14 +29,7 @@ from hilcell.report.drawings.drawing import (
 from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows, Share
 from hilcell.study.case import RESULTS
 from hilcell.study.study_file import Study
-from hilcell.study.tables import (
-    best_sheet,
-    count_words,
-    effects_sheet,
-    front_sheet,
-    purchases_sheet,
-    reasons_sheet,
-)
+from hilcell.study.tables import count_words, sheets
 
 
 def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
@@ -50,11 +43,7 @@ def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
             counts=count_words(study, found, planned),
             meaning=RESULTS[study.accuracy][0],
             settings=[f"{key} = {value}" for key, value in study.settings.items()],
-            best=best_sheet(study, found),
-            front=front_sheet(study, found),
-            purchases=purchases_sheet(study, found),
-            effects=effects_sheet(study, found),
-            reasons=reasons_sheet(rows),
+            **sheets(study, found, rows),
             front_plot=front_plot(study, found),
             effects_plot=effects_plot(study, found),
             coverage_plot=coverage_plot(found),
@@ -64,13 +53,8 @@ def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
 
 # -- the answers of a study drawn: the Pareto front, main effects, coverage of bounds --------------
 
-WIDTH_MM, HEIGHT_MM = 178.0, 92.0
-LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 14.0, 4.0, 8.0, 10.0
-MOST_NAMES_MM, MOST_LEVELS_MM, BESIDE_MM = 40.0, 40.0, 4.0
-ROW_MM, GAP_MM = 5.2, 2.4
-FIGURES_MM = 34.0
-NOMINAL = 95.0  # % of targets within a bound
-MOST_LABELS = 20
+WIDTH_MM, TOP_MM, BOTTOM_MM = 178.0, 8.0, 10.0
+BESIDE_MM, ROW_MM, GAP_MM = 4.0, 5.2, 2.4
 
 
 class Bar(NamedTuple):
@@ -90,9 +74,10 @@ def front_plot(study: Study, found: Answers) -> str:
     spread = max(max(minutes) - min(minutes), 0.02 * max(minutes), 1.0)
     low, high = min(minutes) - 0.06 * spread, max(minutes) + 0.06 * spread
     tops = [each.accuracy.ends[1] for each in found.designs]
+    height_mm, left_mm, right_mm = 92.0, 14.0, 4.0
     frame = Frame(
-        Scale(max(0.0, low), high, LEFT_MM, WIDTH_MM - RIGHT_MM),
-        Scale(0.0, round_up(1.05 * max(tops), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM),
+        Scale(max(0.0, low), high, left_mm, WIDTH_MM - right_mm),
+        Scale(0.0, round_up(1.05 * max(tops), ENDS), height_mm - BOTTOM_MM, TOP_MM),
     )
     parts = [frame.drawn("minutes of a calibration", f"{study.accuracy[:-3]} error, mm")]
     front = found.front
@@ -100,15 +85,16 @@ def front_plot(study: Study, found: Answers) -> str:
         parts.append(path(_steps(frame, front), AFTER, 0.4))
     for each in sorted(found.designs, key=lambda each: each.on_front):
         parts += _mark(frame, each)
-    if len(front) <= MOST_LABELS:
-        parts += _numbers(frame, front)
-    return svg(WIDTH_MM, HEIGHT_MM, "Accuracy over minutes of all designs", parts, True)
+    for each in front if len(front) <= 20 else ():
+        x, y = frame.x.one(each.minutes), frame.y.one(each.accuracy.mean)
+        parts.append(text(x + 1.8, y - 1.2, str(each.point.number), colour=AFTER, bold=True))
+    return svg(WIDTH_MM, height_mm, "Accuracy over minutes of all designs", parts, True)
 
 
 def effects_plot(study: Study, found: Answers) -> str:
     """Return the accuracy at each level of each factor, all else averaged; "" without any."""
     return _levels(
-        _estimable(found),
+        found,
         lambda each: Bar(each.mean.mean, *each.mean.ends, _figure(each.mean)),
         f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
         "Accuracy at each level of each factor",
@@ -118,17 +104,13 @@ def effects_plot(study: Study, found: Answers) -> str:
 def coverage_plot(found: Answers) -> str:
     """Return the share of targets within their bound at each level; "" without any."""
     return _levels(
-        _estimable(found),
+        found,
         lambda each: _percent(each.covered),
         "targets within their 95 % bound, %; bars: 95 % interval over machines",
         "Coverage of bounds at each level of each factor",
-        line=NOMINAL,
+        line=95.0,
         most=100.0,
     )
-
-
-def _estimable(found: Answers) -> list[Effect]:
-    return [each for each in found.effects if math.isfinite(each.mean.mean)]
 
 
 def _figure(each: Interval) -> str:
@@ -160,15 +142,8 @@ def _steps(frame: Frame, front: Sequence[Design]) -> list[tuple[float, float]]:
     return found
 
 
-def _numbers(frame: Frame, front: Sequence[Design]) -> Iterator[str]:
-    """Yield the numbers of the front's points, beside their marks."""
-    for each in front:
-        x, y = frame.x.one(each.minutes), frame.y.one(each.accuracy.mean)
-        yield text(x + 1.8, y - 1.2, str(each.point.number), colour=AFTER, bold=True)
-
-
 def _levels(
-    effects: Sequence[Effect],
+    answers: Answers,
     value: Callable[[Effect], Bar],
     name: str,
     title: str,
@@ -176,6 +151,7 @@ def _levels(
     line: float | None = None,
     most: float = math.inf,
 ) -> str:
+    effects = [each for each in answers.effects if math.isfinite(each.mean.mean)]
     if not effects:
         return ""
     found = [value(each) for each in effects]
@@ -185,11 +161,9 @@ def _levels(
     margin = 0.06 * max(high - low, 1e-4 * max(abs(high), 1e-3))
     groups = [list(own) for _, own in groupby(effects, key=lambda each: each.factor.name)]
     height = TOP_MM + ROW_MM * len(effects) + GAP_MM * len(groups)
-    names_mm = _column((each.factor.title for each in effects), MOST_NAMES_MM)
-    levels_mm = _column((each.word for each in effects), MOST_LEVELS_MM)
-    scale = Scale(
-        low - margin, min(high + margin, most), names_mm + levels_mm, WIDTH_MM - FIGURES_MM
-    )
+    names_mm = _column(each.factor.title for each in effects)
+    levels_mm = _column(each.word for each in effects)
+    scale = Scale(low - margin, min(high + margin, most), names_mm + levels_mm, WIDTH_MM - 34.0)
     parts = [*_ticks(scale, TOP_MM - 4.0, height, name)]
     if line is not None:
         at = scale.one(line)
@@ -208,9 +182,9 @@ def _levels(
     return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)
 
 
-def _column(words: Iterable[str], most_mm: float) -> float:
+def _column(words: Iterable[str]) -> float:
     """Return how wide a column of words is, with the space beside it."""
-    return min(most_mm, max(map(wide_mm, words)) + BESIDE_MM)
+    return min(40.0, max(map(wide_mm, words)) + BESIDE_MM)
 
 
 def _level(scale: Scale, each: Bar, y: float) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # asked for as a whole before the next is thought of: the search is the same with one worker or
 # many, and one that goes on takes the path again through the points that are kept.
 
-AGREE_MM = 1e-4  # the standard deviation of points that agree
 Measure = Callable[[Sequence[Point]], Mapping[int, float]]
 
 
@@ -65,7 +64,7 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
             rng=wanted.seed,
             maxiter=wanted.trials,
             tol=0.0,  # a share of the mean: points that are all too long would agree
-            atol=AGREE_MM,
+            atol=1e-4,  # mm, the standard deviation of points that agree
             polish=False,
             vectorized=True,
             updating="deferred",
@@ -75,12 +74,10 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
 
 
 NEVER = 1e9  # the value of a point that cannot be, or that failed on a machine
-BATCH_ROWS, BATCH_S = 64, 1.0
-MOST_CELLS = 4096  # 6 kB each
 
 
 class Batch:
-    """Rows that wait for their file, no longer than ``BATCH_S`` while others come."""
+    """Rows that wait for their file, no longer than a second while others come."""
 
     def __init__(self, results: Results) -> None:
         self._results = results
@@ -90,7 +87,7 @@ class Batch:
     def add(self, row: Row) -> None:
         """Take a row."""
         self._rows.append(row)
-        if len(self._rows) >= BATCH_ROWS or time.monotonic() - self._since_s >= BATCH_S:
+        if len(self._rows) >= 64 or time.monotonic() - self._since_s >= 1.0:
             self.keep()
 
     def keep(self) -> None:
@@ -107,7 +104,9 @@ def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) 
     """
     study, kept = results.study, results.finished()
     counts: Counter[str] = Counter()
-    with _batch(results) as batch:
+    with ExitStack() as stack:
+        batch = Batch(results)
+        stack.callback(batch.keep)
 
         def measure(asked: Iterable[Case]) -> Iterator[Row]:
             """Yield the rows of cases that are not kept."""
@@ -148,17 +147,16 @@ def _values(
         rows = {point.number: kept[point.number] for point in asked}
         for row in measure(case for point in asked for case in cases_at(study, point)):
             rows[row.point].append(row)
-        return {number: _value(study, wanted, own) for number, own in rows.items()}
+        return {number: value_of(own) for number, own in rows.items()}
+
+    def value_of(rows: Sequence[Row]) -> float:
+        if not all(row.state == DONE for row in rows):
+            return NEVER
+        in_order = sorted(rows, key=lambda row: row.case)  # digits of a mean depend on it
+        (design,) = designs(study, in_order)
+        return value(wanted, design)
 
     return values
-
-
-def _value(study: Study, wanted: Optimum, rows: Sequence[Row]) -> float:
-    if not all(row.state == DONE for row in rows):
-        return NEVER
-    in_order = sorted(rows, key=lambda row: row.case)  # digits of a mean depend on it
-    (design,) = designs(study, in_order)
-    return value(wanted, design)
 
 
 def _able(
@@ -174,15 +172,6 @@ def _able(
             keep(case, Found(CANNOT_BE, str(error)))
         else:
             cells[number] = cell
-            if len(cells) > MOST_CELLS:
+            if len(cells) > 4096:  # of 6 kB each
                 del cells[next(iter(cells))]
             yield case, cell
-
-
-@contextmanager
-def _batch(results: Results) -> Iterator[Batch]:
-    batch = Batch(results)
-    try:
-        yield batch
-    finally:
-        batch.keep()

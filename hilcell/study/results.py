@@ -31,7 +31,6 @@ from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
 
 ASKED = "study.json"
 CASES = "cases"
-WHOLE = "all.parquet"
 OF_STUDY = b"hilcell.study"  # a file's metadata: the digest of the question that its rows answer
 
 
@@ -102,14 +101,14 @@ class Results:
                     yield
                 finally:
                     if not any((self.folder / CASES).iterdir()) and not self._asked.exists():
-                        _remove(lock, made)
+                        _remove(made, lock)
         except CellLocked:
             raise CellLocked(
                 f"results {self.folder} are written by another `hilcell study`; wait for its end"
             ) from None
         except StorageError as error:
             if made:
-                _remove(lock, made)
+                _remove(made, lock)
             raise _unusable(self.folder, error.__cause__) from error
 
     def add(self, rows: Sequence[Row]) -> None:
@@ -118,7 +117,7 @@ class Results:
             if not self._asked.exists():
                 write_whole(self._asked, msgspec.json.format(msgspec.json.encode(self._question)))
             first = min(row.case for row in rows)
-            flat = [_flat(row) for row in rows]
+            flat = [msgspec.structs.asdict(row) | row.levels | row.figures for row in rows]
             self._write(pa.Table.from_pylist(flat, self._schema), f"part-{first:07d}.parquet")
 
     def table(self) -> pa.Table:
@@ -140,9 +139,9 @@ class Results:
 
     def merge(self) -> None:
         """Make one file of all; a row in two files, where this is interrupted, counts once."""
-        parts = [path for path in self._parts() if path.name != WHOLE]
+        parts = [path for path in self._parts() if path.name != "all.parquet"]
         if parts:
-            self._write(self.table(), WHOLE)
+            self._write(self.table(), "all.parquet")
             for path in parts:
                 path.unlink()
 
@@ -232,13 +231,6 @@ def row_of(case: Case, found: Found, study: Study) -> Row:
     )
 
 
-def _flat(row: Row) -> dict[str, object]:
-    """Return a row with a column for each level and figure."""
-    plain = msgspec.structs.asdict(row)
-    del plain["levels"], plain["figures"]
-    return {**plain, **row.levels, **row.figures}
-
-
 def _row(study: Study, flat: Mapping[str, object]) -> Row:
     """Return the row of such columns; raises `msgspec.ValidationError` where one is no row."""
     levels = {factor.name: flat[factor.name] for factor in study.factor}
@@ -264,7 +256,9 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
         with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
             parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
             found = parquet.read(use_threads=False)  # its threads may abort an exit
-        _check_study(path, found.schema.metadata or {}, wanted.metadata)
+        if (found.schema.metadata or {}).get(OF_STUDY) != wanted.metadata[OF_STUDY]:
+            question = path.parent.with_name(ASKED)
+            raise OtherStudy(f"{path} has rows of another study than {question}; move it away")
         if found.schema != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():
@@ -278,14 +272,6 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
 
 def _damaged(path: Path, reason: str) -> OtherStudy:
     return OtherStudy(f"{path} is damaged: {reason}; delete it, its cases are measured again")
-
-
-def _check_study(path: Path, found: Mapping[bytes, bytes], wanted: Mapping[bytes, bytes]) -> None:
-    """Raise `OtherStudy` for rows that answer another question, whatever their columns."""
-    if found.get(OF_STUDY) != wanted[OF_STUDY]:
-        raise OtherStudy(
-            f"{path} has rows of another study than {path.parent.with_name(ASKED)}; move it away"
-        )
 
 
 def _check_row(study: Study, row: Row) -> None:
@@ -311,11 +297,11 @@ def _make(folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        _remove_empty(made)
+        _remove(made)
         raise _unusable(folder.parent, error) from error
     for each in (folder.parent, folder):
         if not os.access(each, os.W_OK | os.X_OK):
-            _remove_empty(made)
+            _remove(made)
             raise NotWritten(f"{each}: nothing can be written there; name another folder with -o")
     return made
 
@@ -330,14 +316,11 @@ def _unusable(folder: Path, error: BaseException | None) -> NotWritten:
     return failed(f"results folder {folder} cannot be used: {reason}; {act}")
 
 
-def _remove(lock: Path, made: Sequence[Path]) -> None:
-    """Remove the lock and the folders that were made, where nothing was kept in them."""
-    with suppress(OSError):
-        lock.unlink()
-    _remove_empty(made)
-
-
-def _remove_empty(made: Sequence[Path]) -> None:
+def _remove(made: Sequence[Path], *files: Path) -> None:
+    """Remove files, and the folders that were made, where nothing else was kept in them."""
+    for file in files:
+        with suppress(OSError):
+            file.unlink()
     for each in reversed(made):
         with suppress(OSError):
             each.rmdir()

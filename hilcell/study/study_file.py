@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -50,11 +51,8 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-MOST_CASES = 1_000_000
-MOST_FACTORS = 20
 MACHINE = ("simulation.machine", "simulation.sizes")
 Many = Annotated[int, Meta(ge=1, le=10_000)]
-Samples = Annotated[int, Meta(ge=2, le=65_536)]
 
 
 class Optimum(Frozen, frozen=True, kw_only=True):
@@ -81,7 +79,7 @@ class Study(Frozen, frozen=True, kw_only=True):
     cell: str = "paper"
     settings: dict[str, object] = field(default_factory=dict)
     design: Literal["factorial", "sobol", "optimise"] = "factorial"
-    samples: Samples | None = None
+    samples: Annotated[int, Meta(ge=2, le=65_536)] | None = None
     optimise: Optimum | None = None
     machines: Many = 4
     seeds: Many = 1
@@ -153,20 +151,20 @@ class Study(Frozen, frozen=True, kw_only=True):
         if self.design == "sobol":
             return
         for n, each in enumerate(self.factor):
-            if is_stated(each, lambda it: it.distribution):
-                yield f'factor[{n}].distribution: this is for design = "sobol"'
-            if is_stated(each, lambda it: it.weights):
-                yield f'factor[{n}].weights: this is for design = "sobol"'
+            for key in ("distribution", "weights"):
+                if is_stated(each, attrgetter(key)):
+                    yield f'factor[{n}].{key}: this is for design = "sobol"'
 
     def _count_of_factors(self) -> Iterator[str]:
-        if not 1 <= len(self.factor) <= MOST_FACTORS:
-            yield f"factor: 1 to {MOST_FACTORS} are wanted, found {len(self.factor)}"
+        if not 1 <= len(self.factor) <= 20:
+            yield f"factor: 1 to 20 are wanted, found {len(self.factor)}"
 
     def _names_apart(self) -> Iterator[str]:
         names = [each.name for each in self.factor if is_read(each, lambda it: it.name)]
         yield from _twice("name", names)
+        columns = ("case", "point", "machine", "seed", "state", "reason", "minutes", "cost")
         for name in names:
-            if name in (*RESULTS, *COLUMNS):
+            if name in (*RESULTS, *columns):
                 yield f"factor: the name {name!r} is one of a result"
 
     def _settings_apart(self) -> Iterator[str]:
@@ -178,11 +176,8 @@ class Study(Frozen, frozen=True, kw_only=True):
                 yield f"factor: {whole!r} contains {part!r}; one of them would undo the other"
 
     def _count_of_cases(self) -> Iterator[str]:
-        if not self.most_cases <= MOST_CASES:
-            yield f"{self.most_cases} cases, at most {MOST_CASES} are measured"
-
-
-COLUMNS = ("case", "point", "machine", "seed", "state", "reason", "minutes", "cost")
+        if not self.most_cases <= 1_000_000:
+            yield f"{self.most_cases} cases, at most 1000000 are measured"
 
 
 def read_study(path: Path) -> Study:
@@ -227,8 +222,10 @@ def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> 
     accuracy = study.accuracy if is_read(study, lambda it: it.accuracy) else ""
     while new := [line for line in _wrong_base(where, sound, accuracy) if line not in base]:
         base += new
-        for key in [key for key in sound if any(_names(each, key) for each in new)]:
-            del sound[key]
+        plain = [_without_line(line) for line in new]
+        for key in [*sound]:
+            if any(_is_of(line, key) or line.startswith(f"{key} ") for line in plain):
+                del sound[key]
     yield from (f"cell {where}: {line}" for line in base)
     known = {_without_line(line) for line in base}
     for n, factor in enumerate(study.factor if is_read(study, lambda it: it.factor) else ()):
@@ -252,8 +249,7 @@ def _wrong_base(where: str, settings: Mapping[str, object], accuracy: str) -> It
         yield "it has real devices only; a study simulates"
     else:
         yield from _no_machine(cell)
-    yield from _no_accuracy(cell, accuracy)
-    yield from _by_hand(cell)
+    yield from _never_run(cell, accuracy)
 
 
 def _finite_levels(stated: Mapping[str, object], n: int) -> Sequence[object]:
@@ -284,14 +280,7 @@ def _never(
             continue
         if any(key.startswith(MACHINE) for key in given):
             yield from _no_machine(cell)
-        yield from _no_accuracy(cell, accuracy)
-        yield from _by_hand(cell)
-
-
-def _names(problem: str, key: str) -> bool:
-    """Whether a problem of the base cell, or of its machine, is one of this setting's."""
-    plain = _without_line(problem)
-    return _is_of(plain, key) or plain.startswith(f"{key} ")
+        yield from _never_run(cell, accuracy)
 
 
 def _is_of(problem: str, key: str) -> bool:
@@ -311,17 +300,14 @@ def _no_machine(cell: Cell) -> Iterator[str]:
             yield from (f"{error.source}: {line}" for line in error.problems)
 
 
-def _no_accuracy(cell: Cell, accuracy: str) -> Iterator[str]:
-    """Yield why no run of this cell has the study's accuracy."""
+def _never_run(cell: Cell, accuracy: str) -> Iterator[str]:
+    """Yield why no run of this cell has the study's accuracy, or nobody can measure it."""
     if cell.plan.quick and accuracy == IDW:
         yield (
             f"plan.quick: a quick plan sends no targets by the paper's method, so it has no {IDW}; "
             'leave plan.quick out, or state another accuracy, such as "mean_mm"'
         )
 
-
-def _by_hand(cell: Cell) -> Iterator[str]:
-    """Yield why nobody can measure this cell in a study."""
     if cell.layout.by_hand:
         yield (
             "layout.reflectors: by_hand: somebody must be there to carry the reflector, and cases "

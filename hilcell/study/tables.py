@@ -16,22 +16,18 @@ from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
 from hilcell.study.design import Point
 from hilcell.study.study_file import Optimum, Study
 
-MOST_REASONS = 10
 NONE = "–"  # stands for a figure that is not estimable
-WITHOUT = "one machine gives no interval; state more `machines`"
-WAITING = "one machine gives no interval; the others are not measured yet"
 
 
-def sheets(study: Study, found: Answers, rows: Rows) -> list[Table]:
-    """Return all tables that there are."""
-    made = (
-        best_sheet(study, found),
-        front_sheet(study, found),
-        purchases_sheet(study, found),
-        effects_sheet(study, found),
-        reasons_sheet(rows),
-    )
-    return [table for table in made if table]
+def sheets(study: Study, found: Answers, rows: Rows) -> dict[str, Table]:
+    """Return the tables of a study by their names in its page; some may be empty."""
+    return {
+        "best": _best(study, found),
+        "front": front_sheet(study, found),
+        "purchases": purchases_sheet(study, found),
+        "effects": effects_sheet(study, found),
+        "reasons": _reasons(rows),
+    }
 
 
 class _OfPoint(Protocol):
@@ -52,7 +48,7 @@ def _choice(n: int, row: _OfPoint) -> str:
     return row.point.choices[n].word
 
 
-def best_sheet(study: Study, found: Answers) -> Table:
+def _best(study: Study, found: Answers) -> Table:
     """Return the best design that an optimiser has found, and the one it was begun with."""
     best, wanted = found.best, study.optimise
     if best is None or wanted is None:
@@ -102,7 +98,9 @@ def purchases_sheet(study: Study, found: Answers) -> Table:
         Column("factor", attrgetter("factor.title")),
         Column("from", attrgetter("start")),
         Column("to", attrgetter("word")),
-        Column("gain", lambda row: with_half(row.change.reversed, 4), "mm", "s"),
+        Column(
+            "gain", lambda row: with_half(Interval(-row.change.mean, row.change.half), 4), "mm", "s"
+        ),
         Column("shown", _shown, form="s"),
         Column("more minutes", lambda row: signed(row.minutes, 0), form="s"),
     ]
@@ -146,19 +144,20 @@ def _explained(found: Answers) -> str:
     return f"Main effects alone explain {share} {counts}. "
 
 
-def reasons_sheet(rows: Rows) -> Table:
+def _reasons(rows: Rows) -> Table:
     """Return why cases were not done, the most frequent reason first."""
     bad = [(row.state, brief(row.reason)) for row in rows if row.state != DONE]
     counts = Counter((state, _kind(reason)) for state, reason in bad)
     first = {(state, _kind(reason)): reason for state, reason in reversed(bad)}
-    more = len(counts) - MOST_REASONS
+    most = 10
+    more = len(counts) - most
     note = f"And {more} more reasons." if more > 0 else ""
     columns: list[Column[tuple[tuple[str, str], int]]] = [
         Column("state", lambda row: row[0][0]),
         Column("reason", lambda row: first[row[0]]),
         Column("cases", itemgetter(1), form="d"),
     ]
-    return Table(columns, counts.most_common(MOST_REASONS), "Cases without a result", note)
+    return Table(columns, counts.most_common(most), "Cases without a result", note)
 
 
 def count_words(study: Study, found: Answers, planned: int) -> str:
@@ -238,6 +237,10 @@ def signed(value: float, digits: int) -> str:
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
 
 
+def _gain(each: Effect) -> str:
+    return with_half(Interval(-each.change.mean, each.change.half), 4)
+
+
 def _shown(each: Effect) -> str:
     if not each.change.known:
         return "no"
@@ -247,7 +250,9 @@ def _shown(each: Effect) -> str:
 def _one_machine(study: Study, found: Answers) -> str:
     if found.covered is None or not math.isnan(found.covered.low):
         return ""
-    return f" Without intervals: {WITHOUT if study.machines == 1 else WAITING}."
+    alone = study.machines == 1
+    why = "state more `machines`" if alone else "the others are not measured yet"
+    return f" Without intervals: one machine gives no interval; {why}."
 
 
 def _design(each: Design) -> dict[str, object]:
