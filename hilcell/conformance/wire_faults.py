@@ -269,7 +269,7 @@ def device_killed(bench: Bench) -> None:
 
 @PROMISES.add("client-killed", paced=True, waits=True)
 def client_killed(bench: Bench) -> None:
-    """What a killed program has begun ends; the next program connects."""
+    """A killed program's motion or measurement ends; the next program connects."""
     bench.present()
     ready = bench.connected()
     bench.acts.visit(ready, 0)

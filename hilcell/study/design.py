@@ -101,10 +101,8 @@ def points(study: Study) -> list[Point]:
         case "sobol", _:
             found = (placed(study, place) for place in places(study, study.samples or 0))
         case _:
-            all_of = (
-                each.span if each.is_range else range(len(each.ends)) for each in study.factor
-            )
-            found = (placed(study, place) for place in itertools.product(*all_of))
+            ends = (each.span if each.is_range else range(len(each.ends)) for each in study.factor)
+            found = (placed(study, place) for place in itertools.product(*ends))
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
 
 

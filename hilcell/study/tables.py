@@ -98,9 +98,7 @@ def purchases_sheet(study: Study, found: Answers) -> Table:
         Column("factor", attrgetter("factor.title")),
         Column("from", attrgetter("start")),
         Column("to", attrgetter("word")),
-        Column(
-            "gain", lambda row: with_half(Interval(-row.change.mean, row.change.half), 4), "mm", "s"
-        ),
+        Column("gain", _gain, "mm", "s"),
         Column("shown", _shown, form="s"),
         Column("more minutes", lambda row: signed(row.minutes, 0), form="s"),
     ]
