@@ -107,7 +107,7 @@ def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
 
 
 def test_a_figure_that_is_no_number_does_not_hold(paper: PaperRun) -> None:
-    nothing = Row("x", None, "", lambda log, result: np.nan, BY_NAME["fig1.backlash"].limits)
+    nothing = Row("x", None, "", lambda run: np.nan, BY_NAME["fig1.backlash"].limits)
     assert nothing.judged(paper.log, typed(paper.result, Experiments)).holds is False
 
 
