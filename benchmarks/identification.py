@@ -50,7 +50,7 @@ def timed(act: Callable[[], object], runs: int) -> float:
 def measured(kinematics: Kinematics, poses: int) -> tuple[Readings, State]:
     """Draw a robot with errors of the prior's size, and return its readings and nominal start."""
     rng = np.random.default_rng(poses)
-    mean, covariance = kinematics.prior()
+    mean, covariance = kinematics.prior
     placed = kinematics.placed
     start = kinematics.start(np.eye(4), SMR_MM[: kinematics.reflectors])
     drawn = mean + rng.standard_normal(len(mean)) * np.sqrt(np.diag(covariance))
@@ -63,7 +63,7 @@ def measured(kinematics: Kinematics, poses: int) -> tuple[Readings, State]:
 
 def by_differences(kinematics: Kinematics, readings: Readings, start: State) -> Array:
     """Return the parameters by scipy's least_squares."""
-    mean, covariance = kinematics.prior()
+    mean, covariance = kinematics.prior
     sigma = np.sqrt(np.diag(covariance))
 
     def misses(x: Array) -> Array:

@@ -309,7 +309,7 @@ def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Es
 def _contradicted(estimate: Estimate) -> list[bool]:
     """Return which curves change by more than prior's less posterior's covariance."""
     kinematics = estimate.kinematics
-    mean, prior = kinematics.prior()
+    mean, prior = kinematics.prior
     change = kinematics.flat(estimate.state) - mean
     explained = prior - estimate.system.covariance
     bad, end = [], len(mean) - sum(2 * len(curve.cycles) + 1 for curve in kinematics.curves)

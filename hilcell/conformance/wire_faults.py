@@ -6,7 +6,7 @@ killed.
 
 from __future__ import annotations
 
-import importlib
+import pickle
 import select
 import subprocess
 import sys
@@ -15,12 +15,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import IO, Any, Self, cast
+from typing import IO, cast
 
 import msgspec
 
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS, Driver, Port
 from hilcell.conformance.trial import (
@@ -34,7 +33,6 @@ from hilcell.conformance.trial import (
     need,
 )
 from hilcell.errors import DeviceError, Stopped
-from hilcell.typed import Json, decoded
 
 PROMISES = Promises()
 STOP_S = 0.02
@@ -68,37 +66,8 @@ class Task:
         self.ended_s = time.monotonic()
 
 
-class Made(msgspec.Struct, frozen=True):
-    """A driver's class and its options."""
-
-    module: str
-    name: str
-    options: Json
-
-    @classmethod
-    def of(cls, settings: Settings, **changed: object) -> Self:
-        """Return the order for one, with ``changed`` options."""
-        kind, options = settings
-        stated = msgspec.to_builtins(msgspec.structs.replace(options, **changed))
-        return cls(kind.__module__, kind.__qualname__, stated)
-
-    def built(self, table: str) -> Driver:
-        """Return it, not connected."""
-        kind: Any = importlib.import_module(self.module)
-        for name in self.name.split("."):
-            kind = getattr(kind, name)
-        options = convert(self.options, kind.Options, table)
-        return kind(options, WallClock(threading.Event()))
-
-
-class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """Which driver moves which device, and the robot on which it rides."""
-
-    cell: Json
-    port: Port
-    driver: Made
-    carrier: Made | None
-    path: list[str]
+# Which driver moves which device of a cell, and the robot on which it rides.
+Order = tuple[Cell, Port, Settings, Settings | None]
 
 
 class Child:
@@ -106,14 +75,9 @@ class Child:
 
     def __init__(self, bench: Bench) -> None:
         self._check = bench.clock.outer
-        carrier = bench.carrier()
-        order = Order(
-            cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
-            port=bench.port,
-            driver=Made.of(bench.settings(), **bench.acts.slowly()),
-            carrier=None if carrier is None else Made.of(carrier),
-            path=sys.path,
-        )
+        kind, options = bench.settings()
+        settings = kind, msgspec.structs.replace(options, **bench.acts.slowly())
+        order: Order = (bench.cell, bench.port, settings, bench.carrier())
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "hilcell.conformance.wire_faults"],
             stdin=subprocess.PIPE,
@@ -121,7 +85,7 @@ class Child:
             stderr=subprocess.PIPE,
         )
         stdin = cast("IO[bytes]", self._process.stdin)
-        stdin.write(msgspec.json.encode(order) + b"\n")
+        stdin.write(pickle.dumps(sys.path) + pickle.dumps(order))
         stdin.flush()
 
     def __enter__(self) -> Child:
@@ -372,14 +336,17 @@ def _under_way(bench: Bench) -> tuple[Driver, Task]:
 
 def main() -> None:
     """Connect, say so, and begin what takes seconds."""
-    order = decoded(sys.stdin.buffer.readline(), Order)
-    sys.path[:] = order.path
-    device = order.driver.built(order.port)
-    if order.carrier is not None:
-        device = Riding(device, order.carrier.built("robot"))
+    sys.path[:] = pickle.load(sys.stdin.buffer)  # noqa: S301 - its parent's
+    order: Order = pickle.load(sys.stdin.buffer)  # noqa: S301 - its parent's
+    cell, port, (kind, options), carrier = order
+    clock = WallClock(threading.Event())
+    device = kind(options, clock)
+    if carrier is not None:
+        of_robot, robot_options = carrier
+        device = Riding(device, of_robot(robot_options, clock))
     device.connect()
     print("connected", flush=True)
-    ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
+    ACTS[port](cell).travel(device)
     threading.Event().wait(30.0)
 
 

@@ -91,7 +91,7 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     rows = [getattr(each, kind) for each in (nominal, arm) for kind in KINDS]
     before, after = np.array(rows).reshape(2, LINKS) * scale
     covariance = system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
-    prior = kinematics.prior()[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
+    prior = kinematics.prior[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
     u, prior_u = (np.sqrt(np.diag(each)) for each in (covariance, prior))
     parameters = [
         Parameter(name, units[unit][0], *map(float, values))

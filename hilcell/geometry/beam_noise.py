@@ -52,9 +52,8 @@ def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise
     known = np.repeat(np.sqrt(freedom), 3)
     weights: Array = known
     found: Array = np.zeros(2)
-    rounds = 8  # of weighting: the weights follow from the variances that are fitted
     least_share = 1e-3  # of the largest variance: none counts as better known than that
-    for _ in range(rounds):
+    for _ in range(8):  # the weights follow from the variances that are fitted
         found = _non_negative(A * weights[:, None], stated_mm2 * weights)
         fitted_mm2 = A @ found
         if not fitted_mm2.max() > 0.0:

@@ -90,9 +90,8 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     radius = float(np.sqrt(c + cu**2 + cv**2))
     nothing = np.empty((0, 0))
     circle = Circle(middle + cu * e1 + cv * e2, axis, radius, nothing, nothing)
-    iterations = 50
     converged = 1e-12
-    for _ in range(iterations):
+    for _ in range(50):
         r, J, tangents = circle.linearised(points)
         step = np.linalg.lstsq(J, -r, rcond=None)[0]
         circle = replace(

@@ -94,24 +94,18 @@ def levers_mm(arm: Arm, capsules: Capsules) -> Array:
     lengths = np.hypot(arm.a_mm, arm.d_mm)
     levers = np.zeros((len(capsules.link), 6))
     for number, (link, ends) in enumerate(zip(capsules.link, capsules.ends_mm, strict=True)):
-        joint, axis = _axis_in_link(arm, link - 1)
+        # A point of the link's joint axis, and its direction, in the link's frame.
+        row = link - 1
+        axis = np.array([0.0, np.sin(arm.alpha_rad[row]), np.cos(arm.alpha_rad[row])])
+        turned = _tilted(arm, row)
+        joint = (np.array([-arm.a_mm[row], 0.0, 0.0]) - arm.d_mm[row] * axis) @ turned
         arms = ends - joint
-        levers[number, link - 1] = np.linalg.norm(np.cross(arms, axis), axis=1).max()
+        levers[number, row] = np.linalg.norm(np.cross(arms, axis @ turned), axis=1).max()
         beyond = np.linalg.norm(arms, axis=1).max()
         for row in range(link - 2, -1, -1):
             levers[number, row] = abs(arm.a_mm[row]) + beyond
             beyond += lengths[row]
     return levers
-
-
-def _axis_in_link(arm: Arm, row: int) -> tuple[Array, Array]:
-    """Return a point of the link's joint axis, and its direction, in the link's frame."""
-    sin, cos = np.sin(arm.alpha_rad[row]), np.cos(arm.alpha_rad[row])
-    direction = np.array([0.0, sin, cos])
-    turned = _tilted(arm, row)
-    return (np.array([-arm.a_mm[row], 0.0, 0.0]) - arm.d_mm[row] * direction) @ turned, (
-        direction @ turned
-    )
 
 
 def clearance_mm(
@@ -245,8 +239,7 @@ class Body:
 
         ``also`` is a share of the way to look at beside those in even steps.
         """
-        looks = 257  # along a motion that is not clear, for the message
-        shares = np.append(np.linspace(0.0, 1.0, looks), also)
+        shares = np.append(np.linspace(0.0, 1.0, 257), also)
         postures = start + shares[:, None] * (end - start)
         found = self.clearances_mm(postures, np.full((len(postures), 1), np.inf))
         at = np.unravel_index(np.argmin(found), found.shape)  # of several NaN, the first

@@ -103,8 +103,8 @@ def rigid_fit(
     at_centroid = np.linalg.inv(_normal_matrix(moved - centroid, W)) * excess
     shift = np.eye(6)
     shift[:3, 3:] = -cross_matrix(T[:3, 3] - centroid)
-    rms_mm = rms(lengths_mm(residuals))
-    return RigidFit(T, shift @ at_centroid @ shift.T, residuals, rms_mm)
+    covariance = shift @ at_centroid @ shift.T
+    return RigidFit(T, covariance, residuals, rms(lengths_mm(residuals)))
 
 
 def point_uncertainty(fit: RigidFit, point_mm: ArrayLike) -> float:
@@ -157,8 +157,7 @@ def pose_from_zyx(
     x_mm: float, y_mm: float, z_mm: float, a_deg: float, b_deg: float, c_deg: float
 ) -> Array:
     """Return the frame (4, 4) of X, Y, Z, A, B, C: Rz(A) Ry(B) Rx(C)."""
-    R = from_zyx((a_deg, b_deg, c_deg))
-    return matrix(R, np.array([x_mm, y_mm, z_mm]))
+    return matrix(from_zyx((a_deg, b_deg, c_deg)), np.array([x_mm, y_mm, z_mm]))
 
 
 def poses_from_zyx(values: ArrayLike) -> Array:
@@ -260,9 +259,8 @@ def _procrustes(a: Array, b: Array, weights: Array) -> Array:
 
 def _refined(T: Array, a: Array, b: Array, W: Array) -> Array:
     """Return T after Gauss-Newton with full covariances."""
-    iterations = 20
     converged = 1e-13
-    for _ in range(iterations):
+    for _ in range(20):
         moved = apply(T, a)
         centroid = moved.mean(axis=0)
         J = _jacobian(moved - centroid)
@@ -294,18 +292,14 @@ def from_zyx(angles_deg: ArrayLike) -> Array:
     sines, cosines = np.sin(angles_rad), np.cos(angles_rad)
     sa, sb, sc = sines[..., 0], sines[..., 1], sines[..., 2]
     ca, cb, cc = cosines[..., 0], cosines[..., 1], cosines[..., 2]
+    rows = [
+        (ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc),
+        (sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc),
+        (-sb, cb * sc, cb * cc),
+    ]
     R = np.empty((*angles_rad.shape, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = (
-        ca * cb,
-        ca * sb * sc - sa * cc,
-        ca * sb * cc + sa * sc,
-    )
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = (
-        sa * cb,
-        sa * sb * sc + ca * cc,
-        sa * sb * cc - ca * sc,
-    )
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = -sb, cb * sc, cb * cc
+    for n, row in enumerate(rows):
+        R[..., n, 0], R[..., n, 1], R[..., n, 2] = row
     return R
 
 

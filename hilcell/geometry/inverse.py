@@ -152,7 +152,6 @@ class _SphericalWrist(_Family):
     zero_a, zero_d = (3, 4, 5), (1, 2, 4)
 
     def solve(self, arm: Arm, flange: Array, status: int) -> tuple[Array, Array]:
-        """Place the wrist centre, then turn the wrist."""
         centre = flange[..., :3, 3] - arm.d_mm[5] * flange[..., :3, 2]
         side = -1.0 if status & BEHIND else 1.0
         theta = np.empty((*flange.shape[:-2], 6))
@@ -177,7 +176,6 @@ class _SphericalWrist(_Family):
         return ahead
 
     def bend_rad(self, arm: Arm) -> float:
-        """Return the angle of `forearm`."""
         return self.forearm(arm)[1]
 
     def forearm(self, arm: Arm) -> tuple[float, float]:
@@ -194,7 +192,6 @@ class _ParallelAxes(_Family):
     zero_a, zero_d = (0, 3, 4, 5), ()
 
     def solve(self, arm: Arm, flange: Array, status: int) -> tuple[Array, Array]:
-        """Turn the wrist, then place axis 4 in the plane of the links."""
         wrist = flange[..., :3, 3] - arm.d_mm[5] * flange[..., :3, 2]  # on axis 5
         beside_mm = float(arm.d_mm[1:4].sum())
         radius_mm = np.hypot(wrist[..., 0], wrist[..., 1])
@@ -354,9 +351,8 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
     length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
-    refine_steps = 100
     refined_mm, refined_rad = 1e-7, 1e-10
-    for _ in range(refine_steps + 1):
+    for _ in range(101):
         error = _pose_error(poses[~arrived], forward(arm, joints[~arrived]))
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
         there = (shift <= refined_mm) & (turn <= refined_rad)

@@ -14,6 +14,7 @@ pose's prediction by all others follows without another solution: r_F less its p
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -109,8 +110,7 @@ def identify(
     """
     _refuse_too_few(readings)
     state, outliers = _robust(kinematics, readings, start)
-    rounds = 4  # of noise and outliers
-    for _ in range(rounds):
+    for _ in range(4):  # rounds of noise and outliers
         _refuse_too_many(outliers, readings)
         found = identify_trusted(kinematics, readings.without(outliers), state, noise)
         more = _gross(found.system)
@@ -130,12 +130,11 @@ def identify_trusted(
     state, _ = solve(kinematics, readings, start, noise)
     # the noise of greatest marginal likelihood, linearised at this state
     found = kinematics.linearised(state, readings.joints_rad)
-    noise_steps, noise_settled = 40, 0.01
-    for _ in range(noise_steps):
+    for _ in range(40):
         system = System.of(kinematics, state, readings, noise, found)
         before = noise
         noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
-        if noise.changed(before) <= noise_settled:
+        if noise.changed(before) <= 0.01:
             break
     state, system = solve(kinematics, readings, state, noise)
     return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
@@ -174,20 +173,16 @@ def solve(
 
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
     """Return a state that gross readings did not move, and these readings (M, K)."""
-    first_scale_mm, least_scale_mm = 0.5, 0.005
-    scale_mm = first_scale_mm
+    scale_mm, least_scale_mm = 0.5, 0.005
     known = readings.known
     lengths_mm = np.zeros(known.shape)
     found = kinematics.linearised(state, readings.joints_rad)
-    robust_steps = 12
     cauchy = 2.5  # scales from which on a reading's pull fades
     median_length = 1.5382  # of a 3-D normal vector of unit variance
-    for _ in range(robust_steps):
+    for _ in range(12):
         excess = scale_mm**2 * (lengths_mm / (cauchy * scale_mm)) ** 2
-        weighted = replace(
-            readings,
-            covariance_mm2=readings.covariance_mm2 + excess[..., None, None] * np.eye(3),
-        )
+        covariance_mm2 = readings.covariance_mm2 + excess[..., None, None] * np.eye(3)
+        weighted = replace(readings, covariance_mm2=covariance_mm2)
         system = System.of(kinematics, state, weighted, Noise.independent(scale_mm), found)
         state = kinematics.moved(state, system.step)
         found = kinematics.linearised(state, readings.joints_rad)
@@ -256,27 +251,20 @@ class System:
 
     @classmethod
     def of(
-        cls,
-        kinematics: Kinematics,
-        state: State,
-        readings: Readings,
-        noise: Noise,
+        cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise,
         found: Linearised,
-    ) -> System:
+    ) -> System:  # fmt: skip
         """Return the system of a linearisation that is known."""
-        known = readings.known
-        count = len(readings)
+        known, count = readings.known, len(readings)
         residual = np.where(known[..., None], readings.xyz_mm - found.positions_mm, 0.0)
         design = found.by_parameter.copy()
         design[~known] = 0.0
-        root = kinematics.prior_root
-        pull = root @ (kinematics.prior()[0] - kinematics.flat(state))
         return cls(
             design.reshape(count, -1, design.shape[-1]),
             residual.reshape(count, -1),
             noise.covariance(found.by_joint, readings.covariance_mm2, known),
-            root,
-            pull,
+            kinematics.prior_root,
+            kinematics.prior_root @ (kinematics.prior[0] - kinematics.flat(state)),
             found.by_joint,
             known,
         )
@@ -443,11 +431,9 @@ def triangle(*blocks: Array) -> Array:
     """
     squares = np.sum([rows.T @ rows for rows in blocks], axis=0)
     scale = np.sqrt(np.diag(squares))
-    try:
-        R: Array = np.linalg.cholesky(squares / np.outer(scale, scale)).T
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     least_pivot = 1e-4  # of columns of unit length: their squares keep 8 digits
-    if not np.diag(R).min() >= least_pivot:
-        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
-    return R * scale
+    with suppress(np.linalg.LinAlgError):
+        R: Array = np.linalg.cholesky(squares / np.outer(scale, scale)).T
+        if np.diag(R).min() >= least_pivot:
+            return R * scale
+    return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))

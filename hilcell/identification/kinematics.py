@@ -129,9 +129,7 @@ class Kinematics:
         """Return the parameters' names, with units."""
         names = [f"base {axis} mm" for axis in "xyz"] + [f"base r{axis} rad" for axis in "xyz"]
         names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
-        link_kinds = ("a", "alpha", "d", "offset", "beta")
-        for kind, field in zip(link_kinds, KINDS, strict=True):
-            unit = "mm" if field.endswith("mm") else "rad"
+        for kind, unit in (each.rsplit("_", 1) for each in KINDS):
             names += [f"{kind}{row + 1} {unit}" for row in range(6)]
         if self.gravity:
             names += [f"{name} rad" for name in GRAVITY_NAMES]
@@ -143,31 +141,29 @@ class Kinematics:
                 for wave in ("cos", "sin")
             ]
         if self.tool:
-            names += [f"{name} rad" for name in TOOL_NAMES]
+            levers = ("flange", "x", "y", "z")
+            names += [f"axis {axis + 1}: tool {lever} rad" for axis in range(6) for lever in levers]
         for curve in self.curves:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
             names.append(f"{axis}: shift rad")
         return names
 
-    def prior(self) -> tuple[Array, Array]:
-        """Return the parameters' prior mean (P,) and covariance (P, P).
-
-        Base and reflectors count from where they were assumed.
-        """
-        return self._prior
-
     @cached_property
     def prior_root(self) -> Array:
         """Return W (P, P) with W'W the inverse of the prior's covariance."""
-        covariance = self._prior[1]
+        covariance = self.prior[1]
         sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
         jitter = 1e-9  # of a prior's correlation, so that a singular one has a root
         correlation = covariance / np.outer(sigma, sigma) + jitter * np.eye(len(sigma))
         return np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
 
     @cached_property
-    def _prior(self) -> tuple[Array, Array]:
+    def prior(self) -> tuple[Array, Array]:
+        """Return the parameters' prior mean (P,) and covariance (P, P).
+
+        Base and reflectors count from where they were assumed.
+        """
         length_mm, angle_rad = 1.0, 2e-3  # prior sigmas of link parameters
         links = [length_mm if kind.endswith("mm") else angle_rad for kind in KINDS]
         assumed = self.assumed
@@ -184,18 +180,17 @@ class Kinematics:
         mean, covariance = np.zeros(size), np.zeros((size, size))
         at = len(sigmas)
         covariance[:at, :at] = np.diag(np.square(sigmas))
-        shift_per_cycle = 1e-12  # a shift known exactly is known to this
         for curve in self.curves:
             end = at + 2 * len(curve.cycles)
             mean[at:end], mean[end] = curve.amplitude_rad.ravel(), curve.shift_rad
             covariance[at:end, at:end] = curve.covariance_rad2
-            covariance[end, end] = max(curve.shift_sigma_rad, shift_per_cycle) ** 2
+            covariance[end, end] = max(curve.shift_sigma_rad, 1e-12) ** 2
             at = end + 1
         return mean, covariance
 
     def start(self, T: Array, smr_mm: Array) -> State:
         """Return the nominal robot at a base (4, 4) with reflectors (K, 3)."""
-        return State(T, smr_mm, self.prior()[0][self.placed :], np.zeros(self.placed))
+        return State(T, smr_mm, self.prior[0][self.placed :], np.zeros(self.placed))
 
     def flat(self, state: State) -> Array:
         """Return the state's parameters (P,)."""
@@ -318,18 +313,12 @@ def _carried(flange: Array, smr_mm: Array) -> Array:
 
 
 GRAVITY_AXES = (1, 1, 1, 1, 2, 2)
-GRAVITY_NAMES = (
-    "axis 2: cos upper arm",
-    "axis 2: sin upper arm",
-    "axis 2: cos forearm",
-    "axis 2: sin forearm",
-    "axis 3: cos forearm",
-    "axis 3: sin forearm",
+GRAVITY_NAMES = tuple(
+    f"{axis}: {wave} {link}"
+    for axis, link in (("axis 2", "upper arm"), ("axis 2", "forearm"), ("axis 3", "forearm"))
+    for wave in ("cos", "sin")
 )
 TOOL_AXES = tuple(axis for axis in range(6) for _ in range(4))
-TOOL_NAMES = tuple(
-    f"axis {axis + 1}: tool {lever}" for axis in range(6) for lever in ("flange", "x", "y", "z")
-)
 
 
 def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
@@ -341,14 +330,8 @@ def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
     upper = _direction(elbow[..., :3, 3] - shoulder[..., :3, 3])
     fore = _direction(wrist[..., :3, 3] - elbow[..., :3, 3])
     axis_2, axis_3 = shoulder[..., :3, 2], elbow[..., :3, 2]
-    columns = [
-        _lever(axis_2, upper),
-        upper[..., 2],
-        _lever(axis_2, fore),
-        fore[..., 2],
-        _lever(axis_3, fore),
-        fore[..., 2],
-    ]
+    pairs = ((axis_2, upper), (axis_2, fore), (axis_3, fore))
+    columns = [each for axis, link in pairs for each in (_lever(axis, link), link[..., 2])]
     return np.stack(columns, axis=-1)
 
 
@@ -362,9 +345,8 @@ def tool_basis(arm: Arm, joints_rad: Array) -> Array:
         frames.append(frames[-1] @ links[..., row, :, :])
     lengths_mm = np.abs(arm.a_mm) + np.abs(arm.d_mm)
     flange, columns = frames[6], []
-    least_reach_mm = 1.0
     for row in range(6):
-        reach_mm = max(float(lengths_mm[row:].sum()), least_reach_mm)
+        reach_mm = max(float(lengths_mm[row:].sum()), 1.0)
         axis = frames[row][..., :3, 2]
         columns.append(_lever(axis, (flange[..., :3, 3] - frames[row][..., :3, 3]) / reach_mm))
         columns += [_lever(axis, flange[..., :3, n]) for n in range(3)]

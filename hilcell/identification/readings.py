@@ -117,18 +117,15 @@ class Noise:
     joint_rad: Array
 
     @classmethod
-    def of_joints(cls, reflectors: int = 1) -> Noise:
-        """Return noise of readings and joints, with several reflectors of poses too, to be
-        estimated.
-        """
-        pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
-        return cls(cls.TYPICAL_MM, pose_mm, np.full(6, cls.TYPICAL_RAD))
-
-    @classmethod
     def of_poses(cls, reflectors: int) -> Noise:
         """Return noise of readings, and with several reflectors of poses, to be estimated."""
         pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
         return cls(cls.TYPICAL_MM, pose_mm, np.zeros(6))
+
+    @classmethod
+    def of_joints(cls, reflectors: int = 1) -> Noise:
+        """Return noise as `of_poses`, and of joints, to be estimated."""
+        return replace(cls.of_poses(reflectors), joint_rad=np.full(6, cls.TYPICAL_RAD))
 
     @classmethod
     def independent(cls, reading_mm: float) -> Noise:
@@ -188,8 +185,7 @@ class Noise:
     def changed(self, before: Noise) -> float:
         """Return the largest relative change of a standard deviation that is not zero."""
         now, then = (
-            np.array([noise.reading_mm, noise.pose_mm, *noise.joint_rad])
-            for noise in (self, before)
+            np.array([each.reading_mm, each.pose_mm, *each.joint_rad]) for each in (self, before)
         )
         return float(np.abs(np.log(now[now > 0.0] / then[now > 0.0])).max())
 

@@ -208,8 +208,7 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
 
     system = estimate.system
     # where the search begins, and what few data lean on
-    typical_rad, typical_length_rad = 100e-6, 1.0
-    middle = np.log(np.repeat([typical_rad, typical_length_rad, 1.0], [6, 6, 1]))
+    middle = np.log(np.repeat([100e-6, 1.0, 1.0], [6, 6, 1]))
     squares = (rows.joints_rad[:, None] - rows.joints_rad) ** 2
     place = (rows.pose[:, None] == np.arange(len(rows.joints_rad))).astype(float)
 
@@ -228,13 +227,6 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
         return -solved.evidence + 0.5 * float(away @ away), gradient + away / doubt
 
     limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, doubt, strict=True)]
-    steps, gain = 40, 1e-5  # of the search; relative, of the cost
-    found = minimize(
-        cost,
-        middle,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=limits,
-        options={"maxiter": steps, "ftol": gain},
-    )
+    options = {"maxiter": 40, "ftol": 1e-5}
+    found = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options=options)
     return found.x

@@ -206,11 +206,8 @@ def _spectrum(records: Records, found: Found) -> Array:
 
 def curve_measured(found: SweptAxis) -> CurveMeasured:
     """Return the event of an axis's sweeps, of their curve or of the reason why there is none."""
-    empty = np.zeros((0, 2))
-    nothing = TransmissionCurve(
-        found.axis, np.zeros(0), empty, np.zeros((0, 0)), 0.0, 0.0, 0.0, 0.0, 0.0
-    )
-    curve = found.curve or nothing
+    empty = (np.zeros(0), np.zeros((0, 2)), np.zeros((0, 0)))
+    curve = found.curve or TransmissionCurve(found.axis, *empty, 0.0, 0.0, 0.0, 0.0, 0.0)
     return CurveMeasured(
         axis=found.axis + 1,
         reason=found.reason,
@@ -305,8 +302,7 @@ class Records:
         columns = [np.full_like(angle, self.FREE_RAD), self.FREE_RAD * angle / self.half_rad]
         for order, sigma in SMOOTH_RAD.items():
             columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
-        both = np.stack(columns, axis=1)
-        up = (self.side > 0)[:, None]
+        both, up = np.stack(columns, axis=1), (self.side > 0)[:, None]
         return np.hstack([both * up, both * ~up])
 
     @cached_property
@@ -351,9 +347,8 @@ class Records:
         cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
         count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
         first = self.smooth.shape[1]
-        steps = 12
         settled, longest_step = 1e-4, 0.2  # of a line's width
-        for _ in range(steps):
+        for _ in range(12):
             angle = self.angle_rad(shift_rad)
             waves = _waves(angle, cycles)
             turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
@@ -364,7 +359,7 @@ class Records:
             found, inverse = self._solved(columns, sigma_rad, towards)
             sigma_rad = rms(self.left_rad(columns, found))
             sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
-            amplitude = _pairs(found[first:], count)
+            amplitude = LINE_RAD * found[first : first + 2 * count].reshape(-1, 2)
             step = np.clip(found[-1 - count : -1], -longest_step, longest_step)
             cycles = np.clip(cycles + self.width * step, self.lowest, HIGHEST)
             shift_rad += prior.sigma_rad * float(found[-1])
@@ -372,9 +367,8 @@ class Records:
                 break
         columns = LINE_RAD * _waves(self.angle_rad(shift_rad), cycles)
         found, _ = self._solved(columns, sigma_rad)
-        left_rad = self.left_rad(columns, found)
-        amplitude = _pairs(found[first:], count)
-        return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
+        amplitude = LINE_RAD * found[first:].reshape(-1, 2)
+        return Lines(cycles, amplitude, Shift(shift_rad, sigma), self.left_rad(columns, found))
 
     def _solved(self, columns: Array, sigma_rad: float, last: float = 0.0) -> tuple[Array, Array]:
         """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
@@ -588,11 +582,6 @@ def search(records: Records, shift: Shift) -> Found:
 def without_lines(records: Records, shift: Shift) -> Lines:
     """Return what smooth errors leave."""
     return records.refined(Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
-
-
-def _pairs(found: Array, count: int) -> Array:
-    """Return cosines and sines (K, 2) of the lines that come first."""
-    return LINE_RAD * found[: 2 * count].reshape(-1, 2)
 
 
 def noise_of(powers_rad2: Array, cycles: Array) -> Noise:

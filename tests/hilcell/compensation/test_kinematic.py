@@ -43,7 +43,7 @@ def truth(points_mm: Array, noise_mm: float = 0.0, *, errors: bool = True) -> tu
     """Return commanded joints and actual positions of one crooked robot with waves in axis 1."""
     kinematics = Kinematics(ROBOT.arm, waves=False, curves=(WAVES,))
     rng = np.random.default_rng(4)
-    mean, covariance = kinematics.prior()
+    mean, covariance = kinematics.prior
     values = mean + errors * rng.standard_normal(len(mean)) * np.sqrt(np.diag(covariance))
     joints = ROBOT.joints_for(poses_at(points_mm))
     if not errors:

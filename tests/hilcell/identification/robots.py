@@ -44,7 +44,7 @@ class Robot:
     def drawn(cls, kinematics: Kinematics, seed: int) -> "Robot":
         """Draw a robot with errors of the prior's size."""
         rng = np.random.default_rng(seed)
-        mean, covariance = kinematics.prior()
+        mean, covariance = kinematics.prior
         placed = kinematics.placed
         values = (mean + rng.standard_normal(len(mean)) * np.sqrt(np.diag(covariance)))[placed:]
         return cls(
