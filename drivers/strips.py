@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import astuple
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -67,79 +67,6 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             parse_channel(self.channel)
         else:
             refuse(bus_problems(self.interface, self.channel, self.bitrate))
-
-
-class Strip(Protocol):
-    """A magnetic strip's sensor on a wire of its own; used by one thread."""
-
-    def connect(self) -> Identity:
-        """Open the wire and verify the sensor; raises `DeviceError`."""
-
-    def read(self, check: Callable[[], None]) -> tuple[int, int]:
-        """Return its counts and alarms (0: the counts are good); raises `DeviceError`."""
-
-    def alarm_text(self, alarms: int) -> str:
-        """Return its alarms in words."""
-
-    def statistics(self) -> LinkStatistics:
-        """Return its wire's counts since ``connect``, also after ``close``."""
-
-    def close(self) -> None:
-        """Close the wire; a second close does nothing."""
-
-
-class StripFeed:
-    """The polls of one strip; one that is lost is opened again only while nothing moves."""
-
-    def __init__(self, strip: Strip) -> None:
-        self._strip = strip
-        self._lost: DeviceError | None = None
-        self._counts = 0
-        self._before = LinkStatistics()  # of wires that were lost
-
-    def connect(self) -> Identity:
-        """Open the wire and verify the sensor."""
-        self._before = LinkStatistics()
-        return self._open()
-
-    def _open(self) -> Identity:
-        self._strip.close()
-        identity, self._lost = self._strip.connect(), None
-        return identity
-
-    def poll(self, check: Callable[[], None]) -> tuple[int, int]:
-        """Return counts and alarms: the last counts and `LOST` of a strip that does not answer."""
-        if self._lost is None:
-            try:
-                self._counts, alarms = self._strip.read(check)
-            except DeviceError as error:
-                self._lost = error
-            else:
-                return self._counts, alarms
-        return self._counts, LOST
-
-    def mend(self) -> None:
-        """Open the wire of a strip that was lost again, if it lets itself be opened."""
-        if self._lost is not None:
-            self._before = self.statistics()
-            try:
-                self._open()
-            except DeviceError as error:
-                self._lost = error
-
-    def statistics(self) -> LinkStatistics:
-        """Return the wire's counts since `connect`, of wires that were lost as well."""
-        return summed(self._before, self._strip.statistics())
-
-    def alarm_text(self, alarms: int) -> str:
-        """Return alarms in words."""
-        if alarms & LOST and self._lost is not None:
-            return self._lost.summary
-        return self._strip.alarm_text(alarms & ~LOST)
-
-    def close(self) -> None:
-        """Close the wire."""
-        self._strip.close()
 
 
 def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
@@ -331,6 +258,63 @@ class CanopenStrip:
         watch.arm()
         self._watch, self._inbox = watch, inbox
         return identity
+
+
+Strip = SerialStrip | CanopenStrip
+
+
+class StripFeed:
+    """The polls of one strip; one that is lost is opened again only while nothing moves."""
+
+    def __init__(self, strip: Strip) -> None:
+        self._strip = strip
+        self._lost: DeviceError | None = None
+        self._counts = 0
+        self._before = LinkStatistics()  # of wires that were lost
+
+    def connect(self) -> Identity:
+        """Open the wire and verify the sensor."""
+        self._before = LinkStatistics()
+        return self._open()
+
+    def _open(self) -> Identity:
+        self._strip.close()
+        identity, self._lost = self._strip.connect(), None
+        return identity
+
+    def poll(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return counts and alarms: the last counts and `LOST` of a strip that does not answer."""
+        if self._lost is None:
+            try:
+                self._counts, alarms = self._strip.read(check)
+            except DeviceError as error:
+                self._lost = error
+            else:
+                return self._counts, alarms
+        return self._counts, LOST
+
+    def mend(self) -> None:
+        """Open the wire of a strip that was lost again, if it lets itself be opened."""
+        if self._lost is not None:
+            self._before = self.statistics()
+            try:
+                self._open()
+            except DeviceError as error:
+                self._lost = error
+
+    def statistics(self) -> LinkStatistics:
+        """Return the wire's counts since `connect`, of wires that were lost as well."""
+        return summed(self._before, self._strip.statistics())
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return alarms in words."""
+        if alarms & LOST and self._lost is not None:
+            return self._lost.summary
+        return self._strip.alarm_text(alarms & ~LOST)
+
+    def close(self) -> None:
+        """Close the wire."""
+        self._strip.close()
 
 
 def strip_of(options: StripOptions, clock: Clock) -> Strip:

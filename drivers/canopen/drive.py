@@ -101,7 +101,12 @@ class Drive:
         else:
             said = f"error {cia.error_text(code)}"
         return RAIL.failed(
-            cia.error_alarm(code), operation, f"{found}, {said}", state=state.value, error_code=code
+            cia.error_alarm(code),
+            operation,
+            f"{found}, {said}",
+            act="put the cause right, then resume",
+            state=state.value,
+            error_code=code,
         )
 
     def reset_fault(self) -> None:

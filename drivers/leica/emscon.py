@@ -14,7 +14,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -391,81 +391,47 @@ SHARE = 1e-6
 SCALE_SHARE = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """How a setting is read, and the news that it was changed."""
+class Setting(Enum):
+    """A setting in words, with its layout; commands and news of a change bear its name."""
 
-    name: str
-    read: Command
-    layout: Struct
-    changes: tuple[Change, ...]
+    UNITS = "units", Layout.UNITS
+    COORDINATE_SYSTEM = "coordinate system", Layout.NUMBER
+    MEASUREMENT_MODE = "measurement mode", Layout.NUMBER
+    STATIONARY = "stationary parameters", Layout.STATIONARY
+    CONTINUOUS_TIME = "continuous time parameters", Layout.CONTINUOUS
+    SEARCH = "search", Layout.SEARCH
+    REFLECTOR = "reflector", Layout.NUMBER
+    FACE = "face", Layout.NUMBER
+    SYSTEM_SETTINGS = (
+        "weather monitor, transformation and orientation in use",
+        Layout.SYSTEM_SETTINGS,
+    )
+    ORIENTATION = "station orientation", Layout.ORIENTATION
+    TRANSFORMATION = "transformation", Layout.TRANSFORMATION
 
+    def __init__(self, words: str, layout: Struct) -> None:
+        self.words, self.layout = words, layout
 
-@dataclass(frozen=True, slots=True)
-class Writable(Setting):
-    """A setting that can be written, too."""
+    @property
+    def read(self) -> Command:
+        """Return the command that asks for it."""
+        return Command[f"GET_{self.name}"]
 
-    write: Command
+    @property
+    def write(self) -> Command:
+        """Return the command that sets it; the face and what makes the frame have none here."""
+        return Command[f"SET_{self.name}"]
+
+    @property
+    def changes(self) -> frozenset[Change]:
+        """Return the news that it was changed."""
+        if self is Setting.FACE:
+            return frozenset({Change.FIRST_FACE, Change.SECOND_FACE})
+        return frozenset({Change[self.name]})
 
 
 class EmsconSettings:
     """The values that the tracker is set to, and the news of those that somebody changed."""
-
-    UNITS = Writable("units", Command.GET_UNITS, Layout.UNITS, (Change.UNITS,), Command.SET_UNITS)
-    AXES = Writable(
-        "coordinate system",
-        Command.GET_COORDINATE_SYSTEM,
-        Layout.NUMBER,
-        (Change.COORDINATE_SYSTEM,),
-        Command.SET_COORDINATE_SYSTEM,
-    )
-    MODE = Writable(
-        "measurement mode",
-        Command.GET_MEASUREMENT_MODE,
-        Layout.NUMBER,
-        (Change.MEASUREMENT_MODE,),
-        Command.SET_MEASUREMENT_MODE,
-    )
-    STATIONARY = Writable(
-        "stationary parameters",
-        Command.GET_STATIONARY,
-        Layout.STATIONARY,
-        (Change.STATIONARY,),
-        Command.SET_STATIONARY,
-    )
-    CONTINUOUS = Writable(
-        "continuous time parameters",
-        Command.GET_CONTINUOUS_TIME,
-        Layout.CONTINUOUS,
-        (Change.CONTINUOUS_TIME,),
-        Command.SET_CONTINUOUS_TIME,
-    )
-    SEARCH = Writable(
-        "search", Command.GET_SEARCH, Layout.SEARCH, (Change.SEARCH,), Command.SET_SEARCH
-    )
-    REFLECTOR = Writable(
-        "reflector",
-        Command.GET_REFLECTOR,
-        Layout.NUMBER,
-        (Change.REFLECTOR,),
-        Command.SET_REFLECTOR,
-    )
-    FACE = Setting("face", Command.GET_FACE, Layout.NUMBER, (Change.FIRST_FACE, Change.SECOND_FACE))
-    SYSTEM = Setting(
-        "weather monitor, transformation and orientation in use",
-        Command.GET_SYSTEM_SETTINGS,
-        Layout.SYSTEM_SETTINGS,
-        (Change.SYSTEM_SETTINGS,),
-    )
-    ORIENTATION = Setting(
-        "station orientation", Command.GET_ORIENTATION, Layout.ORIENTATION, (Change.ORIENTATION,)
-    )
-    TRANSFORMATION = Setting(
-        "transformation",
-        Command.GET_TRANSFORMATION,
-        Layout.TRANSFORMATION,
-        (Change.TRANSFORMATION,),
-    )
 
     def __init__(
         self,
@@ -476,7 +442,7 @@ class EmsconSettings:
         self._kept: dict[Setting, tuple[float, ...]] = {}
         self._news: set[int] = set()
 
-    def write(self, setting: Writable, *values: float) -> None:
+    def write(self, setting: Setting, *values: float) -> None:
         """Write a setting and believe it only when it reads back."""
         self._ask(setting.write, setting.layout.pack(*values))
         self.expect(setting, *values)
@@ -491,10 +457,10 @@ class EmsconSettings:
         if not _same(found, values):
             raise TRACKER.refused(
                 "HC-T06",
-                f"set {setting.name}",
+                f"set {setting.words}",
                 f"reads back as {found}",
                 wanted=f"{values}",
-                setting=setting.name,
+                setting=setting.words,
                 read=found,
                 written=values,
             )
@@ -511,15 +477,15 @@ class EmsconSettings:
         A controller that does not tell its system settings is older, and tells none of these.
         """
         try:
-            if not self._ask(self.SYSTEM.read, b""):
+            if not self._ask(Setting.SYSTEM_SETTINGS.read, b""):
                 return
         except DeviceError as refusal:
             if refusal.fields.get("status") != NOT_IMPLEMENTED:
                 raise
             return
-        _weather, transforms, _orients = self.keep(self.SYSTEM)
-        self.keep(self.ORIENTATION)
-        scale = self.keep(self.TRANSFORMATION)[-1]
+        _weather, transforms, _orients = self.keep(Setting.SYSTEM_SETTINGS)
+        self.keep(Setting.ORIENTATION)
+        scale = self.keep(Setting.TRANSFORMATION)[-1]
         if transforms and not abs(scale - 1.0) <= SCALE_SHARE:
             raise TRACKER.refused(
                 "HC-T06",
@@ -527,7 +493,7 @@ class EmsconSettings:
                 f"a transformation of scale {scale:.9g} is in use",
                 wanted="1",
                 act="switch it off or set its scale to 1 in the tracker's software, then resume",
-                setting=self.TRANSFORMATION.name,
+                setting=Setting.TRANSFORMATION.words,
                 scale=scale,
             )
 
@@ -549,7 +515,7 @@ class EmsconSettings:
         """Raise `DeviceError` where a setting is no longer the kept one."""
         found, kept = self._numbers_of(setting.read, setting.layout), self._kept[setting]
         if not _same(found, kept):
-            raise _changed(setting.name, f"now reads {found}", f"{kept}")
+            raise _changed(setting.words, f"now reads {found}", f"{kept}")
 
 
 def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:

@@ -29,6 +29,7 @@ from drivers.leica.emscon import (
     Packet,
     Reflector,
     Reply,
+    Setting,
     Single,
     StatusChange,
     SystemStatus,
@@ -61,6 +62,7 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
+AIR = "values that air can have"
 SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 
 T = TypeVar("T")
@@ -202,22 +204,22 @@ class LeicaEmsconTracker:
         options = self._options
         # A new start: news of before, of our own initialisation also, is of no settings of ours.
         settings = self.settings = EmsconSettings(self._ask, self._numbers_of)
-        settings.write(EmsconSettings.UNITS, *Value.MILLIMETRES)
-        settings.write(EmsconSettings.AXES, Value.RIGHT_HANDED)
-        if settings.keep(EmsconSettings.MODE) != (Value.STATIONARY,):
+        settings.write(Setting.UNITS, *Value.MILLIMETRES)
+        settings.write(Setting.COORDINATE_SYSTEM, Value.RIGHT_HANDED)
+        if settings.keep(Setting.MEASUREMENT_MODE) != (Value.STATIONARY,):
             self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
-        settings.write(EmsconSettings.MODE, Value.STATIONARY)
-        settings.write(EmsconSettings.STATIONARY, round(1000 * options.reading_s), 1)
-        settings.write(EmsconSettings.SEARCH, options.find_radius_mm, SEARCH_MS)
+        settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
+        settings.write(Setting.STATIONARY, round(1000 * options.reading_s), 1)
+        settings.write(Setting.SEARCH, options.find_radius_mm, SEARCH_MS)
         settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
-            raise TRACKER.refused("HC-T05", "connect", problem)
+            raise TRACKER.refused("HC-T05", "connect", problem, wanted=AIR)
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
         self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
-        self.settings.expect(EmsconSettings.FACE, face)
+        self.settings.expect(Setting.FACE, face)
 
     def _first_face(self) -> None:
         """Turn back a tracker that an engine before this one left in its second face.
@@ -231,7 +233,7 @@ class LeicaEmsconTracker:
         if face == Value.SECOND_FACE:
             self._turn_to(Value.FIRST_FACE)
         elif face == Value.FIRST_FACE:
-            self.settings.keep(EmsconSettings.FACE)
+            self.settings.keep(Setting.FACE)
 
     def _read_reflectors(self) -> dict[str, int]:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
@@ -257,7 +259,7 @@ class LeicaEmsconTracker:
                 reflector=reflector,
                 known=list(self._numbers),
             )
-        self.settings.write(EmsconSettings.REFLECTOR, self._numbers[reflector])
+        self.settings.write(Setting.REFLECTOR, self._numbers[reflector])
         self._reflector = reflector
 
     # -- measuring ----------------------------------------------------------------------------
@@ -323,7 +325,7 @@ class LeicaEmsconTracker:
         A measurement that still goes on makes the tracker busy, so its result comes before the
         reply.
         """
-        self.settings.read_again(EmsconSettings.REFLECTOR)
+        self.settings.read_again(Setting.REFLECTOR)
         self.settings.prove()
         if self._results != 1:
             raise TRACKER.no_reading(
@@ -378,7 +380,8 @@ class LeicaEmsconTracker:
                 limit_mm=self._options.max_std_mm,
             )
         if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
-            raise TRACKER.no_reading("HC-T05", "measure", problem, act="check the weather station")
+            act = "check the weather station"
+            raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=AIR, act=act)
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
         for unit, unit_mm in emscon.OTHER_UNITS_MM.items():
@@ -530,9 +533,9 @@ class EmsconStream:
         self._tracker.point_at(self._near_mm, self._reflector)
         try:
             settings = self._tracker.settings
-            settings.write(EmsconSettings.MODE, Value.CONTINUOUS_TIME)
+            settings.write(Setting.MEASUREMENT_MODE, Value.CONTINUOUS_TIME)
             parameters = (self._separation_ms, Value.UNTIL_STOPPED, 0, 0)
-            settings.write(EmsconSettings.CONTINUOUS, *parameters)
+            settings.write(Setting.CONTINUOUS_TIME, *parameters)
         except BaseException as error:
             self._restore(error)
             raise
@@ -664,7 +667,7 @@ class EmsconStream:
                 return
             if self._running:
                 self._stop()
-            self._tracker.settings.write(EmsconSettings.MODE, Value.STATIONARY)
+            self._tracker.settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
         except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise

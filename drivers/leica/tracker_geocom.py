@@ -552,7 +552,9 @@ class LeicaGeocomTracker:
             accepted=options.accept_uncorrected,
         )
         if reply.is_empty:
-            raise TRACKER.no_reading("HC-T13", "measure", "the answer has no values", act=ACT)
+            raise TRACKER.no_reading(
+                "HC-T13", "measure", "the answer has no values", wanted="some", act=ACT
+            )
         return reply
 
     # -- lines --------------------------------------------------------------------------------
@@ -604,9 +606,8 @@ class LeicaGeocomTracker:
         if not rpc.measures:
             raise self._lost("no answer in time", rpc.spoken)
         self._exchange(Rpc.NULL, (), self.REPLY_S)  # it lives, or the line is lost
-        raise TRACKER.no_reading(
-            "HC-T13", "measure", f"no answer to {rpc.spoken} in {limit_s:.1f} s", act=ACT
-        )
+        found = f"no answer to {rpc.spoken} in {limit_s:.1f} s"
+        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
         transaction = 1 + next(self._transactions) % (TRANSACTIONS - 1)

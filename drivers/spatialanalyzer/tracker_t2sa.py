@@ -546,7 +546,7 @@ def _read(points: str) -> NamedPoints:
             return read_points(Path(points))
         except SettingsError as error:
             problem = clean(str(error))
-    raise TRACKER.refused("HC-T75", "read the list of points", problem)
+    raise TRACKER.refused("HC-T75", "read the list of points", problem, wanted="a list")
 
 
 def _shown(xyz_mm: Array) -> str:

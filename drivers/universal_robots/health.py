@@ -76,7 +76,8 @@ def problem(state: UrState, *, moving: bool) -> DeviceError | None:
 def refused_motion(error: int) -> DeviceError:
     """Return the error for the script's error of a motion."""
     code, words = ERRORS.get(error, ("HC-B20", "unknown"))
-    return ROBOT.failed(code, "move", f"error {error} of the script: {words}", error=error)
+    found, act = f"error {error} of the script: {words}", "see the panel, resume"
+    return ROBOT.failed(code, "move", found, act=act, error=error)
 
 
 def runtime_text(state: UrState) -> str:
