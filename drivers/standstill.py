@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from statistics import median
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from drivers.device_errors import RAIL
 from drivers.supervision import Patience
@@ -32,32 +32,16 @@ LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unatt
 ROUNDING_S = 0.001
 
 
-class Poll(Protocol):
-    """Drive and strip at one look, each in its driver's own unit: counts, or mm."""
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """Drive and strip at one look, each in its driver's own unit: counts, or mm; a second."""
 
-    @property
-    def position(self) -> float:
-        """Return the drive's position."""
-
-    @property
-    def velocity(self) -> float:
-        """Return the drive's speed, a second."""
-
-    @property
-    def strip(self) -> int:
-        """Return the strip's counts."""
-
-    @property
-    def alarms(self) -> int:
-        """Return the strip's alarms; 0 means that its counts are good."""
-
-    @property
-    def powered(self) -> bool:
-        """Return whether the drive has the power to move."""
-
-    @property
-    def taken_s(self) -> float:
-        """Return since when its oldest part may be true."""
+    position: float
+    velocity: float
+    strip: int  # counts
+    alarms: int  # of the strip; 0 means that its counts are good
+    powered: bool  # the drive has the power to move
+    taken_s: float  # since when its oldest part may be true
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,10 +106,6 @@ OF_A_DEVICE = {".failed", ".refused", ".no_reading"}  # methods of `drivers.devi
 WORDED = {"HilcellError": 1, "SettingsError": 2}  # and of how many parts
 # Nothing else was expected than what they lack: a connection, a sample, a beam, an operator.
 LACKING = {"HC-R38", "HC-B21", "HC-T34", "HC-S12", "HC-C18", "HC-T40", "HC-T10", "HC-T11", "HC-C16"}
-HELPERS = {  # their callers say the code, and what was expected, in the words that they hand over
-    "drivers/kuka/external.py",
-    "drivers/universal_robots/rtde.py",
-}
 
 
 @pytest.mark.parametrize("room", ROOMS_OF_CODE)
@@ -141,12 +137,14 @@ def lacking(call: ast.Call, error: str, path: str) -> Iterator[str]:
     if error not in ERRORS | OF_A_DEVICE:
         return
     code, *words = call.args
-    if len(words) < 2 + (error in ERRORS) or any(isinstance(each, ast.Constant) and not each.value for each in words):
+    if len(words) < 2 + (error in ERRORS) or any(
+        isinstance(each, ast.Constant) and not each.value for each in words
+    ):
         yield "a device, an operation or what was found"
     given = {each.arg for each in call.keywords}
     literal = code.value if isinstance(code, ast.Constant) else None
     entry = catalogue().get(str(literal))
     if "act" not in given and (entry is None or not entry.do):
         yield "what to do"
-    if not given - {"act"} and literal not in LACKING and path not in HELPERS:
+    if not given - {"act"} and literal not in LACKING:
         yield "what was expected"

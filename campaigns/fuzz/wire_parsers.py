@@ -107,12 +107,8 @@ def packages(data: bytes) -> None:
                     return
             elif kind == rtde.Kind.INPUTS:
                 rtde.Recipe.from_answer(INPUTS, payload).lacking(rtde.IN_USE)
-            elif kind == rtde.Kind.CONTROLLER_VERSION:
-                rtde.controller_version(payload)
             elif kind == rtde.Kind.DATA and recipe is not None:
                 UrState.checked(recipe.decode(payload), 0.0, 0.0)
-            elif kind in (rtde.Kind.VERSION, rtde.Kind.START):
-                rtde.accepted(payload)
 
 
 def package_samples() -> Iterable[bytes]:

@@ -26,6 +26,7 @@ from drivers.canopen.cia import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL
+from drivers.standstill import Poll
 
 SYNC = 0x080
 REPLY_S = 0.2  # of link time
@@ -211,26 +212,18 @@ class Inbox:
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
+class Snapshot(Poll):
     """Drive and strip at one SYNC, in counts and counts/s."""
 
-    statusword: int
     position: int
     velocity: int
+    statusword: int
     mode: int
-    strip: int
-    alarms: int
-    taken_s: float
 
     @property
     def state(self) -> State:
         """Return the state of the power drive system."""
         return cia.state_of(self.statusword)
-
-    @property
-    def powered(self) -> bool:
-        """Whether the drive has the power to move."""
-        return self.state in cia.POWERED
 
     def has(self, bits: int) -> bool:
         """Whether all ``bits`` of the status word are set."""
@@ -298,7 +291,8 @@ class ProcessImage:
         else:
             strip, alarms = self._other_strip(check)
         self._taken_s = taken_s
-        return Snapshot(statusword, position, velocity, mode, strip, alarms, taken_s)
+        powered = cia.state_of(statusword) in cia.POWERED
+        return Snapshot(position, velocity, strip, alarms, powered, taken_s, statusword, mode)
 
     def take(self, pdo: Mapping) -> None:
         """Take a PDO that may lack an object, as the device has mapped it."""

@@ -485,6 +485,5 @@ class Release:
             self._sdo.read(index, tries=1)
             for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
         )
-        return Snapshot(
-            statusword, position, velocity, 0, 0, self.NO_STRIP, self._link.clock.pc_s()
-        )
+        powered, taken_s = cia.state_of(statusword) in cia.POWERED, self._link.clock.pc_s()
+        return Snapshot(position, velocity, 0, self.NO_STRIP, powered, taken_s, statusword, mode=0)

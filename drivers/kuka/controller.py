@@ -98,10 +98,6 @@ class Controller(Access, Protocol):
     def close(self) -> None:
         """Close the wires."""
 
-
-class SlidingController(Controller, Protocol):
-    """The wires to a controller whose program moves external axis E1 as well."""
-
     def has_slide(self) -> bool:
         """Whether the controller has an external axis."""
 

@@ -7,7 +7,6 @@ it: readings of drive and strip together, standstill over a dwell, the travel. E
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
@@ -15,7 +14,7 @@ from msgspec import Meta
 
 from drivers.device_errors import RAIL
 from drivers.scale_guard import ScaleGuard
-from drivers.standstill import STRIP_SPREAD_MM, Standing, Windows, check_travel, strip_spread
+from drivers.standstill import STRIP_SPREAD_MM, Poll, Standing, Windows, check_travel, strip_spread
 from drivers.strips import Positive, StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import (
@@ -26,18 +25,6 @@ from hilcell.ports import (
     LinkStatistics,
     RailReading,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class AxisPoll:
-    """E1 in mm and mm/s, and the strip in counts, at one look."""
-
-    position: float
-    velocity: float
-    strip: int
-    alarms: int
-    powered: bool
-    taken_s: float
 
 
 class KukaE1Rail:
@@ -181,7 +168,7 @@ class KukaE1Rail:
         self._standing.standstill.forget()
         self._before = None
 
-    def _look(self, operation: str) -> AxisPoll:
+    def _look(self, operation: str) -> Poll:
         """Look at axis and strip; the speed is that since the last look."""
         self._clock.check()
         axis, now_s = self._axis().read_axis(), self._clock.now_s()
@@ -190,7 +177,7 @@ class KukaE1Rail:
         speed_mm_s = 0.0  # of the first look; standstill wants several
         if before is not None:
             speed_mm_s = (axis.position_mm - before[0]) / max(now_s - before[1], self.CYCLE_S)
-        return AxisPoll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)
+        return Poll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)
 
     def _stop_after_failure(self) -> None:
         try:

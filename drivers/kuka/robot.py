@@ -6,6 +6,11 @@ axes stand at the target and two looks, more than a cycle of the controller apar
 within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
 the last digit. Joints are the measured ones where the controller has them: the ordered ones stand
 while a brake slips.
+
+Where the controller moves the slide, too, as external axis E1, the program moves it alone (HC_CMD
+2), and only while HC_HELD is FALSE; motions of the arm carry the place at which E1 is held. So one
+sequence of commands, one sign of life and one stop serve both, and the program's timer brakes the
+slide as it brakes the arm when the PC dies.
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import ROBOT
+from drivers.device_errors import RAIL, ROBOT
 from drivers.kuka.controller import (
     AXES,
     FRAME,
@@ -52,6 +57,7 @@ from hilcell.clean import clean
 from hilcell.geometry.frames import from_zyx
 from hilcell.ports import (
     Array,
+    AxisReading,
     Clock,
     DeviceError,
     HilcellError,
@@ -88,7 +94,7 @@ class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class KukaRobot:
-    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     MAX_SEQUENCE = 1_000_000_000
     POLL_LOOK_S = 0.5  # one poll counts for this long, at most
@@ -96,6 +102,9 @@ class KukaRobot:
     DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
     PROGRESS_DEG = 0.01
     FRAME_TOLERANCE = 0.001  # mm and deg
+    PROGRESS_MM = 0.01
+    OVERSPEED = 1.2
+    SPEED_OVER_S = 0.3  # many cycles of the controller
 
     def __init__(
         self, options: KukaOptions, clock: Clock, wires: Callable[[KukaRobot], Controller]
@@ -107,7 +116,10 @@ class KukaRobot:
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override = 100
         self._rest_deg = np.zeros(6)
+        self._identity = Identity(ROBOT.name, "", "", "")
         self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
+        self._free = False  # E1 may move
+        self._slide_seen: tuple[float, float] | None = None  # where E1 was, and when
         self._sequence = 0
         self._under_way = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
@@ -116,8 +128,9 @@ class KukaRobot:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the wires, verify everything, then take back an earlier stop."""
+        """Open the wires, verify everything, then take back an earlier stop; E1 is held."""
         self._close_wires()
+        self.slide_mm = None
         with on_failure(self._close_wires):
             controller = self._controller = self._wires(self)
             self._round = cycle(controller.rounds)
@@ -127,7 +140,11 @@ class KukaRobot:
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
-        return [replace(identity, firmware=f"hilcell.src {PROGRAM_VERSION}")]
+            self._identity = replace(identity, firmware=f"hilcell.src {PROGRAM_VERSION}")
+            if controller.has_slide():
+                self.hold_axis()
+                (self.slide_mm,) = controller.numbers(PROGRESS, (SLIDE,))
+        return [self._identity]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
@@ -173,7 +190,7 @@ class KukaRobot:
             self._controller.stop()
 
     def close(self) -> None:
-        """Brake a motion that is under way, see all axes stand, and close the wires.
+        """Brake a motion that is under way, see all axes stand, hold E1, and close the wires.
 
         Raises `DeviceError` where they are not seen to stand.
         """
@@ -183,8 +200,89 @@ class KukaRobot:
                     self.stop()
                 with self._controller.undisturbed() as access:
                     await_rest(access, self._controller.measured, self._names(), closing=True)
+            elif self._free and not self._stopped and not self._under_way:
+                self.hold_axis()
         finally:
             self._close_wires()
+
+    # -- external axis E1 ---------------------------------------------------------------------
+
+    def verify_axis(self) -> Identity:
+        """Return axis E1, found mastered; raises `DeviceError`."""
+        if self.slide_mm is None:
+            found = "the controller has no external axis: $EX_AX_NUM is 0"
+            raise RAIL.refused("HC-R50", "connect", found, wanted="one")
+        if not self._slide_wire().mastered():
+            raise RAIL.refused("HC-R51", "connect", "$AXIS_JUS[7] is FALSE", wanted="TRUE")
+        of = self._identity
+        return replace(of, device=RAIL.name, model=f"E1 of {of.model}", kind="drive")
+
+    def read_axis(self) -> AxisReading:
+        """Return a reading; its time is that of the question."""
+        taken_s = self._clock.pc_s()
+        self.wire().check()
+        self.wire().look()
+        return AxisReading(*self._slide_wire().slide(), taken_s)
+
+    def move_axis(
+        self,
+        position_mm: float,
+        speed_mm_s: float,
+        full_mm_s: float,
+        attend: Callable[[float], object],
+    ) -> None:
+        """Move E1 alone; return when all axes stand."""
+        controller = self._slide_wire()
+        percent = max(1, min(100, int(100.0 * speed_mm_s / full_mm_s)))
+        controller.check()
+        way_mm = abs(position_mm - self.read_axis().position_mm)
+        limits = MotionLimits(100.0 * way_mm / (percent * full_mm_s), STALL_S, self.PROGRESS_MM)
+        self._free, self._slide_seen = True, None
+        try:
+            controller.hold_slide(held=False)
+            number = self.begin(lambda n: controller.start_slide(n, position_mm, percent))
+            self.slide_mm = position_mm
+            while not self.acknowledged(number):
+                self.check_round(next(self._round), limits, number)
+                attend(self._judged_speed(self.OVERSPEED * speed_mm_s))
+                self._clock.wait(POLL_S)
+            self.rest(self.stands_at())
+        finally:
+            self.unwatch()
+
+    def hold_axis(self) -> None:
+        """Have the program refuse every motion of E1 until the next `move_axis`."""
+        self._slide_wire().hold_slide(held=True)
+        self._free = False
+
+    def _judged_speed(self, allowed_mm_s: float) -> float:
+        """Return where the slide is; judge the least speed that two looks on its way allow for.
+
+        From before the earlier question to after the later answer, so a late answer is no speed.
+        """
+        before_s, (place_mm, _) = self._clock.now_s(), self._slide_wire().slide()
+        seen, after_s = self._slide_seen, self._clock.now_s()
+        if seen is not None and after_s - seen[1] < self.SPEED_OVER_S:
+            return place_mm
+        self._slide_seen = (place_mm, before_s)
+        if seen is None:
+            return place_mm
+        speed_mm_s = abs(place_mm - seen[0]) / (after_s - seen[1])
+        if not speed_mm_s <= allowed_mm_s:
+            raise RAIL.failed(
+                "HC-R33",
+                "move",
+                f"speed {speed_mm_s:.1f} mm/s, allowed {allowed_mm_s:.1f} mm/s",
+                act="compare rail.options.full_mm_s with the speed of E1, then resume",
+                speed_mm_s=speed_mm_s,
+                position_mm=place_mm,
+            )
+        return place_mm
+
+    def _slide_wire(self) -> Controller:
+        if self._controller is None:
+            raise RAIL.failed("HC-R38", "use", "not connected")
+        return self._controller
 
     # -- connecting ---------------------------------------------------------------------------
 

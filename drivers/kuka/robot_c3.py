@@ -30,8 +30,7 @@ from drivers.kuka.controller import (
     override_held,
     unreadable,
 )
-from drivers.kuka.external import SlidingKukaRobot
-from drivers.kuka.robot import KukaOptions
+from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.tcp import TcpLink
 from hilcell.clean import clean
@@ -262,7 +261,7 @@ class C3Controller(C3Access):
 
     ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
 
-    def __init__(self, options: KukaC3Robot.Options, robot: SlidingKukaRobot) -> None:
+    def __init__(self, options: KukaC3Robot.Options, robot: KukaRobot) -> None:
         self._open = partial(C3Connection, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION}
@@ -347,7 +346,7 @@ class C3Controller(C3Access):
             line.close()
 
 
-class KukaC3Robot(SlidingKukaRobot):
+class KukaC3Robot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):

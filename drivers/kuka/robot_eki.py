@@ -44,8 +44,7 @@ from drivers.kuka.controller import (
     override_held,
     unreadable,
 )
-from drivers.kuka.external import SlidingKukaRobot
-from drivers.kuka.robot import KukaOptions
+from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from drivers.wires.tcp import POLL_S, TcpLink
 from hilcell.clean import clean
@@ -308,7 +307,7 @@ def open_channel(
 
 
 class EkiController:
-    """Satisfies `drivers.kuka.controller.SlidingController`; a look is an exchange of documents."""
+    """Satisfies `drivers.kuka.controller.Controller`; a look is an exchange of documents."""
 
     DOCUMENTS_VERSION = 1
     LARGEST_ID = 1_000_000_000
@@ -318,7 +317,7 @@ class EkiController:
     rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
     ready = (*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")  # one document has them all
 
-    def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
+    def __init__(self, options: KukaEkiRobot.Options, robot: KukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": self.DOCUMENTS_VERSION}
         opened = partial(open_channel, options.host)
@@ -460,7 +459,7 @@ class EkiController:
         return self._state
 
 
-class KukaEkiRobot(SlidingKukaRobot):
+class KukaEkiRobot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -39,7 +39,16 @@ from drivers.universal_robots.health import (
     refused_motion,
     runtime_text,
 )
-from drivers.universal_robots.rtde import BRAKE, GO, MAX_NUMBER, NOTHING, Order, UrLink, UrState
+from drivers.universal_robots.rtde import (
+    BRAKE,
+    GO,
+    MAX_NUMBER,
+    NOTHING,
+    POLYSCOPE,
+    Order,
+    UrLink,
+    UrState,
+)
 from drivers.wires.tcp import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
@@ -187,7 +196,7 @@ class UrRtdeRobot:
                 "HC-B69",
                 "connect",
                 f"this PolyScope ({software}) does not tell its {untold}",
-                wanted="PolyScope 3.12, 5.6 or later",
+                wanted=POLYSCOPE,
             )
         check_identity(model, options.model, serial, options.serial)
         address = f"{options.host}:{options.rtde_port}"

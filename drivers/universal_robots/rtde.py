@@ -34,7 +34,7 @@ from drivers.device_errors import ROBOT
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.tcp import TcpLink
 from hilcell.geometry.frames import from_rotvec
-from hilcell.ports import Array, DeviceError, DeviceRefused
+from hilcell.ports import Array, DeviceError
 
 VERSION = 2  # of the protocol
 LONGEST = 4096
@@ -78,33 +78,9 @@ def encode(kind: Kind, payload: bytes = b"") -> bytes:
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
-def request_version() -> bytes:
-    """Return the request to speak version 2 of the protocol."""
-    return encode(Kind.VERSION, struct.pack(">H", VERSION))
-
-
-def request_outputs(names: Sequence[str], rate_hz: float) -> bytes:
-    """Return the request for data packages of these fields."""
-    return encode(Kind.OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode("ascii"))
-
-
-def request_inputs(names: Sequence[str]) -> bytes:
-    """Return the request to write these fields."""
-    return encode(Kind.INPUTS, ",".join(names).encode("ascii"))
-
-
-def accepted(payload: bytes) -> bool:
-    """Return whether the controller accepts, from the answer's one byte."""
-    if len(payload) != 1:
-        raise RtdeError(f"an answer of {len(payload)} bytes, wanted 1")
-    return payload[0] == 1
-
-
-def controller_version(payload: bytes) -> str:
-    """Return the controller's version, from four numbers."""
-    if len(payload) != 16:
-        raise RtdeError(f"a controller version of {len(payload)} bytes, wanted 16")
-    return ".".join(map(str, struct.unpack(">4I", payload)))
+def request_fields(kind: Kind, names: Sequence[str], head: bytes = b"") -> bytes:
+    """Return the request for data packages of these fields, or to write them."""
+    return encode(kind, head + ",".join(names).encode("ascii"))
 
 
 @dataclass(frozen=True)
@@ -214,13 +190,26 @@ GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
 LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class UrState:
     """One data package. It arrived between ``after_s`` and ``by_s`` (monotonic)."""
 
-    numbers: dict[str, Numbers]  # by field
     after_s: float
     by_s: float
+    timestamp_s: float  # by the controller's clock
+    joints_rad: Array  # (6,)
+    speeds_rad_s: Array  # (6,)
+    tcp: Array  # (6,), m and rad
+    robot_mode: int  # whether the arm is on
+    safety_status: int
+    runtime_state: int  # whether a program plays
+    speed_fraction: float  # the place of the speed slider, 0 to 1
+    acknowledged: int  # the number of the last motion that has ended
+    error: int  # of the script, in that motion
+    session: int  # the number of the script that plays
+    count: int  # of the script's loop
+    tool: Array  # (6,), mm and rad
+    echo: int  # the number of the last question that had reached the controller
 
     @classmethod
     def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
@@ -228,81 +217,33 @@ class UrState:
         for name in (*_SIX, *_TOOL):
             if not sum(map(abs, numbers[name])) <= LARGEST:
                 raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
-        return cls(numbers, after_s, by_s)
-
-    @property
-    def timestamp_s(self) -> float:
-        """Return the time by the controller's clock."""
-        return self.numbers["timestamp"][0]
-
-    @property
-    def joints_rad(self) -> Array:
-        """Return the joints (6,)."""
-        return np.array(self.numbers["actual_q"])
-
-    @property
-    def speeds_rad_s(self) -> Array:
-        """Return the joints' speeds (6,)."""
-        return np.array(self.numbers["actual_qd"])
+        joints, speeds, tcp = (np.array(numbers[name]) for name in _SIX)
+        return cls(
+            after_s,
+            by_s,
+            numbers["timestamp"][0],
+            joints,
+            speeds,
+            tcp,
+            int(numbers["robot_mode"][0]),
+            int(numbers["safety_status"][0]),
+            int(numbers["runtime_state"][0]),
+            numbers["target_speed_fraction"][0],
+            acknowledged=int(numbers["output_int_register_24"][0]),
+            error=int(numbers["output_int_register_25"][0]),
+            session=int(numbers["output_int_register_26"][0]),
+            count=int(numbers["output_int_register_27"][0]),
+            tool=np.array([numbers[name][0] for name in _TOOL]) * ([1000.0] * 3 + [1.0] * 3),
+            echo=int(numbers[ECHO][0]),
+        )
 
     @property
     def pose(self) -> Array:
         """Return the pose of the TCP (4, 4) in mm."""
-        tcp = np.array(self.numbers["actual_TCP_pose"])
         T = np.eye(4)
-        T[:3, :3] = from_rotvec(tcp[3:])
-        T[:3, 3] = tcp[:3] * 1000.0
+        T[:3, :3] = from_rotvec(self.tcp[3:])
+        T[:3, 3] = self.tcp[:3] * 1000.0
         return T
-
-    @property
-    def robot_mode(self) -> int:
-        """Return whether the arm is on."""
-        return int(self.numbers["robot_mode"][0])
-
-    @property
-    def safety_status(self) -> int:
-        """Return what the safety system says."""
-        return int(self.numbers["safety_status"][0])
-
-    @property
-    def runtime_state(self) -> int:
-        """Return whether a program plays."""
-        return int(self.numbers["runtime_state"][0])
-
-    @property
-    def speed_fraction(self) -> float:
-        """Return the place of the speed slider, 0 to 1."""
-        return self.numbers["target_speed_fraction"][0]
-
-    @property
-    def acknowledged(self) -> int:
-        """Return the number of the last motion that has ended."""
-        return int(self.numbers["output_int_register_24"][0])
-
-    @property
-    def error(self) -> int:
-        """Return the script's error of that motion."""
-        return int(self.numbers["output_int_register_25"][0])
-
-    @property
-    def session(self) -> int:
-        """Return the number of the script that plays."""
-        return int(self.numbers["output_int_register_26"][0])
-
-    @property
-    def count(self) -> int:
-        """Return the count of the script's loop."""
-        return int(self.numbers["output_int_register_27"][0])
-
-    @property
-    def echo(self) -> int:
-        """Return the number of the last question that had reached the controller."""
-        return int(self.numbers[ECHO][0])
-
-    @property
-    def tool(self) -> Array:
-        """Return the tool (6,) in mm and rad."""
-        return np.array([self.numbers[name][0] for name in _TOOL]) * ([1000.0] * 3 + [1.0] * 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +273,7 @@ def unlike(recipe: Recipe) -> list[str]:
     ]
 
 
+POLYSCOPE = "PolyScope 3.12, 5.6 or later"
 MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
 
 
@@ -443,31 +385,47 @@ class UrLink:
     # -- setting up ---------------------------------------------------------------------------
 
     def _set_up(self) -> str:
-        if not accepted(self._ask(Kind.VERSION, request_version())):
-            raise self._refused("HC-B69", f"version {VERSION} of RTDE is refused")
-        version = controller_version(
-            self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
-        )
-        asked = request_outputs(OUTPUTS, self._rate_hz)
-        self._outputs = self._recipe(Kind.OUTPUTS, asked, OUTPUTS)
-        if found := unlike(self._outputs):
-            raise self._refused("HC-B69", f"unexpected type of {', '.join(found)}")
-        self._inputs = self._recipe(Kind.INPUTS, request_inputs(INPUTS), INPUTS)
-        self._echo = self._recipe(Kind.INPUTS, request_inputs((ECHO,)), (ECHO,))
-        if not accepted(self._ask(Kind.START, encode(Kind.START))):
-            raise self._refused("HC-B69", "the exchange is not started")
-        return version
+        if not self._accepts(Kind.VERSION, struct.pack(">H", VERSION)):
+            raise ROBOT.refused(
+                "HC-B69", "connect", f"version {VERSION} of RTDE is refused", wanted=POLYSCOPE
+            )
+        version = self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
+        if len(version) != 16:
+            found = f"a controller version of {len(version)} bytes, wanted 16"
+            raise self._no_rtde(Kind.CONTROLLER_VERSION, found)
+        self._outputs = self._recipe(Kind.OUTPUTS, OUTPUTS, struct.pack(">d", self._rate_hz))
+        if found := ", ".join(unlike(self._outputs)):
+            raise ROBOT.refused(
+                "HC-B69", "connect", f"unexpected type of {found}", wanted=POLYSCOPE
+            )
+        self._inputs = self._recipe(Kind.INPUTS, INPUTS)
+        self._echo = self._recipe(Kind.INPUTS, (ECHO,))
+        if not self._accepts(Kind.START):
+            raise ROBOT.refused(
+                "HC-B69", "connect", "the exchange is not started", wanted=POLYSCOPE
+            )
+        return ".".join(map(str, struct.unpack(">4I", version)))
 
-    def _recipe(self, kind: Kind, request: bytes, names: tuple[str, ...]) -> Recipe:
-        answer = self._ask(kind, request)
+    def _accepts(self, kind: Kind, payload: bytes = b"") -> bool:
+        answer = self._ask(kind, encode(kind, payload))
+        if len(answer) != 1:
+            raise self._no_rtde(kind, f"an answer of {len(answer)} bytes, wanted 1")
+        return answer == b"\x01"
+
+    def _recipe(self, kind: Kind, names: tuple[str, ...], head: bytes = b"") -> Recipe:
+        answer = self._ask(kind, request_fields(kind, names, head))
         try:
             recipe = Recipe.from_answer(names, answer)
         except RtdeError as error:
             raise self._link.broken("set up", str(error)) from error
         if lacking := recipe.lacking(NOT_FOUND):
-            raise self._refused("HC-B69", f"the controller has no {', '.join(lacking)}")
+            raise ROBOT.refused(
+                "HC-B69", "connect", f"the controller has no {', '.join(lacking)}", wanted=POLYSCOPE
+            )
         if held := recipe.lacking(IN_USE):
-            raise self._refused("HC-B68", f"another client writes {', '.join(held)}")
+            raise ROBOT.refused(
+                "HC-B68", "connect", f"another client writes {', '.join(held)}", wanted="no other"
+            )
         return recipe
 
     def _ask(self, kind: Kind, request: bytes) -> bytes:
@@ -491,13 +449,6 @@ class UrLink:
 
     def _no_rtde(self, kind: Kind, found: str) -> DeviceError:
         return self._link.broken(kind.name.lower(), f"{found}; is rtde_port that of RTDE?")
-
-    def _refused(self, code: str, found: str) -> DeviceRefused:
-        act = {
-            "HC-B68": "end the other program, or the fieldbus, that writes these registers",
-            "HC-B69": "bring PolyScope up to date: 3.12, 5.6 or later",
-        }[code]
-        return ROBOT.refused(code, "connect", found, act=act)
 
     # -- fetching -----------------------------------------------------------------------------
 
@@ -528,8 +479,8 @@ class UrLink:
                     numbers = self._outputs.decode(payload)
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
         except RtdeError as error:
-            act = "restart the controller; resume"
-            self._failure = ROBOT.failed("HC-B26", "receive", str(error), act=act)
+            wanted, act = "a state of the robot", "restart the controller; resume"
+            self._failure = ROBOT.failed("HC-B26", "receive", str(error), wanted=wanted, act=act)
         except DeviceError as error:
             self._failure = error
 

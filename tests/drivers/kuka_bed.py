@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from drivers import standstill, supervision
-from drivers.kuka import external as kuka_external
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka import robot_c3, robot_eki
 from drivers.kuka.robot_c3 import KukaC3Robot
@@ -38,9 +37,8 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
         (kuka_robot, "STALL_S", 0.3),
         (kuka_robot, "REST_S", 0.1),
         (kuka_robot.KukaRobot, "CATCH_UP_S", 0.2),
-        (kuka_external, "STALL_S", 0.3),
         # The peer's slide is there within three looks.
-        (kuka_external.SlidingKukaRobot, "SPEED_OVER_S", 10.0),
+        (kuka_robot.KukaRobot, "SPEED_OVER_S", 10.0),
         (kuka_robot, "BRAKED_DWELL_S", 0.002),  # in real time: the PC's own clock is stopped
         (kuka_robot, "BRAKED_S", 0.3),
         (standstill.Standing, "SETTLE_S", 0.3),

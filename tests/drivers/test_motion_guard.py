@@ -224,7 +224,7 @@ def test_a_position_that_does_not_follow_is_no_unit_of_speed(moves: float, words
         highest=3_000_000, speed=250_000.0, acceleration=200_000.0, homing_s=60.0, window=50,
         windows=windows,
     )  # fmt: skip
-    at = Snapshot(0x0027, 0, 0, 1, 0, 0, 0.0)
+    at = Snapshot(0, 0, 0, 0, True, 0.0, 0x0027, 1)
     guard = MotionGuard(limits, at, 0.0)
     for look in range(1, 80):
         passed_s = 0.02 * look

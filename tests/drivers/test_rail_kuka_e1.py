@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.kuka import external as kuka_external
+from drivers.kuka import robot as kuka_robot
 from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips import StripOptions
 from hilcell.ports import (
@@ -187,7 +187,7 @@ def test_an_axis_that_was_mastered_elsewhere_is_refused(bench: Bench) -> None:
 def test_an_axis_that_runs_faster_than_it_should_is_stopped(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kuka_external.SlidingKukaRobot, "SPEED_OVER_S", 0.001)
+    monkeypatch.setattr(kuka_robot.KukaRobot, "SPEED_OVER_S", 0.001)
     bench.connect()
     bench.kuka.frozen = True  # it runs by itself, without an end
     place = iter(range(100_000))

@@ -16,7 +16,7 @@ WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
 
 
 def poll(position: int = 1000, strip: int = 100, velocity: Any = 30) -> Snapshot:
-    return Snapshot(0x27, position, velocity, 1, strip, 0, 0.0)
+    return Snapshot(position, velocity, strip, 0, True, 0.0, 0x27, 1)
 
 
 def after(*polls: Snapshot, every_s: float = 0.1) -> Standstill:
