@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable
 
 from fakes.faults import Faults
-from fakes.kuka.controller import KrlController, KrlError, controller_of
+from fakes.kuka.controller import KrlController, controller_of
 from fakes.site import Site
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
@@ -75,7 +75,7 @@ class C3Server(Server):
                 text = self._controller.read(name)
             else:
                 self._controller.write(name, text)
-        except KrlError:
+        except ValueError:
             text, footer = "", self.FAILURES[1]
         value = text.encode("ascii", "replace")
         tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag

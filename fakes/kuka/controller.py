@@ -60,30 +60,14 @@ def raw_members(text: str) -> dict[str, str]:
 
 def boolean(value: bool) -> str:
     """Return TRUE or FALSE."""
-    return "TRUE" if value else "FALSE"
+    return str(value).upper()
 
 
 def parse_boolean(text: str) -> bool:
     """Return the value of TRUE or FALSE; raises `KrlError`."""
-    try:
-        return {"TRUE": True, "FALSE": False}[text.strip().upper()]
-    except KeyError:
-        raise KrlError(text) from None
-
-
-def parse_integer(text: str) -> int:
-    """Return the value of an INT; raises `KrlError`."""
-    try:
-        return int(text.strip())
-    except ValueError:
-        raise KrlError(text) from None
-
-
-def parse_rounded(text: str) -> int:
-    """Return a number for an INT to which a REAL may be assigned; raises `KrlError`."""
-    if not _NUMBER.match(text.strip()) or not math.isfinite(float(text)):
+    if (word := text.strip().upper()) not in ("TRUE", "FALSE"):
         raise KrlError(text)
-    return math.floor(float(text) + 0.5)
+    return word == "TRUE"
 
 
 def parse_aggregate(text: str, kind: str) -> dict[str, float]:
@@ -103,7 +87,6 @@ def parse_aggregate(text: str, kind: str) -> dict[str, float]:
 RAIL_DRIVER = "kuka-e1"
 AXES = tuple(f"A{n}" for n in range(1, 7))
 FRAME = ("X", "Y", "Z", "A", "B", "C")
-TOOL, BASE = 1, 0
 
 
 class ExternalAxis:
@@ -272,22 +255,24 @@ class KrlController:
                 self._moment = None
 
     def write(self, name: str, text: str) -> None:
-        """Set a variable from its text; raises `KrlError` where KRL would refuse."""
+        """Set a variable from its text; raises `ValueError` where KRL would refuse."""
         name = name.strip().upper()
         with self._lock:
             self._strike_on_request()
             if name == "HC_TGT":
                 self._target_deg |= parse_aggregate(text, "E6AXIS")
             elif name in self._integers:
-                self._integers[name] = parse_integer(text)
+                self._integers[name] = int(text)
             elif name == "$TIMER[10]":
-                self._timer.set_ms(parse_integer(text))
+                self._timer.set_ms(int(text))
             elif name == "HC_HELD" and self._slide is not None:
                 self._slide.held = parse_boolean(text)
             elif name == "HC_STOP":
                 self._stop(parse_boolean(text))
             elif name == "$OV_PRO":
-                self._set_override(parse_rounded(text))
+                if not _NUMBER.match(text.strip()) or not math.isfinite(float(text)):
+                    raise KrlError(text)
+                self._set_override(math.floor(float(text) + 0.5))  # a REAL becomes an INT
             else:
                 raise KrlError(name)
             self._run_program()
@@ -304,8 +289,8 @@ class KrlController:
             "$PRO_STATE": lambda: self._program,
             "$PRO_STATE1": lambda: self._program,
             "$OV_PRO": lambda: str(self._override),
-            "$ACT_TOOL": lambda: str(self._number("robot.wrong_tool", TOOL)),
-            "$ACT_BASE": lambda: str(self._number("robot.wrong_base", BASE)),
+            "$ACT_TOOL": lambda: str(self._number("robot.wrong_tool", 1)),
+            "$ACT_BASE": lambda: str(self._number("robot.wrong_base", 0)),
             "$TOOL": lambda: aggregate("FRAME", self._tool),
             "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
             "$ACCU_STATE": lambda: "#CHARGE_OK",
@@ -321,7 +306,7 @@ class KrlController:
         }
 
     def _program_readers(self) -> dict[str, Callable[[], str]]:
-        integers = {name: partial(self._integer, name) for name in self._integers}
+        integers = {name: lambda name=name: str(self._integers[name]) for name in self._integers}
         return integers | {
             "HC_VER": lambda: "4",
             "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
@@ -331,9 +316,6 @@ class KrlController:
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: boolean(self._in_stop),
         }
-
-    def _integer(self, name: str) -> str:
-        return str(self._integers[name])
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")

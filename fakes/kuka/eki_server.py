@@ -160,12 +160,9 @@ class EkiProgram:
 
     def _lower(self, values: dict[str, str]) -> None:
         before = self._controller.read("$OV_PRO")
-        for name, text in (
-            ("HC_OV_SET", values["Percent"]),
-            ("HC_OV_OLD", before),
-            ("$OV_PRO", values["Percent"]),
-        ):
-            self._controller.write(name, text)
+        self._controller.write("HC_OV_SET", values["Percent"])
+        self._controller.write("HC_OV_OLD", before)
+        self._controller.write("$OV_PRO", values["Percent"])
 
     def _give_back(self, _values: dict[str, str]) -> None:
         before = self._controller.read("HC_OV_OLD")
@@ -177,7 +174,6 @@ class EkiProgram:
     def _state(self, number: int) -> bytes:
         texts = dict(zip(self.NAMES, self._controller.read_all(self.NAMES), strict=True))
         axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
-        version = 1
         return _document(
             "RobotState",
             {
@@ -193,7 +189,7 @@ class EkiProgram:
                     "Model": texts["$TRAFONAME[]"].strip('"'),
                     "Serial": texts["$KR_SERIALNO"],
                     "Program": texts["HC_VER"],
-                    "Documents": str(version),
+                    "Documents": "1",
                 },
                 "Error": {"Code": texts["HC_ERR"]},
             },
@@ -237,7 +233,7 @@ class EkiServer(Server):
         self._answers = Answers(faults, self._closing)
 
     def _serve_commands(self, client: socket.socket) -> None:
-        with suppress(OSError, Overflow, KrlError, ValueError):  # the interface hangs up, too
+        with suppress(OSError, Overflow, ValueError):  # the interface hangs up, too
             self._hear_commands(client)
         with self._lock:
             if not self._closing.is_set():
@@ -259,7 +255,7 @@ class EkiServer(Server):
     def _serve_stops(self, client: socket.socket) -> None:
         queues, pending, there = Queues(STOP_RECEIVED), b"", True
         cycle_s = 0.06  # of the submit interpreter, with a state in it
-        with suppress(KrlError, ValueError):
+        with suppress(ValueError):
             while there:
                 select.select([client], [], [])
                 self._closing.wait(cycle_s)

@@ -12,8 +12,9 @@ frame in which the axes are drawn; `ideal_base` relates them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,11 +27,9 @@ from hilcell.typed import decoded
 
 URAD = 1e-6
 DRAWS = 100
-KNOWN = 4  # designs that are kept: a study has few, and draws many robots of each
 
 
-@dataclass(frozen=True, slots=True)
-class Slopes:
+class Slopes(NamedTuple):
     """The angles of upper arm and forearm against the horizontal at joints zero."""
 
     upper_rad: float
@@ -41,15 +40,16 @@ class Slopes:
         upper = joints_rad[..., 1]
         return upper + self.upper_rad, upper + joints_rad[..., 2] + self.fore_rad
 
-
-def slopes(design: Chain) -> Slopes:
-    """Return the slopes of an arm whose axes 2 and 3 are level, parallel and turn alike."""
-    shoulder_mm, elbow_mm, wrist_mm = design.points_mm[[1, 2, 4]]
-    axis = design.axes[1]
-    ahead = np.cross(axis, np.array([0.0, 0.0, 1.0]))
-    links_mm = (elbow_mm - shoulder_mm, wrist_mm - elbow_mm)
-    upper, fore = (np.arctan2(axis @ np.cross(ahead, link), ahead @ link) for link in links_mm)
-    return Slopes(float(upper), float(fore))
+    @classmethod
+    def of(cls, design: Chain) -> Slopes:
+        """Return the slopes of an arm whose axes 2 and 3 are level, parallel and turn alike."""
+        shoulder_mm, elbow_mm, wrist_mm = design.points_mm[[1, 2, 4]]
+        axis = design.axes[1]
+        ahead = np.cross(axis, np.array([0.0, 0.0, 1.0]))
+        links_mm = (elbow_mm - shoulder_mm, wrist_mm - elbow_mm)
+        return cls(
+            *(float(np.arctan2(axis @ np.cross(ahead, link), ahead @ link)) for link in links_mm)
+        )
 
 
 class Ripple:
@@ -102,8 +102,7 @@ class Loads:
         return levers
 
 
-@dataclass(frozen=True, slots=True)
-class Deflection:
+class Deflection(NamedTuple):
     """Gravity (6,), harmonics (6, 2 n: cosines and sines) and elasticity, as drawn."""
 
     gravity_rad: Array
@@ -171,7 +170,7 @@ class Design:
 
     def __init__(self, machine: Machine, smr_mm: Point) -> None:
         self.chain = machine.chain(smr_mm)
-        self.slopes = slopes(self.chain)
+        self.slopes = Slopes.of(self.chain)
         self.targets_mm, self.commands_rad = reference_cube(machine, self.chain)
         for shared in (self.targets_mm, self.commands_rad):
             shared.flags.writeable = False
@@ -182,7 +181,7 @@ class Design:
         self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
 
 
-@lru_cache(KNOWN)
+@lru_cache(4)  # a study has few designs, and draws many robots of each
 def _known(machine: bytes, smr_mm: Point) -> Design:
     return Design(decoded(machine, Machine), smr_mm)
 
@@ -208,8 +207,7 @@ def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
     return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
 
 
-@dataclass(frozen=True, slots=True)
-class _Errors:
+class _Errors(NamedTuple):
     """Deviations to be scaled: of axes 2 to 6 and of the reflector; the joints' own."""
 
     shift_mm: Array  # (5, 3) of everything from this axis on

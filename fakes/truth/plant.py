@@ -20,7 +20,7 @@ import numpy as np
 from fakes.faults import Faults, Harms
 from fakes.time import PlantTime
 from fakes.truth.arm_truth import ArmTruth
-from fakes.truth.machine import Machine, machine_of
+from fakes.truth.machine import machine_of
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
@@ -38,16 +38,21 @@ class Plant(Harms):
     """One simulated cell."""
 
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
+        """Raises `SettingsError` that names a machine that cannot be."""
         fixed, landing = KeyedNoise(seed), KeyedNoise(seed, "robot")
         machine = machine_of(cell)
         mounting = machine.mounting
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, seed, time, faults) if cell.has_rail else FloorTruth(cell)
-        arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
+        try:
+            self.arm = ArmTruth(machine, cell.robot.smr_mm, fixed.generator("arm"))
+        except HilcellError as error:
+            name = "" if cell.simulation is None else cell.simulation.machine
+            raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error
 
         def misses(key: str) -> Callable[[], Array]:
             draw = landing.later_normal(key, 6)
-            return lambda: np.hypot(arm.joint_sigma_rad, arm.slip_rad) * draw()
+            return lambda: np.hypot(self.arm.joint_sigma_rad, self.arm.slip_rad) * draw()
 
         self.robot = RobotMotion(cell, time, misses)
         rng = fixed.generator("base")
@@ -55,7 +60,12 @@ class Plant(Harms):
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
         self._slipped = np.eye(4)
         self._growing, self._grows_since = 0.0, 0
-        self._seats = _seats(cell, mounting.seat_mm, fixed.generator("seats"))
+        rng = fixed.generator("seats")  # of the other reflectors, from the first and in its axes
+        from_first_mm = np.array(cell.robot.more_smr_mm).reshape(-1, 3) - cell.robot.smr_mm
+        self._seats: dict[str, Array] = {
+            f"{FLANGE} {number}": at_mm + mounting.seat_mm * _limited(rng, 3)
+            for number, at_mm in enumerate(from_first_mm, start=2)
+        }
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
@@ -174,15 +184,6 @@ def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dic
     return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
 
 
-def _seats(cell: Cell, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the other reflectors (3,) on the flange, from the first and in its axes."""
-    from_first_mm = np.array(cell.robot.more_smr_mm).reshape(-1, 3) - cell.robot.smr_mm
-    return {
-        f"{FLANGE} {number}": at_mm + sigma_mm * _limited(rng, 3)
-        for number, at_mm in enumerate(from_first_mm, start=2)
-    }
-
-
 def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
     """Return the nests of bars: each certified length is true between them."""
     found = _placed(layout.bar, sigma_mm, rng)
@@ -197,15 +198,6 @@ def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str
 def _limited(rng: np.random.Generator, size: int) -> Array:
     farthest_sigma = 2.0
     return rng.standard_normal(size).clip(-farthest_sigma, farthest_sigma)
-
-
-def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:
-    """Return the true arm; raises `SettingsError` that names the machine that cannot be."""
-    try:
-        return ArmTruth(machine, cell.robot.smr_mm, rng)
-    except HilcellError as error:
-        name = "" if cell.simulation is None else cell.simulation.machine
-        raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error
 
 
 class ReplayPlant(Harms):

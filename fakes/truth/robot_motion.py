@@ -12,7 +12,7 @@ import math
 import threading
 from bisect import bisect_right
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -109,19 +109,6 @@ class Path:
 
 
 Draw = Callable[[], Array]
-Landings = Callable[[str], Draw]  # event -> what draws the repeatability error (6,) in rad
-
-
-class Landing:
-    """The repeatability error of one motion; drawn only where somebody asks for it."""
-
-    def __init__(self, draw: Draw) -> None:
-        self._draw = draw
-
-    @cached_property
-    def error_rad(self) -> Array:
-        """Return the error (6,)."""
-        return self._draw()
 
 
 class RobotState(NamedTuple):
@@ -129,13 +116,13 @@ class RobotState(NamedTuple):
 
     joints_rad: Array
     side: Array
-    landing: Landing
+    landing: Draw  # once, and only where somebody asks for it
     moving: bool
 
     @property
     def landing_rad(self) -> Array:
         """Return the repeatability error (6,)."""
-        return self.landing.error_rad
+        return self.landing()
 
 
 class _Leg(NamedTuple):
@@ -145,7 +132,7 @@ class _Leg(NamedTuple):
     from_rad: Array
     to_rad: Array
     side: Array
-    landing: Landing
+    landing: Draw
     path: Path
 
 
@@ -154,13 +141,14 @@ class RobotMotion:
 
     BRAKE_S = 0.15  # from full speed to standstill on a stop
 
-    def __init__(self, cell: Cell, time: PlantTime, landings: Landings) -> None:
+    def __init__(self, cell: Cell, time: PlantTime, landings: Callable[[str], Draw]) -> None:
+        """``landings``: event -> what draws the repeatability error (6,) in rad."""
         self._lock = threading.RLock()
         self._time, self._landings = time, landings
         self._speed_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._from = self._to = np.radians(cell.robot.home_deg)
         self._side = np.ones(6)
-        self._landing = Landing(landings("power-on"))
+        self._landing: Draw = cache(landings("power-on"))
         self._share = 1.0
         self._rate = 1.0  # shares a second at full speed
         self._override = 1.0
@@ -182,10 +170,10 @@ class RobotMotion:
             self._side = np.where(moved, np.sign(distance), self._side)
             key = ",".join(f"{joint:.6f}" for joint in self._to.tolist())
             draw, before = self._landings(key), self._landing
-            self._landing = Landing(draw)
+            self._landing = cache(draw)
             if not moved.all():  # joints that have not moved keep their error
-                kept = np.where(moved, draw(), before.error_rad)
-                self._landing = Landing(lambda: kept)
+                kept = np.where(moved, draw(), before())
+                self._landing = lambda: kept
             duration_s = max((way_rad / self._speed_rad_s).tolist())
             self._rate = 1.0 / max(duration_s, 1e-6)
             self._share = speed_share
@@ -238,7 +226,7 @@ class RobotMotion:
         return (
             from_rad + shares * (to_rad - from_rad),
             np.array([leg.side for leg in legs])[taken],
-            np.array([leg.landing.error_rad for leg in legs])[taken],
+            np.array([leg.landing() for leg in legs])[taken],
         )
 
     def state(self, at_s: float | None = None) -> RobotState:

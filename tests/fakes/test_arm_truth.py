@@ -11,7 +11,6 @@ from fakes.truth.arm_truth import (
     Ripple,
     Slopes,
     reference_cube,
-    slopes,
     unit_rp_mm,
     varying_rms_mm,
 )
@@ -223,8 +222,8 @@ def test_loads_span_their_range_over_the_cube_and_no_more() -> None:
 
 def test_slopes_are_those_of_the_links() -> None:
     """The paper's robot counts a level upper arm as 0, the other make an upright one."""
-    paper = slopes(load_machine("paper").chain((0.0, 0.0, 0.0)))
-    six_r = slopes(load_machine("six-r").chain((0.0, 0.0, 0.0)))
+    paper = Slopes.of(load_machine("paper").chain((0.0, 0.0, 0.0)))
+    six_r = Slopes.of(load_machine("six-r").chain((0.0, 0.0, 0.0)))
     assert np.degrees([paper.upper_rad, six_r.upper_rad]) == pytest.approx([0.0, -90.0])
     assert np.degrees(paper.fore_rad) == pytest.approx(-np.degrees(np.arctan2(115, 1220)))
     assert np.degrees(six_r.fore_rad) == pytest.approx(-np.degrees(np.arctan2(120, 640)))
