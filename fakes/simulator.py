@@ -30,9 +30,6 @@ from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 
-LONGEST_WORDS = 2000
-NO_PORTS: Mapping[str, int] = MappingProxyType({})
-
 
 class PaperCell:
     """The paper's cell, or any other, on simulated hardware."""
@@ -45,7 +42,7 @@ class PaperCell:
         speed: float = math.inf,
         faults: str = "",
         truth: bool = False,
-        ports: Mapping[str, int] = NO_PORTS,
+        ports: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
         self.check(cell)
@@ -73,9 +70,8 @@ class PaperCell:
             }
             self._process, self._words, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
-        devices = ("rail", "robot", "tracker")
         self.options: dict[str, dict[str, object]] = {
-            name: answer.get(name, {}) for name in devices
+            name: answer.get(name, {}) for name in ("rail", "robot", "tracker")
         }
         self.address: str = attach or answer["control"]
         self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
@@ -122,10 +118,8 @@ class PaperCell:
             process.kill()
             process.communicate()
         with self._words as words:
-            words.seek(0)
-            said = words.read().decode(errors="replace").strip()[-LONGEST_WORDS:]
-        for line in said.splitlines():
-            print(harmless(line), file=sys.stderr)
+            for line in _said(words).splitlines():
+                print(harmless(line), file=sys.stderr)
 
 
 class ReplayCell(PaperCell):
@@ -246,8 +240,13 @@ def _start(order: bytes) -> tuple[subprocess.Popen[bytes], IO[bytes], dict[str, 
             line = b""
         if not line:
             process.communicate()
-            words.seek(0)
-            said = words.read().decode(errors="replace").strip()[-LONGEST_WORDS:]
-            raise HilcellError(f"simulated cell did not start (exit {process.returncode}):\n{said}")
+            what = f"simulated cell did not start (exit {process.returncode})"
+            raise HilcellError(f"{what}:\n{_said(words)}")
         stack.pop_all()
     return process, words, msgspec.json.decode(line, type=dict[str, Any])
+
+
+def _said(words: IO[bytes]) -> str:
+    words.seek(0)
+    longest = 2000
+    return words.read().decode(errors="replace").strip()[-longest:]

@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 
 import numpy as np
 
@@ -98,7 +99,7 @@ class GeocomDevice:
             2020: (1, self._keep("edm_mode", lambda mode: 0 <= mode <= 14)),
             2021: (0, lambda: _whole(state.edm_mode)),
             2023: (0, lambda: self._reals(state.prism_m)),
-            2024: (1, self._set_prism),
+            2024: (1, partial(self._set, "prism_m")),
             2026: (0, lambda: _whole(state.face)),
             2028: (4, self._set_atmosphere),
             2029: (0, lambda: self._reals(*state.atmosphere)),
@@ -138,26 +139,20 @@ class GeocomDevice:
         def handler(value: float) -> Answer:
             if value != int(value) or not allowed(value):
                 return Answer(Code.INVALID)
-            setattr(self._state, name, int(value))
-            return Answer()
+            return self._set(name, int(value))
 
         return handler
 
-    def _set_prism(self, constant_m: float) -> Answer:
-        self._state.prism_m = constant_m
+    def _set(self, name: str, value: object) -> Answer:
+        setattr(self._state, name, value)
         return Answer()
 
     def _set_corrections(self, *on: float) -> Answer:
-        if not set(on) <= {0, 1}:
-            return Answer(Code.INVALID)
-        self._state.corrections = on
-        return Answer()
+        return self._set("corrections", on) if set(on) <= {0, 1} else Answer(Code.INVALID)
 
     def _set_atmosphere(self, *values: float) -> Answer:
-        if not 500 <= values[1] <= 1200:
-            return Answer(Code.INVALID)
-        self._state.atmosphere = values
-        return Answer()
+        sound = 500 <= values[1] <= 1200
+        return self._set("atmosphere", values) if sound else Answer(Code.INVALID)
 
     def _serial(self) -> Answer:
         return _whole(SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
@@ -195,10 +190,8 @@ class GeocomDevice:
         inside = []
         for at_mm in self._instrument.reflectors().values():
             at_hz, at_v = _direction(at_mm)
-            off_hz, off_v = (
-                abs(((at_hz - hz) + math.pi) % math.tau - math.pi) * math.sin(v),
-                abs(at_v - v),
-            )
+            off_hz = abs(((at_hz - hz) + math.pi) % math.tau - math.pi) * math.sin(v)
+            off_v = abs(at_v - v)
             if off_hz <= width / 2 and off_v <= height / 2:
                 inside.append((math.hypot(off_hz, off_v), at_mm))
         inside.sort(key=lambda each: each[0])
@@ -257,9 +250,8 @@ class GeocomDevice:
         state.started = False
         if take("tracker.no_distance") is not None:
             return form(*state.pointing, 0.0)
-        if take("tracker.beam_break_before") is not None:
-            return Answer(Code.DISTANCE_ERROR)
-        if take("tracker.beam_break_after") is not None:
+        broken = ("tracker.beam_break_before", "tracker.beam_break_after")
+        if any(take(fault) is not None for fault in broken):
             return Answer(Code.DISTANCE_ERROR)
         found = None if state.target is None else self._instrument.measure(state.target)
         if found is None:
@@ -362,15 +354,13 @@ class GeocomServer(Server):
                 continue
             if line == b"c":
                 self._abort(session)
-                continue
-            found = self.REQUEST.fullmatch(line)
-            if found is None:
+            elif (found := self.REQUEST.fullmatch(line)) is None:
                 session.send(self.NOT_DECODED, 0, Answer())
-                continue
-            rpc, transaction = int(found[1]), int(found[2] or 0)
-            with self._requests:
-                answer = self._answer(session, rpc, found[3])
-            self._reply(session, rpc, transaction, answer)
+            else:
+                rpc, transaction = int(found[1]), int(found[2] or 0)
+                with self._requests:
+                    answer = self._answer(session, rpc, found[3])
+                self._reply(session, rpc, transaction, answer)
 
     def _answer(self, session: _Session, rpc: int, text: bytes) -> Answer:
         try:
@@ -408,11 +398,9 @@ class GeocomServer(Server):
             raise ConnectionAbortedError
         if take("tracker.no_result") is not None:
             return
-        noise = b"\xfe\x80\xf8\x06"
         if take("tracker.geocom_noise") is not None:
-            session.say(noise)
-        if take("tracker.geocom_number") is not None:
-            transaction += 1
+            session.say(b"\xfe\x80\xf8\x06")
+        transaction += take("tracker.geocom_number") is not None
         session.answer(encoded(0, transaction, answer), self._faults)
 
 

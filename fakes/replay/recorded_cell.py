@@ -74,47 +74,36 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
     if not (problems or CLOCK in pieces):
         what = f"no {CLOCK}{SUFFIX}, which states the recorded run; use the whole folder"
         problems = [f"{folder}: {what}"]
-    if not problems:
-        head = head_of(pieces[CLOCK], paths[CLOCK])
-        for name, path in paths.items():
-            began = name if name == CLOCK else pieces[name][0].data.decode()
-            if began != name:
-                problems += [f"{path}: it was recorded as {began}{SUFFIX}; rename it back"]
-        problems += [] if session > 1 else _resumed(folder, head)
-        problems = problems or _other_cell(cell, folder, head)
-        problems = problems or [f"{folder}: {each}" for each in _missing(cell, set(pieces))]
-        problems = problems or [*_other_settings(cell, folder, head)]
-        problems = problems or [*without_dialect(cell, paths, pieces)]
+    problems = problems or _unlike(cell, session, paths, pieces)
     if problems:
         raise SettingsError(DATA, problems)
     return paths, pieces
 
 
-def check_run(cell: Cell, procedure: str, seed: int) -> None:
-    """Refuse another procedure or seed than was recorded."""
-    folder = folder_of(cell)
-    path = recordings(folder)[CLOCK]
-    head = head_of(read_recording(path), path)
-    if (head.procedure, head.seed) != (procedure, seed):
-        recorded, asked = (
-            f"{p} --seed {s}" for p, s in ((head.procedure, head.seed), (procedure, seed))
-        )
-        act = f"replay with `hilcell run {recorded}`, or record {procedure}"
-        raise SettingsError(DATA, [f"{folder}: recorded was {recorded}, asked was {asked}; {act}"])
+def _unlike(cell: Cell, session: int, paths: Mapping[str, Path], wires: Recorded) -> list[str]:
+    """Return why recordings are not those of this run; later checks need what earlier ones hold."""
+    head, folder = head_of(wires[CLOCK], paths[CLOCK]), paths[CLOCK].parent
+    first = [
+        f"{path}: it was recorded as {began}{SUFFIX}; rename it back"
+        for name, path in paths.items()
+        if name != CLOCK and (began := wires[name][0].data.decode()) != name
+    ]
+    if session == 1 != head.session:
+        what = f"the wires of run {head.run} after it was resumed, and no beginning"
+        act = "name the run's own folder, and resume the replay where it ends"
+        first.append(f"{folder}: {what}; {act}")
+    return (
+        first
+        or _other_cell(cell, folder, head)
+        or [f"{folder}: {each}" for each in _missing(cell, set(wires))]
+        or [*_other_settings(cell, folder, head)]
+        or [*without_dialect(cell, paths, wires)]
+    )
 
 
 def folder_of(cell: Cell) -> Path:
     """Return the folder that a cell names."""
     return Path("" if cell.simulation is None else cell.simulation.data)
-
-
-def _resumed(folder: Path, head: Head) -> list[str]:
-    """Return why a session that was resumed is no beginning of a run."""
-    if head.session == 1:
-        return []
-    what = f"the wires of run {head.run} after it was resumed, and no beginning"
-    act = "name the run's own folder, and resume the replay where it ends"
-    return [f"{folder}: {what}; {act}"]
 
 
 def _other_cell(cell: Cell, folder: Path, head: Head) -> list[str]:
@@ -253,7 +242,16 @@ class RecordedCell:
     @classmethod
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
         """Refuse another procedure or seed than was recorded; raises `SettingsError`."""
-        check_run(cell, procedure, seed)
+        folder = folder_of(cell)
+        path = recordings(folder)[CLOCK]
+        head = head_of(read_recording(path), path)
+        if (head.procedure, head.seed) != (procedure, seed):
+            recorded, asked = (
+                f"{p} --seed {s}" for p, s in ((head.procedure, head.seed), (procedure, seed))
+            )
+            what = f"{folder}: recorded was {recorded}, asked was {asked}"
+            act = f"replay with `hilcell run {recorded}`, or record {procedure}"
+            raise SettingsError(DATA, [f"{what}; {act}"])
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""

@@ -20,17 +20,16 @@ from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from operator import attrgetter
 
 from fakes.replay.dialects import Dialect
 from fakes.replay.event_time import EventTime, following
-from fakes.wires import HOST, Listener
+from fakes.wires import Listener, Server
 from hilcell.wire.recording import Piece
 
 _NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
 NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
-NOWHERE: Mapping[bytes, Exchange] = MappingProxyType({})
 
 
 @dataclass(slots=True)
@@ -86,17 +85,19 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
 
 def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange]]:
     """Return the exchanges of each connection of a recording, in their order."""
-    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
-    each_of = [[piece for piece in pieces if piece.c == number] for number in opened]
+    each_of = [[piece for piece in pieces if piece.c == number] for number in _opened(pieces)]
     found = [exchanges(each, dialect) for each in each_of]
     return [_merged(each, dialect) for each in found] if dialect.flows else found
 
 
 def cut_connections(pieces: Sequence[Piece]) -> list[bool]:
     """Return for each connection whether its end is missing: the file was cut, or all died."""
-    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
     ended = {piece.c for piece in pieces if piece.e in ("end", "lost")}
-    return [number not in ended for number in opened]
+    return [number not in ended for number in _opened(pieces)]
+
+
+def _opened(pieces: Sequence[Piece]) -> list[int]:
+    return sorted({piece.c for piece in pieces if piece.e == "open"})
 
 
 def _merged(recorded: Sequence[Exchange], dialect: Dialect) -> list[Exchange]:
@@ -120,15 +121,6 @@ def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[byt
     """
     counts = Counter(dialect.name(each.asked) for one in opened for each in one[1:])
     return {name for name, count in counts.items() if count == 1}
-
-
-def first_of_each(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> dict[bytes, Exchange]:
-    """Return the first exchange of each name that was answered, on all connections of a wire."""
-    found: dict[bytes, Exchange] = {}
-    for each in sorted((each for one in opened for each in one[1:]), key=_time_s):
-        if each.answers:
-            found.setdefault(dialect.name(each.asked), each)
-    return found
 
 
 class Names:
@@ -165,7 +157,7 @@ class Script:
         dialect: Dialect,
         time: EventTime,
         landmarks: Collection[bytes],
-        elsewhere: Mapping[bytes, Exchange] = NOWHERE,
+        elsewhere: Mapping[bytes, Exchange] | None = None,
         *,
         cut: bool = False,
     ) -> None:
@@ -178,7 +170,7 @@ class Script:
         """
         self._last_s = recorded[-1].time_s if cut else float("inf")
         self._dialect, self._time, self._landmarks = dialect, time, landmarks
-        self._elsewhere = elsewhere
+        self._elsewhere = elsewhere or {}
         self.greeting = recorded[0].answers
         self._named: dict[bytes, list[Exchange]] = {}
         for each in recorded[1:]:
@@ -233,9 +225,9 @@ class Script:
         return [self._dialect.answer(asked, other.asked, each) for each in other.answers]
 
     def _taken(self, name: bytes, found: list[Exchange]) -> Exchange | None:
-        begin_s, end_s = self._time.part()
-        first = bisect_left(found, begin_s, key=_time_s)
-        end = bisect_left(found, end_s, key=_time_s)
+        (begin_s, end_s), at_s = self._time.part(), attrgetter("time_s")
+        first = bisect_left(found, begin_s, key=at_s)
+        end = bisect_left(found, end_s, key=at_s)
         at = max(self._next[name], first)
         if at < end:
             self._next[name], self._repeated = at + 1, 0
@@ -256,13 +248,8 @@ class Script:
     def _early(self, first: Exchange) -> Exchange | None:
         """Return the answer to a question that is asked before the part in which it was."""
         now_s = self._time.heard_s
-        if not first.time_s < self._time.stop_s:
-            return None
-        return replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
-
-
-def _time_s(exchange: Exchange) -> float:
-    return exchange.time_s
+        early = replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
+        return early if first.time_s < self._time.stop_s else None
 
 
 class Flow:
@@ -382,25 +369,24 @@ def shown(asked: bytes) -> str:
     return repr(words[:longest].decode())
 
 
-class RecordedWire:
+class RecordedWire(Server):
     """Serves the recorded connections of one wire in their order; a further one gets the last's."""
 
     RECEIVE = 65536
 
     def __init__(
-        self,
-        pieces: Sequence[Piece],
-        dialect: Dialect,
-        time: EventTime,
-        place: str,
+        self, pieces: Sequence[Piece], dialect: Dialect, time: EventTime, place: str
     ) -> None:
         """``place`` names the recording. A connection without an end was cut."""
         self._place, self._came_s = place, [piece.t for piece in pieces]
         self._recorded = connections(pieces, dialect)
         self._dialect, self._time = dialect, time
         self._landmarks = landmarks(self._recorded, dialect)
-        self._elsewhere = first_of_each(self._recorded, dialect)
         asked = [each for one in self._recorded for each in one[1:]]
+        self._elsewhere: dict[bytes, Exchange] = {}  # the first one of each name that was answered
+        for each in sorted(asked, key=attrgetter("time_s")):
+            if each.answers:
+                self._elsewhere.setdefault(dialect.name(each.asked), each)
         once = [
             each
             for each in asked
@@ -417,20 +403,9 @@ class RecordedWire:
         self._count = itertools.count()
         self._numbers: dict[socket.socket, int] = {}
         serve = self._serve_flow if dialect.flows else self._serve
-        self._listener = Listener("recorded wire", serve, limit=100, accepted=self._take_note)
-
-    @property
-    def channel(self) -> str:
-        """Return where it listens."""
-        return f"socket://{HOST}:{self._listener.port}"
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._listener.start()
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._listener.close()
+        listener = Listener("recorded wire", serve, limit=100, accepted=self._take_note)
+        self.channel = listener.channel
+        super().__init__({"channel": self.channel}, listener)
 
     def _leave(self, found: str) -> None:
         line, count = bisect_right(self._came_s, self._time.now_s), len(self._came_s)

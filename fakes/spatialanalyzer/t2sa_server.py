@@ -19,7 +19,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from enum import IntEnum
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -37,31 +37,20 @@ from hilcell.cell.settings import SettingsError
 HALT = b"!HALT"
 
 
-class Refusal(IntEnum):
-    """Codes of refused requests."""
+class Refusal(Enum):
+    """Codes of refused requests, and their words."""
 
-    REJECTED = 200
-    BUSY = 201
-    NOT_MEASURED = 305
-    NO_POINT = 306
-    NO_PROFILE = 307
-    NO_FRAME = 314
-    HALTED = 330
-    NOT_SIMULATING = 337
-    NOT_READY = 338
+    REJECTED = 200, "Command rejected."
+    BUSY = 201, "Command rejected. SA is busy."
+    NOT_MEASURED = 305, "Measurement of point failed."
+    NO_POINT = 306, "Did not find or set point group and target name."
+    NO_PROFILE = 307, "Requested measurement profile does not exist."
+    NO_FRAME = 314, "Working frame not set, not found."
+    HALTED = 330, "Measurement halted."
+    NOT_SIMULATING = 337, "Failed to set simulation mode."
+    NOT_READY = 338, "Instrument is not ready."
 
 
-WORDS: dict[int, str] = {
-    Refusal.REJECTED: "Command rejected.",
-    Refusal.BUSY: "Command rejected. SA is busy.",
-    Refusal.NOT_MEASURED: "Measurement of point failed.",
-    Refusal.NO_POINT: "Did not find or set point group and target name.",
-    Refusal.NO_PROFILE: "Requested measurement profile does not exist.",
-    Refusal.NO_FRAME: "Working frame not set, not found.",
-    Refusal.HALTED: "Measurement halted.",
-    Refusal.NOT_SIMULATING: "Failed to set simulation mode.",
-    Refusal.NOT_READY: "Instrument is not ready.",
-}
 SETTINGS = ("!SET_STATION_LOCK", "SET_NUM_SAMPLES", "SET_NUM_ITERATIONS", "SET_RANDOMIZE_POINTS")
 
 
@@ -75,9 +64,10 @@ class Answer:
     measured: bool = False
 
 
-def refusal(code: int) -> Answer:
+def refusal(refused: Refusal) -> Answer:
     """Return an answer with an error."""
-    return Answer(f"ERR-{code} {WORDS.get(code, 'Failed.')}")
+    code, words = refused.value
+    return Answer(f"ERR-{code} {words}")
 
 
 class T2saDevice:
@@ -106,8 +96,8 @@ class T2saDevice:
             "!LST": self._switch,
             "!MEAS_SINGLE_POINT": self._measure,
             "!SET_SIM": self._simulate,
-            "!SET_WORKING_FRAME": lambda name: (
-                refusal(Refusal.NO_FRAME) if name else refusal(Refusal.REJECTED)
+            "!SET_WORKING_FRAME": lambda name: refusal(
+                Refusal.NO_FRAME if name else Refusal.REJECTED
             ),
             "!SINGLE_POINT_MEAS_PROFILE": self._choose_profile,
             "?LSTA": lambda _: Answer(f"ACK-300 {self._laser()}"),
@@ -180,7 +170,8 @@ class T2saDevice:
             return refusal(Refusal.BUSY)
         code = self._faults.number("tracker.t2sa_code")
         if code is not None:
-            return refusal(int(code))
+            words = dict(each.value for each in Refusal)
+            return Answer(f"ERR-{int(code)} {words.get(int(code), 'Failed.')}")
         if self._laser() != "LON" or take("tracker.not_warmed_up") is not None:
             return refusal(Refusal.NOT_READY)
         aim_mm = self._named(path)
