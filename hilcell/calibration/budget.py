@@ -20,12 +20,7 @@ import numpy as np
 
 from hilcell.calibration.errors import Errors, errors_of, targets, visit_scatter, visits_mm
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.frames import (
-    Frames,
-    base_covariance,
-    hold_covariance,
-    world_as_framed,
-)
+from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_as_framed
 from hilcell.calibration.influence import (
     ASSUMED,
     MEASURED,
@@ -44,13 +39,7 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms, trace_freedom
-from hilcell.journal.log import (
-    Log,
-    commanded_rad,
-    covariances_mm2,
-    positions_mm,
-    variances_mm2,
-)
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm, variances_mm2
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import TargetBounds
@@ -232,11 +221,9 @@ def with_drill(
     u_mm: float = 0.0,
     turns_deg: Array | None = None,
 ) -> Uncertainty:
-    """Return the budget of a drill at ``offset_mm`` from the reflector, axes of {T}.
+    """Return the budget of a drill at ``offset_mm`` (1 sigma ``u_mm``) from the reflector in {T}.
 
-    Its place there has the standard deviation ``u_mm`` in each coordinate. ``turns_deg`` (N,) are
-    the 95 % bounds of orientation where that is corrected; they take the place of the limit that
-    the cell states. Raises `NoBound` for a budget without its line.
+    Bounds of corrected orientation ``turns_deg`` (N,) replace the stated limit. Raises `NoBound`.
     """
     x_mm, y_mm, z_mm = offset_mm
     far = f"{math.hypot(*offset_mm):g} mm from the reflector"
@@ -278,10 +265,9 @@ def temperature(
     growth_per_k: float, range_c: tuple[float, float] | None, air_range_k: float,
     now_c: float | None = None,
 ) -> Influence:  # fmt: skip
-    """Return the arm's growth from {B} at the temperatures that the calibration is used at.
+    """Return the arm's growth from {B} at the temperatures of use.
 
-    ``range_c`` was measured while the grid was; the check of validity allows its margin more.
-    ``now_c`` is the temperature where it is known: then its distance from the middle counts.
+    ``range_c`` is the grid's; of ``now_c``, where it is known, the distance from its middle counts.
     """
     if range_c is None:
         half_k, how = air_range_k / 2, f"no weather station, ±{air_range_k / 2:g} K taken"
@@ -377,10 +363,9 @@ class Coverage:
 def target_bounds(
     calibration: Calibration, station: str, poses: Array, temperature_c: float | None = None
 ) -> Bounds:
-    """Return the bounds of corrected targets at poses (N, 4, 4) in {W}.
+    """Return the bounds of corrected targets at poses (N, 4, 4) in {W}, at any temperature or one.
 
-    ``temperature_c`` is the room's; None: any that the check of validity allows. Raises
-    `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
+    Raises `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
     """
     stated, lines = calibration.budget, lines_in_use(calibration, station)
     air = temperature(

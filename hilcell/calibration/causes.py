@@ -90,7 +90,6 @@ def left_by(
 ) -> tuple[float, float]:
     """Return the chi^2 of errors (N, 3) that columns (3N, K) leave, and the columns' size.
 
-    ``weights`` (3N, 3N) are those of `weights_of`.
     ``besides`` (3N, M) may explain errors as well, and counts for no size. The size of a single
     column has its sign, that of three is their length.
     """

@@ -19,6 +19,7 @@ from msgspec.structs import replace
 from hilcell.calibration.measurement_budget import budget_of, expanded_mm
 from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
+from hilcell.clean import counted
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, gravest
@@ -79,11 +80,11 @@ def class_warning(cell: Cell, range_mm: float) -> str:
     enough = math.floor(single_mm2 / left_mm2) + 1
     return (
         f"no result can be shown to be in tolerance: by its class the tracker has U = "
-        f"{least_mm:.2f} mm (k = 2) with {samples} "
-        f"{'reading' if samples == 1 else 'readings'} a target at {range_mm / 1000:.1f} m, wanted "
-        f'less than validation.max_tolerance_mm {limit_mm:g}; the run ends "undecided" or out '
-        f"of tolerance (exit 1). State tracker.samples {enough} or more, a tolerance above "
-        f"{least_mm:.2f} mm with room for the robot's error, or a finer instrument"
+        f"{least_mm:.2f} mm (k = 2) with {counted(samples, 'reading')} a target at "
+        f"{range_mm / 1000:.1f} m, expected less than validation.max_tolerance_mm {limit_mm:g}; "
+        f'the run ends "undecided" or out of tolerance (exit 1). State tracker.samples {enough} or '
+        f"more, a tolerance above {least_mm:.2f} mm with room for the robot's error, or a finer "
+        "instrument"
     )
 
 
@@ -112,11 +113,9 @@ def judged(
     also: Outcome = Outcome.ACCEPTED,
     words: str = "",
 ) -> Judged:
-    """Return the decision on mean and largest error.
+    """Return the decision on mean and largest error, and on ``turn`` by the limit of orientation.
 
-    ``turn`` is the error of orientation where that was measured; it is judged where ``limits`` has
-    a limit of it. ``also`` is the outcome of another test that must accept as well, ``words`` what
-    it says.
+    ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
     """
     stated = Judged(
         holds=False,

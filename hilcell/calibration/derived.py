@@ -18,7 +18,7 @@ from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.recheck import Judgement, rechecked_run
 from hilcell.calibration.target_pass import folded, target_points
 from hilcell.journal.log import Log
-from hilcell.model.calibration import Provenance, Update
+from hilcell.model.calibration import Update
 from hilcell.model.frame import TouchedBase
 from hilcell.model.verdicts import Fitted, Judged, Touched
 
@@ -31,8 +31,7 @@ def calibration_after(log: Log, run: str) -> Calibration:
         return _touched(used(log), log, run, touched.station)
     if log.verdict(Judged, "targets") is not None:
         after = folded(log, run)
-        update = Update(run, "targets", written_now(), len(target_points(log)))
-        return msgspec.structs.replace(after, provenance=_with(after, update))
+        return _updated(after, Update(run, "targets", written_now(), len(target_points(log))))
     return _rebased(used(log), rechecked_run(log), run)
 
 
@@ -42,14 +41,8 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
         for name, entry in calibration.stations.items()
     }
-    update = Update(
-        run,
-        "base",
-        written_now(),
-        len(found.left_mm),
-        found.motion.tolist(),
-        found.covariance.tolist(),
-    )
+    motion, covariance = found.motion.tolist(), found.covariance.tolist()
+    update = Update(run, "base", written_now(), len(found.left_mm), motion, covariance)
     uncertainty = calibration.uncertainty
     base_update = "Base frame, updated"
     if not uncertainty.missing:
@@ -57,12 +50,7 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         line = Influence(base_update, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
         lines = [each for each in uncertainty.lines if each.name != base_update]
         uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
-    return msgspec.structs.replace(
-        calibration,
-        stations=stations,
-        provenance=_with(calibration, update),
-        uncertainty=uncertainty,
-    )
+    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
 
 
 def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
@@ -75,14 +63,10 @@ def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibra
     if not uncertainty.missing and line is not None:
         placed = uncertainty.stations | {name: [msgspec.structs.replace(line, counts="always")]}
         uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
-    return msgspec.structs.replace(
-        calibration,
-        stations=stations,
-        provenance=_with(calibration, update),
-        uncertainty=uncertainty,
-    )
+    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
 
 
-def _with(calibration: Calibration, update: Update) -> Provenance:
-    made = calibration.provenance
-    return msgspec.structs.replace(made, written=update.written, updates=[*made.updates, update])
+def _updated(calibration: Calibration, update: Update, **changes: object) -> Calibration:
+    made, replace = calibration.provenance, msgspec.structs.replace
+    after = replace(made, written=update.written, updates=[*made.updates, update])
+    return replace(calibration, provenance=after, **changes)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from itertools import chain
+from itertools import chain, permutations
 from typing import NamedTuple
 
 import msgspec
@@ -169,12 +169,10 @@ def _balls(off_mm: Array) -> str:
     inch_mm = 25.4
     balls_in = (0.5, 0.875, 1.5)  # diameters of reflectors as sold
     same_mm = 3.0  # by which a base that is bolted as usual may be elsewhere
-    for seated in balls_in:
-        for expected in balls_in:
-            higher_mm = (expected - seated) * inch_mm / 2.0
-            fits = float(np.linalg.norm(off_mm - [0.0, 0.0, higher_mm])) <= same_mm
-            if higher_mm and fits:
-                return f"{seated:g} in reflectors in floor nests for {expected:g} in"
+    for seated, expected in permutations(balls_in, 2):
+        higher_mm = (expected - seated) * inch_mm / 2.0
+        if float(np.linalg.norm(off_mm - [0.0, 0.0, higher_mm])) <= same_mm:
+            return f"{seated:g} in reflectors in floor nests for {expected:g} in"
     return ""
 
 

@@ -155,11 +155,10 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
         limit = f_quantile(1.0 - RISK / len(causes), count, series.freedom)
         moved_mm = rms(np.linalg.norm((cause.columns @ slopes).reshape(-1, 3), axis=1))
         if explained > count * limit and moved_mm > series.floor_mm:
-            found.append((explained - PENALTY * count, _named(cause, slopes)))
-    return max(found, key=lambda each: each[0])[1] if found else None
-
-
-def _named(cause: Pattern, slopes: Array) -> Suspicion:
+            found.append((explained - PENALTY * count, cause, slopes))
+    if not found:
+        return None
+    _, cause, slopes = max(found, key=lambda each: each[0])
     size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
     unit = f"{cause.unit} over the run, as of {cause.cause}"
     poses_in_order = "all poses of the run, in their order"

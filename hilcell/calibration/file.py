@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import msgspec
@@ -60,6 +61,10 @@ def calibration_of(log: Log, run: str) -> Calibration:
     if fit is None:
         raise LookupError("the run has not reached the fit")
     method = fit.method
+    devices = [
+        Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
+        for each in log.assets
+    ]
     points = log.select("grid")
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
@@ -72,7 +77,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
             run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
             log.inputs.job, f"hilcell {__version__}", written_now(),
             sign is not None and sign.holds,
-            log.inputs.versions, devices_of(log), [point.key for point in points], fit.loocv,
+            log.inputs.versions, devices, [point.key for point in points], fit.loocv,
             links="factory" if log.by_factory_links else "cell file",
         ),
         "validity": Validity(
@@ -138,27 +143,14 @@ def _learnt(log: Log, fit: int) -> Calibration:
 
 
 def _fitted(log: Log) -> bool:
-    wanted = {"base", *(f"station.{station.name}" for station in log.cell.station)}
-    return wanted <= log.frames.keys() and "fit" in log.verdicts
-
-
-def devices_of(log: Log) -> list[Device]:
-    """Return the devices that answered when they were last connected."""
-    return [
-        Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
-        for each in log.assets
-    ]
+    expected = {"base", *(f"station.{station.name}" for station in log.cell.station)}
+    return expected <= log.frames.keys() and "fit" in log.verdicts
 
 
 def _entry(log: Log, base: Array, station: str) -> StationEntry:
     frame = log.frame(MeasuredStation, f"station.{station}")
-    return StationEntry(
-        base.tolist(),
-        frame.matrix,
-        frame.covariance,
-        frame.tool_uncertainty_mm,
-        frame.strip_mm,
-    )
+    tool_mm, strip_mm = frame.tool_uncertainty_mm, frame.strip_mm
+    return StationEntry(base.tolist(), frame.matrix, frame.covariance, tool_mm, strip_mm)
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -211,11 +203,9 @@ def compensate_targets(
     names: list[str],
     tip: Tip = AT_REFLECTOR,
 ) -> Array:
-    """Return what to command, (N, 6) x, y, z, a, b, c in {W}, for nominal ``targets`` (N, 6).
+    """Return what to command, (N, 6) in {W}, for nominal ``targets`` (N, 6), both of the ``tip``.
 
-    Both are poses of the ``tip``. The angles are the targets', or corrected where the calibration
-    has measured orientation. Raises `HilcellError` naming every target whose reflector would be
-    outside the calibrated volume or orientation.
+    Raises `HilcellError` naming those outside of the calibrated volume or orientation.
     """
     if station not in calibration.stations:
         known = ", ".join(calibration.stations)
@@ -319,17 +309,14 @@ class _Checks:
         for number, R in enumerate(validity.orientations):
             yield from _rotation(f"validity.orientations.{number}", _array(R))
         tolerance_deg = validity.orientation_tolerance_deg
-        if not 0 < tolerance_deg <= self.MOST_TURN_DEG:
-            yield (
-                f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
-                f"<= {self.MOST_TURN_DEG:g}"
-            )
+        name = "validity.orientation_tolerance_deg"
+        yield from _above_nought(name, tolerance_deg, self.MOST_TURN_DEG)
         if validity.temperature_c is None:
             return
         yield from _within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
         low_c, high_c = validity.temperature_c
         if not low_c <= high_c:
-            yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
+            yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, expected the lower first"
 
     def grid(self) -> Iterator[str]:
         errors = _array(self.calibration.grid_errors_mm)
@@ -339,9 +326,9 @@ class _Checks:
         yield from _within("grid_errors_mm", errors, self.MOST_ERROR_MM, "mm")
         pitch_mm = self.calibration.pitch_mm
         size_mm = np.subtract(self.calibration.validity.high_mm, self.calibration.validity.low_mm)
-        wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
+        expected_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
         whole = 1e-6  # of a pitch: its numbers are rounded
-        if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= whole * pitch_mm):
+        if not (pitch_mm > 0 and np.abs(size_mm - expected_mm).max() <= whole * pitch_mm):
             counts = " x ".join(map(str, errors.shape[:3]))
             sides = " x ".join(f"{side:g}" for side in size_mm)
             yield (
@@ -359,12 +346,9 @@ class _Checks:
             yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
             covariance = _array(station.covariance)
             if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-                yield f"{at}.covariance: wanted 6 x 6 finite numbers"
-            if not 0 <= station.tool_uncertainty_mm <= self.MOST_ERROR_MM:
-                yield (
-                    f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
-                    f"{self.MOST_ERROR_MM:g}"
-                )
+                yield f"{at}.covariance: expected 6 x 6 finite numbers"
+            tool_mm = station.tool_uncertainty_mm
+            yield from _from_nought(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
             yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
     def uncertainty(self) -> Iterator[str]:
@@ -373,25 +357,18 @@ class _Checks:
             return
         if stated.stations.keys() != self.calibration.stations.keys():
             found = ", ".join(stated.stations) or "none"
-            yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
-        if stated.model_samples is not None and not stated.model_samples > 0:
-            yield f"uncertainty.model_samples: {stated.model_samples}, wanted above 0"
-        for name, value in (
-            ("growth_per_k", stated.growth_per_k),
-            ("air_range_k", stated.air_range_k),
-        ):
-            if not 0 <= value <= self.MOST_C:
-                yield f"uncertainty.{name}: {value:g}, wanted 0 .. {self.MOST_C:g}"
-        for each in (
-            *stated.lines,
-            *(line for lines in stated.stations.values() for line in lines),
-        ):
+            yield f"uncertainty.stations: of {found[:40]}, expected the same as in stations"
+        if stated.model_samples is not None:
+            yield from _above_nought("uncertainty.model_samples", stated.model_samples)
+        yield from _from_nought("uncertainty.growth_per_k", stated.growth_per_k, self.MOST_C)
+        yield from _from_nought("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
+        for each in chain(stated.lines, *stated.stations.values()):
             at = f"uncertainty, {each.name[:40]}"
             yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
             if not _is_covariance(_array(each.covariance)):
-                yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
-            if each.freedom is not None and not each.freedom > 0:
-                yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+                yield f"{at}: expected a covariance of {SIZE} x {SIZE} numbers"
+            if each.freedom is not None:
+                yield from _above_nought(f"{at}: freedom", each.freedom)
 
     def lost_motion(self) -> Iterator[str]:
         lost = self.calibration.lost_motion
@@ -408,18 +385,17 @@ class _Checks:
     def updates(self) -> Iterator[str]:
         for update in self.calibration.provenance.updates:
             at = f"provenance.updates of run {update.run[:40]}"
-            wanted = (6,) if update.what == "base" else (0,)
-            if _array(update.motion).shape != wanted:
-                yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
+            expected = (6,) if update.what == "base" else (0,)
+            if _array(update.motion).shape != expected:
+                yield f"{at}: motion of {len(update.motion)} numbers, expected {expected[0]}"
             elif update.motion:
                 yield from _within(f"{at}: motion", update.motion, self.MOST_ERROR_MM, "mm")
 
     def targets(self) -> Iterator[str]:
         if self.calibration.targets is None:
             return
-        variance_mm2 = self.calibration.targets.variance_mm2
-        if not 0 < variance_mm2 <= self.MOST_ERROR_MM**2:
-            yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
+        variance_mm2, most_mm2 = self.calibration.targets.variance_mm2, self.MOST_ERROR_MM**2
+        yield from _above_nought("targets.variance_mm2", variance_mm2, most_mm2)
         for each in self.calibration.targets.passes:
             at, count = f"targets of run {each.run[:40]}", len(each.names)
             for name, values, shape, most in (
@@ -429,11 +405,11 @@ class _Checks:
             ):
                 found = _array(values)
                 if found.shape != shape or not np.abs(found).max() <= most:
-                    yield f"{at}: {name}: wanted {count} rows of finite numbers within +-{most:g}"
+                    yield f"{at}: {name}: expected {count} rows of finite numbers within +-{most:g}"
                 elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
                     yield f"{at}: own_mm2: a variance that is not above 0"
             if not _is_covariance(_array(each.common)):
-                yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
+                yield f"{at}: common: expected a covariance of {SIZE} x {SIZE} finite numbers"
 
     def verdicts(self) -> Iterator[str]:
         for place, each in self.calibration.verdicts.items():
@@ -441,9 +417,9 @@ class _Checks:
             figures = (each.mean_mm, each.max_mm, each.mean_U_mm, each.max_U_mm)
             if not all(0 <= figure <= MOST_MM for figure in figures):
                 shown = ", ".join(f"{each:g}" for each in figures)
-                yield f"{at}: {shown}, wanted 0 .. {MOST_MM:g} mm"
+                yield f"{at}: {shown}, expected 0 .. {MOST_MM:g} mm"
             elif not all(0 <= deg <= self.MOST_TURN_DEG for deg in each.turn or ()):
-                yield f"{at}: orientation {each.turn}, wanted 0 .. {self.MOST_TURN_DEG:g} deg"
+                yield f"{at}: orientation {each.turn}, expected 0 .. {self.MOST_TURN_DEG:g} deg"
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:
@@ -465,7 +441,7 @@ def _is_covariance(found: Array) -> bool:
 
 def _frame(name: str, frame: Array) -> Iterator[str]:
     if frame.shape != (4, 4):
-        yield f"{name}: wanted 4 x 4 numbers"
+        yield f"{name}: expected 4 x 4 numbers"
         return
     if not np.array_equal(frame[3], [0, 0, 0, 1]):
         yield f"{name}: its last row must be 0, 0, 0, 1"
@@ -475,15 +451,25 @@ def _frame(name: str, frame: Array) -> Iterator[str]:
 
 def _rotation(name: str, R: Array) -> Iterator[str]:
     if R.shape != (3, 3):
-        yield f"{name}: wanted 3 x 3 numbers"
+        yield f"{name}: expected 3 x 3 numbers"
     elif not is_rotation(R):
         yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
+
+
+def _above_nought(name: str, value: float, most: float = math.inf) -> Iterator[str]:
+    if not 0 < value <= most:
+        yield f"{name}: {value:g}, expected above 0" + (f", <= {most:g}" if most < math.inf else "")
+
+
+def _from_nought(name: str, value: float, most: float) -> Iterator[str]:
+    if not 0 <= value <= most:
+        yield f"{name}: {value:g}, expected 0 .. {most:g}"
 
 
 def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
     largest = float(np.abs(np.asarray(values, dtype=float)).max())
     if not largest <= most:
-        yield f"{name}: {largest:g} {unit}, wanted within +-{most:g} {unit}"
+        yield f"{name}: {largest:g} {unit}, expected within +-{most:g} {unit}"
 
 
 def _array(nested: ArrayLike) -> Array:

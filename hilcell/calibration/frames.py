@@ -38,9 +38,8 @@ from hilcell.ports import Array
 def base_at(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
     """Return {B} in {W} (4, 4) at station i from {B} at station 1: the slide is rigid, it rides.
 
-    Eqs 11-13 and 17 in their corrected form; the constant frame of {B} in {S} cancels. Nominal
-    targets ride along as measured data do: data alone would lose the rail's offset, as if it were
-    an error of the robot.
+    Eqs 11-13 and 17, corrected; {B} in {S} cancels. Nominal targets ride along as measured data do:
+    data alone would lose the rail's offset, as if it were an error of the robot.
     """
     return T_W_Si @ inverse(T_W_S1) @ T_W_B1
 

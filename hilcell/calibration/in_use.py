@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -116,12 +117,10 @@ def with_calibration(
     accept_out_of_tolerance: bool = False,
     accept_not_current: bool = False,
 ) -> Chosen:
-    """Return the cell with the path of a usable calibration file in ``table``.
+    """Return the cell with the path of a usable calibration file in ``table``, if it has that.
 
-    The table names a run or a file; "" is the current calibration of this cell in ``runs``, of a
-    simulated one that of the ``machine`` with this seed, None for any. A cell without the table is
-    returned as it is. Raises `NoCalibration`, `Unfit`, and `SettingsError` for a file that is not
-    sound.
+    The table names a run or a file; "" is the current calibration of this cell, and of the
+    simulated ``machine``, in ``runs``. Raises `NoCalibration`, `Unfit`, `SettingsError`.
     """
     chosen = getattr(cell, table)
     if chosen is None:
@@ -180,10 +179,9 @@ def record_of(calibration: Calibration, path: str) -> Json:
 
 def calibration_in(log: Log) -> Calibration | None:
     """Return the calibration that a run uses, once it has begun to."""
-    for record in reversed(log.events):
-        if isinstance(record.fact, CalibrationUsed):
-            return typed(record.fact.content, Calibration)
-    return None
+    facts = (record.fact for record in reversed(log.events))
+    used = next((fact for fact in facts if isinstance(fact, CalibrationUsed)), None)
+    return None if used is None else typed(used.content, Calibration)
 
 
 def written_by(folder: Path) -> Path:
@@ -259,8 +257,7 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
 def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance | None:
     """Return how a run's calibration was made; None where it has none that may be current.
 
-    A damaged file ends only what may need it. The run's journal says of which cell it is; where
-    that cannot be read either, it may be of any. Raises `SettingsError`.
+    A damaged file ends only what may need it: by the run's journal, or of any cell without that.
     """
     if not path.is_file():
         return None
@@ -291,11 +288,10 @@ def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
 
 
 def _proven(found: Standing, folder: Path, readable: Collection[str]) -> Standing:
-    later = next(_later_unread(folder, readable), "")
-    if not later:
-        return found
-    why = f"run {later} wrote a later calibration of the cell, and its journal is damaged or gone"
-    return Standing("in doubt", "", why)
+    for later in _later_unread(folder, readable):
+        why = f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
+        return Standing("in doubt", "", why)
+    return found
 
 
 def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
@@ -336,26 +332,14 @@ def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
             f"{cell.digest[:12]}; name the run that wrote it, or run with the cell file of then"
         )
         return
-    then, now = _fixed(read_log(folder).cell), _fixed(cell)
-    for key, value in now.items():
-        if then[key] != value:
+    then = read_log(folder).cell
+    fixed = (
+        "name", "serial", "robot.joint", "robot.smr_mm", "robot.more_smr_mm", "robot.status",
+        "layout.base", "layout.floor", "station", "grid.station",
+    )  # fmt: skip
+    for key in fixed:
+        if attrgetter(key)(then) != attrgetter(key)(cell):
             yield f"{key} differs from the cell that was calibrated; calibrate this cell"
-
-
-def _fixed(cell: Cell) -> dict[str, object]:
-    """Return what must be as it was for the calibration to be of this cell."""
-    return {
-        "name": cell.name,
-        "serial": cell.serial,
-        "robot.joint": cell.robot.joint,
-        "robot.smr_mm": cell.robot.smr_mm,
-        "robot.more_smr_mm": cell.robot.more_smr_mm,
-        "robot.status": cell.robot.status,
-        "layout.base": cell.layout.base,
-        "layout.floor": cell.layout.floor,
-        "station": cell.station,
-        "grid.station": cell.grid.station,
-    }
 
 
 @dataclass(frozen=True, eq=False)

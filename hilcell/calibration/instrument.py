@@ -32,13 +32,7 @@ from hilcell.journal.set_ups import PROOFS, world_key
 from hilcell.model.events import URAD
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
 from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import (
-    Faces,
-    FacesCompared,
-    LengthFound,
-    LengthsChecked,
-    ReflectorSeen,
-)
+from hilcell.model.verdicts import Faces, FacesCompared, LengthFound, LengthsChecked, ReflectorSeen
 from hilcell.ports import Array
 
 SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and centring

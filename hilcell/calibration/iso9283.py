@@ -430,8 +430,7 @@ def evaluated(log: Log) -> PoseTest:
         cube=cube_of(cell),
         poses=poses,
         distance=distance_of(
-            (clouds[ENDS[0]], clouds[ENDS[1]]),
-            math.sqrt(2.0) * own.system_mm(framed=False),
+            (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * own.system_mm(framed=False)
         ),
         worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),
         orientation=orientation,

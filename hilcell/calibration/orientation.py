@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import chain, combinations, pairwise
 
 import numpy as np
 
@@ -95,16 +95,14 @@ def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
 
 def turned_each_time(log: Log, point: Point, seats: Array) -> Turned:
     """Return the errors of one tool point, each time that it was measured."""
-    return _turned(log, [each for times in _times(log, [point], len(seats)) for each in times],
-                   seats)  # fmt: skip
+    return _turned(log, [*chain(*_times(log, [point], len(seats)))], seats)
 
 
 def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
     """Return the errors as `turned_of` does, each target by its largest measured one."""
     measured = _times(log, points, len(seats))
-    every = _turned(log, [each for times in measured for each in times], seats)
-    ends = np.cumsum([0, *map(len, measured)])
-    angles_deg = every.angles_deg
+    every = _turned(log, [*chain(*measured)], seats)
+    ends, angles_deg = np.cumsum([0, *map(len, measured)]), every.angles_deg
     chosen = [begin + int(np.argmax(angles_deg[begin:end])) for begin, end in pairwise(ends)]
     return Turned(
         [every.points[n] for n in chosen],

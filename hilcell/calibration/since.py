@@ -30,12 +30,7 @@ from hilcell.calibration.frames import (
 )
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.geometry.frames import to_rotvec
-from hilcell.geometry.statistics import (
-    f_quantile,
-    lengths_mm,
-    rectangular_variance,
-    trace_freedom,
-)
+from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, trace_freedom
 from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.frame import MeasuredBase

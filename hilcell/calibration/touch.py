@@ -71,7 +71,6 @@ def _directions(cell: Cell, world_mm: Array) -> Array:
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
     """Return touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
     spare = 4  # places for each touch pose, for those that are passed over
-    # Four places for each touch pose, for those that are passed over.
     number = np.arange(spare * cell.touch.poses)[:, None]
     # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
     steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
@@ -146,7 +145,10 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     a shift of the base does, and widens the cube. A run that uses a calibration of before has
     found {W} again, so its error counts twice.
     """
-    known = growth_covariance(log, station, points)
+    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(log, points)
+    R = Frames(log.cell, log).base_in_world(station)[:3, :3]
+    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
+    known = rectangular_variance(growth) * np.outer(outwards, outwards)
     known[:6, :6] += base_covariance(log, station)
     holds = 2  # the strip's slip is that of the visit less that of the stop when it was framed
     known[:3, :3] += holds * hold_covariance(log.cell)
@@ -157,14 +159,6 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     set_ups = 2  # of the tracker: the calibration's and this run's
     known[:6, :6] += set_ups * world_covariance(log, at_mm, centring_mm2)
     return known
-
-
-def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
-    """Return the covariance (7, 7) of the cube's shift and growth with the arm since the grid."""
-    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(log, points)
-    R = Frames(log.cell, log).base_in_world(station)[:3, :3]
-    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
-    return rectangular_variance(growth) * np.outer(outwards, outwards)
 
 
 def _warmer_k(log: Log, points: list[Point]) -> float:
@@ -251,8 +245,8 @@ def updated_frame(
     outlying = 25.0  # squared, in sigmas of the typical point
     leave_at_most = 4  # one of so many points may be left out
     while True:
-        solved = _solved(prior, J[kept], off_mm[kept], R[kept])
-        left_mm = off_mm[kept] - J[kept] @ solved.x
+        x, _, before, spent = _solved(prior, J[kept], off_mm[kept], R[kept])
+        left_mm = off_mm[kept] - J[kept] @ x
         squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(R[kept]), left_mm)  # in sigmas
         worst = int(np.argmax(squares))
         median = 2.366  # of chi2 of three coordinates
@@ -261,32 +255,26 @@ def updated_frame(
         if enough or squares[worst] <= outlying * typical:
             break
         kept.pop(worst)
-    pull = math.sqrt(max(0.0, solved.chi2 - float(squares.sum())))  # of the covariances as stated
-    freedom, chi2 = 3 * len(kept) - solved.spent, float(squares.sum())
+    pull = math.sqrt(max(0.0, before - float(squares.sum())))  # of the covariances as stated
+    freedom, chi2 = 3 * len(kept) - spent, float(squares.sum())
     belief = 6.0  # coordinates: so much counts the stated size of the covariances
     size = (belief + chi2) / (belief + freedom)
-    solved = _solved(prior, J[kept], off_mm[kept], size * R[kept])
+    x, after, _, _ = _solved(prior, J[kept], off_mm[kept], size * R[kept])
     return FrameUpdate(
-        matrix(from_rotvec(solved.x[3:6]) @ T[:3, :3], T[:3, 3] + solved.x[:3]),
-        solved.covariance[:6, :6],
-        off_mm - J @ solved.x,
+        matrix(from_rotvec(x[3:6]) @ T[:3, :3], T[:3, 3] + x[:3]),
+        after[:6, :6],
+        off_mm - J @ x,
         tuple(n for n in range(len(off_mm)) if n not in kept),
         pull,
         math.sqrt(chi2 / freedom),
-        float(solved.x[6]),
+        float(x[6]),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    x: Array
-    covariance: Array
-    chi2: float  # of (measured - expected beforehand)
-    spent: float  # coordinates, of the points, on the correction
-
-
-def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> _Solved:
-    """Return the correction (7,) with its covariance; all points' rows are stacked."""
+def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> tuple[Array, Array, float, float]:
+    """Return the correction (7,) with its covariance, chi2 of (measured - expected beforehand), and
+    the coordinates of the points that the correction spent; all points' rows are stacked.
+    """
     rows, off = J.reshape(-1, SIZE), off_mm.reshape(-1)
     S = rows @ P @ rows.T
     for n, each in enumerate(R):
@@ -294,4 +282,4 @@ def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> _Solved:
     gain = np.linalg.solve(S, rows @ P).T
     after = P - gain @ rows @ P
     chi2, spent = float(off @ np.linalg.solve(S, off)), float(np.trace(gain @ rows))
-    return _Solved(gain @ off, (after + after.T) / 2, chi2, spent)
+    return gain @ off, (after + after.T) / 2, chi2, spent

@@ -48,12 +48,10 @@ def check_fitness(
     standing: Standing | None = None,
     accept_not_current: bool = False,
 ) -> list[str]:
-    """Raise `Unfit` with every reason why the calibration must not be used.
+    """Return why a calibration is out of tolerance; raises `Unfit` for what is not accepted.
 
-    ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are the
-    cell's where it is not given itself, ``temperature_c`` is the room's, ``standing`` that among
-    the cell's calibrations; None leaves each unchecked. Returns why it is out of tolerance,
-    where that was accepted.
+    ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are those of
+    a cell that is not given; None leaves each unchecked.
     """
     use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
     settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
@@ -161,8 +159,18 @@ class _Use:
         if cell is None:
             return ""
         limits = {each.limits for each in self.calibration.verdicts.values()}
-        possible = [each for each in limits if each.max_deg is None or cell.orients]
-        if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
+        tables = (
+            msgspec.structs.replace(
+                cell.validation,
+                mean_tolerance_mm=each.mean_mm,
+                max_tolerance_mm=each.max_mm,
+                max_tolerance_deg=each.max_deg,
+            )
+            for each in limits
+            if each.max_deg is None or cell.orients
+        )
+        cells = (cell, *(msgspec.structs.replace(cell, validation=each) for each in tables))
+        if found in {each.digest for each in cells}:
             return ""
         name = self.calibration.provenance.cell
         if name != cell.name:
@@ -192,14 +200,3 @@ class _Use:
             f"{temperature_c:.1f} C is not within {TEMPERATURE_MARGIN_K:g} K of the calibrated "
             f"{low_c:.1f} .. {high_c:.1f} C; bring the cell to temperature, or calibrate again"
         )
-
-
-def _judged_by(cell: Cell, limits: Limits) -> str:
-    """Return the digest of a cell as it would be with other limits."""
-    table = msgspec.structs.replace(
-        cell.validation,
-        mean_tolerance_mm=limits.mean_mm,
-        max_tolerance_mm=limits.max_mm,
-        max_tolerance_deg=limits.max_deg,
-    )
-    return msgspec.structs.replace(cell, validation=table).digest

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,7 +100,9 @@ def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
     seen: dict[str, tuple[int, str]] = {}  # the first number with a sign
     proven: set[str] = set()
     for line, cell in figures:
-        signs = set(_signs(cell))
+        longest = 40  # characters of a number that is looked at
+        number = len(cell) <= longest and FIGURES.fullmatch(cell)
+        signs = {POINT, COMMA} & {*cell} if number else set()
         if len(signs) > 1:
             raise _refusal(path, line, cell, "has a thousands separator; write digits without one")
         for sign in signs:
@@ -121,12 +123,6 @@ def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
                 f"{cell}0",
             )  # fmt: skip
     return next(iter(seen), POINT)
-
-
-def _signs(cell: str) -> Iterator[str]:
-    longest = 40  # characters of a number that is looked at
-    if len(cell) <= longest and FIGURES.fullmatch(cell):
-        yield from (sign for sign in (POINT, COMMA) if sign in cell)
 
 
 def _refusal(path: Path, line: int, cell: str, words: str) -> SettingsError:

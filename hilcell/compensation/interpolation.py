@@ -20,9 +20,8 @@ from hilcell.compensation.model import LearntModel, Measured, ModelError, Predic
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.typed import Json, typed
 
-CORNERS: Ints = np.array(
-    list(product((0, 1), repeat=3))
-)  # (8, 3) steps from a cell's lowest vertex
+# (8, 3) steps from a cell's lowest vertex
+CORNERS: Ints = np.array([*product((0, 1), repeat=3)])
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -222,11 +221,6 @@ def _span(grid: Grid) -> Ints:
     return span
 
 
-def _wide_corners(grid: Grid, lows: Ints) -> Ints:
-    """Return the corners (B, 8, 3) of the wide cells with these lowest vertices (B, 3)."""
-    return lows[:, None, :] + CORNERS * _span(grid)
-
-
 def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
     """Return wide cells' lowest vertices (B, 3), steps (M, 3) to those left out, weights (M, 8)."""
     grid = lattice.grid
@@ -245,7 +239,7 @@ def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints
 def _missed_mm(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     lows, inner, weights = _wide_cells(model, lattice)
     errors = lattice.errors_mm
-    corners = _at(errors, _wide_corners(lattice.grid, lows))
+    corners = _at(errors, lows[:, None, :] + CORNERS * _span(lattice.grid))
     predicted = np.einsum("mc,bcx->bmx", weights, corners)
     left: Array = predicted - _at(errors, lows[:, None, :] + inner)
     return left.reshape(-1, 3)
@@ -256,7 +250,7 @@ def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     own = lattice.covariance_mm2
     lows, inner, weights = _wide_cells(model, lattice)
     missed = _missed_mm(model, lattice)
-    corners = _at(own, _wide_corners(lattice.grid, lows))
+    corners = _at(own, lows[:, None, :] + CORNERS * _span(lattice.grid))
     readings = np.einsum("mc,bcxy->xy", weights**2, corners)
     readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
     values, axes = np.linalg.eigh(missed.T @ missed - readings)

@@ -39,11 +39,7 @@ from hilcell.identification.readings import IdentificationError, Noise
 from hilcell.model.verdicts import CurvesUsed
 from hilcell.typed import Json, typed
 
-CONTRADICTED = 4.0  # times the square that chance gives a curve's change
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
-ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
-# Several: so little is assumed that a turn of all is theirs and not the last link's.
-ASSUMED_SEVERAL = Placed(2.0, 2e-3, 50.0)
 
 
 class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -269,7 +265,9 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     A run asks for it with each of its results; it is made again when a number has changed.
     """
     arm, seats_mm = measured.robot.arm, measured.seats_mm
-    assumed = ASSUMED if len(seats_mm) == 1 else ASSUMED_SEVERAL
+    assumed = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
+    if len(seats_mm) > 1:  # so little that a turn of all is theirs and not the last link's
+        assumed = replace(assumed, reflector_mm=50.0)
     kinematics = Kinematics(arm, len(seats_mm), assumed=assumed)
     start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))
     found = identify(kinematics, measured.readings, start, noise)
@@ -314,11 +312,12 @@ def _contradicted(estimate: Estimate) -> list[bool]:
     explained = prior - estimate.system.covariance
     bad, end = [], len(mean) - sum(2 * len(curve.cycles) + 1 for curve in kinematics.curves)
     least_share = 1e-3  # of a prior's variance that poses explain at least
+    contradicted = 4.0  # times the square that chance gives a curve's change
     for curve in kinematics.curves:
         own = slice(end, end + 2 * len(curve.cycles))
         by_chance = explained[own, own] + least_share * prior[own, own]
         size = float(change[own] @ np.linalg.solve(by_chance, change[own]))
-        bad.append(not size <= CONTRADICTED * 2 * len(curve.cycles))
+        bad.append(not size <= contradicted * 2 * len(curve.cycles))
         end = own.stop + 1
     return bad
 

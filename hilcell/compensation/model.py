@@ -156,10 +156,9 @@ class ErrorModel(Protocol):
 class LearntModel(ABC):
     """A model that is learnt from measured poses, judged, chosen and kept in a calibration file.
 
-    A subclass is a frozen dataclass of arrays with an entry in `hilcell.compensation.choice.MODELS`
-    under its ``name``; ``text`` says in a report how the model corrects. ``turns``: its predictions
-    hold for other orientations than the grid's. ``scattered``: poses anywhere in space are enough,
-    as `hilcell fit` has them; other models learn from a lattice, or from the arm's readings.
+    A subclass is a frozen dataclass of arrays in `hilcell.compensation.choice.MODELS`; ``text``
+    says in a report how it corrects. ``turns``: it holds for other orientations than the grid's.
+    ``scattered``: poses anywhere are enough; others learn from a lattice, or the arm's readings.
     """
 
     name: ClassVar[str]

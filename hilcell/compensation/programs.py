@@ -195,13 +195,10 @@ def write_program(
     stamp: Stamp,
     inputs: Iterable[Path] = (),
 ) -> list[Path]:
-    """Write the program at ``source`` with other positions (N, 3), or poses (N, 6), under another
-    stem; return the paths.
+    """Write the program with positions (N, 3) or poses (N, 6) and the stamp under another stem.
 
-    Each file carries the stamp as a comment.
-
-    ``out`` may end in one of the program's suffixes. Raises `NotWritten` as `write_together`
-    does; the nominal program is an input as well: corrected again, it would be corrected twice.
+    ``out`` may have a suffix of it. Raises `NotWritten`: the nominal program is an input as well,
+    corrected again it would be corrected twice.
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")

@@ -89,32 +89,20 @@ def header_of(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[s
     header = [column_of(cell, columns) for cell in text.header]
     if header not in headers:
         expected = " or ".join(",".join(each) for each in headers)
-        found = _header_shown(text) if text.rows else "an empty file"
-        raise SettingsError(
-            str(path),
-            [f"line 1: expected header {expected}, got {found}{_differs(header, headers)}"],
-        )
+        found, most = text.separator.join(text.header).replace("\t", "\\t"), 200
+        found = found if len(found) <= most else f"{found[:most]}..."
+        got = f"{found if text.rows else 'an empty file'}{_differs(header, headers)}"
+        raise SettingsError(str(path), [f"line 1: expected header {expected}, got {got}"])
     return header
 
 
 def column_of(cell: str, columns: Iterable[str]) -> str:
     """Return the column that a header's field means (``X``, ``x [mm]``: x_mm), else the field."""
     word = BRACKETS.sub(r"_\1", cell.strip().casefold().replace("\u00b0", "deg"))
-    return next(
-        (
-            each
-            for each in columns
-            if word and word in (each, each.removesuffix("_mm").removesuffix("_deg"))
-        ),
-        cell.strip(),
-    )
-
-
-def _header_shown(text: CsvText) -> str:
-    """Return a header for messages: not too long, and with tabs that are seen."""
-    found = text.separator.join(text.header).replace("\t", "\\t")
-    header_shown = 200
-    return found if len(found) <= header_shown else f"{found[:header_shown]}..."
+    for each in columns:
+        if word and word in (each, each.removesuffix("_mm").removesuffix("_deg")):
+            return each
+    return cell.strip()
 
 
 def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
@@ -140,22 +128,17 @@ def _take(
 ) -> list[str]:
     if len(cells) != len(rows.header):
         more = text.surplus(len(cells), len(rows.header))
-        return [f"{len(rows.header)} fields are wanted, found {len(cells)}{more}"]
-    name, faults = cells[0], []
-    if name in known:
-        faults.append(f"name {_shown(name)} was used before")
-    elif fault := _name_fault(name):
-        faults.append(fault)
+        return [f"{len(cells)} fields, expected {len(rows.header)}{more}"]
+    name = cells[0]
+    fault = f"name {_shown(name)} was used before" if name in known else _name_fault(name)
     known.add(name)
     try:
         values = numbers(rows.header[1:], cells[1:], text.decimal)
     except ValueError as error:
-        return [*faults, str(error)]
-    fault = fault_of(rows.header, values)
-    faults += [fault] if fault else []
+        return [*filter(None, [fault]), str(error)]
     rows.names.append(name)
     rows.values.append(values)
-    return faults
+    return [*filter(None, (fault, fault_of(rows.header, values)))]
 
 
 def _name_fault(name: str) -> str:
@@ -200,18 +183,6 @@ def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) 
             raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
         found.append(value)
     return found
-
-
-def write_targets(
-    path: Path,
-    names: list[str],
-    values: Array,
-    *,
-    stamp: Stamp | None = None,
-    inputs: Iterable[Path] = (),
-) -> None:
-    """Write targets (N, 6), corrected ones with their stamp; raises `NotWritten`."""
-    write_rows(path, HEADER, target_rows(names, values), stamp=stamp, inputs=inputs)
 
 
 def target_rows(names: Iterable[str], values: Array) -> Iterator[list[str]]:

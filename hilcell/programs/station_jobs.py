@@ -156,8 +156,7 @@ class StationJobs:
     ) -> Self:
         """Plan holes where the calibration corrects, and correct them; ``say`` takes warnings.
 
-        ``calibration`` names a run or a file, ``tool`` one of the cell's, "" its only one; None is
-        the tool's own stand-off. Raises `HilcellError` where a hole must not be drilled so.
+        Raises `HilcellError` where a hole must not be drilled so.
         """
         released = Released.named(calibration, release, cell)
         tip = tip_named(cell, tool, cell.robot.options.get("tool"))
@@ -311,10 +310,7 @@ class StationJobs:
         stations = counted(len(jobs), "station")
         programs = f"no programs: no writer is installed for robots of {self.cell.robot.driver}"
         if any(job.program for job in jobs):
-            programs = (
-                "one program a station, in the order of the sheet; each holds for its station"
-            )
-            programs += " only"
+            programs = "one program a station, for it alone, in the order of the sheet"
         floor = f"shop floor in {folder}"
         return [
             *dict.fromkeys(unknown),

@@ -125,8 +125,7 @@ class StationTargets(TargetFiles):
     ) -> Self:
         """Return the targets of a list or a program, corrected; ``say`` takes warnings.
 
-        ``calibration`` names a run or a file, ``tool`` one of the cell's, "" its only one. Raises
-        `HilcellError` where the calibration must not be used, or a target not be corrected.
+        Raises `HilcellError` where the calibration must not be used, or a target not be corrected.
         """
         released = Released.named(calibration, release, cell)
         program = load_program(source)
@@ -307,11 +306,9 @@ def _taken_in(T: Array | None, values: Array) -> Array:
 def _check_base(
     calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
 ) -> None:
-    """Raise `HilcellError` where a program sets a base by numbers that is not {W} at the station.
+    """Raise `HilcellError` where a base set by numbers is not {W}, as judged at ``targets`` (N, 6).
 
-    ``stated`` is None where it sets none by numbers. A controller's base is relative to its own
-    root, {B}, so {W} is the inverse of the calibrated T_W_B. Judged where ``targets`` (N, 6) would
-    stand.
+    A controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
     """
     if stated is None:
         return

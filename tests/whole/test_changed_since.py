@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import read_calibration
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.journal.runs import CALIBRATION
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import SMALL, command, end_of, sets
 from tests.whole.golden import GoldenRuns
 

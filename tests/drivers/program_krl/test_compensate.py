@@ -7,12 +7,12 @@ import pytest
 
 from drivers.kuka.program_krl.files import load_program
 from hilcell.cell.file import load_cell
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
 from tests.hilcell.compensation.models import level
+from tests.hilcell.lists import write_targets
 
 
 class Workplace(workplace.Workplace):

@@ -14,7 +14,6 @@ from hilcell.calibration.tip import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.stamp import CorrectedBefore, Stamp, refuse_corrected
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.programs.drilling import Drilling, Part, station_program
@@ -22,6 +21,7 @@ from tests.drivers.program_urscript.samples import SCRIPT, TURN
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
 from tests.hilcell.compensation.models import level
+from tests.hilcell.lists import write_targets
 
 CELL = load_cell("paper")
 STAMP = Stamp("a-run", "2026-11-22T14:00:00Z", "S1100")

@@ -116,7 +116,7 @@ def put(path: str, value: Any) -> Callable[[Any], None]:
         ("uncertainty.lines.0.covariance.0.0", -1e-9, "Robot repeatability: "),
         ("uncertainty.lines.0.covariance.0.1", 1e-9, "Robot repeatability: "),
         ("uncertainty.lines.1.origin_mm", (0.0, 1e9, 0.0), "origin_mm: 1e+09 mm"),
-        ("uncertainty.lines.0.freedom", 0.0, "Robot repeatability: freedom 0"),
+        ("uncertainty.lines.0.freedom", 0.0, "Robot repeatability: freedom: 0"),
         ("uncertainty.growth_per_k", -1.0, "uncertainty.growth_per_k: -1"),
         ("uncertainty.stations", {"S7": []}, "uncertainty.stations: "),
     ],

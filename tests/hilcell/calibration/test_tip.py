@@ -15,7 +15,6 @@ from hilcell.calibration.tip import AT_REFLECTOR, tip_named, tip_of_program, tip
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedTool
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.runs import CALIBRATION
 from hilcell.programs.corrected import Released
@@ -24,6 +23,7 @@ from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.test_prepare import INSIDE, holes, made, prepare
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 DRILL = """

@@ -19,7 +19,7 @@ from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motio
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.stamp import COLUMN, Stamp
-from hilcell.compensation.targets import HEADER, write_targets
+from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import apply, inverse
 from hilcell.programs.holes import NORMALS
 from hilcell.writing import CSV, check_output
@@ -28,6 +28,7 @@ from tests.hilcell.cell.packages import install
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import Workplace, read_corrected
 from tests.hilcell.compensation.models import level
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 TARGETS = np.array([[0.0, 0, 1200, 0, 75, 0], [0.0, 50, 1250, 0, 75, 0]])

@@ -11,7 +11,6 @@ import pytest
 from hilcell.compensation.targets import (
     read_named_rows,
     read_targets,
-    write_targets,
 )
 from hilcell.compensation.targets import write_rows as write_list
 from hilcell.fit.methods import FitResult, Fitted, fitted
@@ -33,6 +32,7 @@ from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.chains import chain_forward
 from tests.hilcell.fit.test_fit import IRB120
 from tests.hilcell.fit.urdfs import PLAIN
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)

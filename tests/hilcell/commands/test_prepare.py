@@ -13,13 +13,13 @@ import pytest
 from hilcell.calibration.decision import Guard, judged
 from hilcell.calibration.file import write_calibration
 from hilcell.cell.file import load_cell
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.programs.holes import NORMALS
 from hilcell.programs.plan import Volume
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 DIGEST = load_cell("paper").digest

@@ -16,7 +16,6 @@ from drivers.kuka.program_krl.files import read_program
 from hilcell.calibration.budget import DRILL
 from hilcell.calibration.influence import ASSUMED, Influence, motion
 from hilcell.cell.file import load_cell
-from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from tests.hilcell.calibration.calibrations import STAMP, T_W_B, calibration
@@ -29,6 +28,7 @@ from tests.hilcell.commands.test_prepare import (
     prepare,
     refused,
 )
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 CELL = load_cell("paper")

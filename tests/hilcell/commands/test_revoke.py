@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.compensation.targets import write_targets
 from hilcell.journal.index import find_run, read_index, row_of
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
 from tests.hilcell.commands.finished_runs import FIT, MADE, REDO, finished
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.lists import write_targets
 from tests.hilcell.verdicts import REJECTED, UNDECIDED
 from tests.whole.bench import command
 

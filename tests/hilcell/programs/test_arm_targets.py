@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.targets import write_rows, write_targets
+from hilcell.compensation.targets import write_rows
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
@@ -21,6 +21,7 @@ from hilcell.programs.arm_targets import (
     with_tool_point,
 )
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
+from tests.hilcell.lists import write_targets
 
 BASE = pose_from_zyx(100, -200, 300, 20, 5, -5)
 ANYWHERE = np.array([[-np.inf] * 6, [np.inf] * 6])

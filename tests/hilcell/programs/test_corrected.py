@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hilcell.compensation.stamp import CorrectedBefore
-from hilcell.compensation.targets import write_targets
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import Array
 from hilcell.programs.corrected import MEMORY, note_corrected, refuse_known
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.lists import write_targets
 from tests.whole.bench import command
 
 NOMINAL = np.array([[0.0, 0.0, 1200.0], [0.0, 50.0, 1250.0], [10.0, 60.0, 1300.0]])
