@@ -194,10 +194,10 @@ def _runs_of(named: Path | None) -> Path:
         if os.path.exists(folder) and not os.path.isdir(folder):  # noqa: PTH110, PTH112 - no name raises
             raise HilcellError(f"--runs {folder}: expected a folder, got a file", code="HC-J09")
         return folder
-    usual = usual_runs(os.environ)
-    if usual.note:
-        print_message(usual.note)
-    return usual.path
+    usual, note = usual_runs(os.environ)
+    if note:
+        print_message(note)
+    return usual
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:

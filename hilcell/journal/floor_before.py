@@ -105,9 +105,7 @@ class _Measured:
     def _base(self) -> Frame | None:
         """Return the base as circles gave it; None where the grid has another station now."""
         then, frame = self.log.cell, self.log.frames.get("base")
-        station = then.reference
-        same = station == self.cell.reference
-        if not isinstance(frame, MeasuredBase) or not same:
+        if not isinstance(frame, MeasuredBase) or then.reference != self.cell.reference:
             return None
         return Frame(matrix=frame.matrix, covariance=frame.covariance)
 
@@ -115,15 +113,12 @@ class _Measured:
         """Return the slide at the stations, and with the nests, that the cell still has."""
         if self.log.cell.layout.slide != self.cell.layout.slide:
             return {}
-        frames = {
-            station.name: self.log.frames.get(f"station.{station.name}")
+        return {
+            station.name: Frame(matrix=frame.matrix, covariance=frame.covariance)
             for station in self.cell.station
             if station in self.log.cell.station
-        }
-        return {
-            name: Frame(matrix=frame.matrix, covariance=frame.covariance)
-            for name, frame in frames.items()
-            if frame is not None and frame.covariance
+            and (frame := self.log.frames.get(f"station.{station.name}")) is not None
+            and frame.covariance
         }
 
     def _same_robot(self) -> bool:

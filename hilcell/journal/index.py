@@ -29,7 +29,7 @@ import msgspec
 
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
-from hilcell.journal.journal import ABSENT, FETCH, NeverBegan, Record, StorageError
+from hilcell.journal.journal import ABSENT, BEYOND, FETCH, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, is_run, live_engine, read_records, run_folders, unusable
 from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import CalibrationRevoked, CalibrationUsed, Connected, SessionOrdered
@@ -526,15 +526,11 @@ def _opened(index: Path) -> sqlite3.Connection:
 @contextmanager
 def _spared(index: Path) -> Iterator[None]:
     """Do without an index that is locked or cannot be written; throw away a damaged one."""
-    passing = (
-        sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_PERM,
-    )  # fmt: skip
     try:
         yield
     except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
-        if code & 0xFF not in passing:
+        if code & 0xFF not in (*BEYOND, sqlite3.SQLITE_FULL):
             for file in (index, index.with_name(f"{NAME}-journal")):
                 with suppress(OSError):
                     file.unlink()

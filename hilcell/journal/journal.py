@@ -73,10 +73,8 @@ Body: TypeAlias = Json | msgspec.Struct  # of a record to be written
 
 FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
-CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
 SYNCHRONOUS = "FULL"  # an append returns when its record is on the disk
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
-SMALLEST_PAGE = 512  # bytes
 LARGEST = 2**28  # bytes of a journal; one of a thousand points has some 2**23
 LARGEST_RECORD = 2**25  # bytes
 # Of SQLite's machine, which takes some 15 for a record: reading ends, also of a hostile file.
@@ -108,15 +106,10 @@ SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS
 FROM record WHERE seq > ? ORDER BY seq
 """
 _SCHEMA = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL"
-_BEYOND = (  # errors that are not of the file's content
-    sqlite3.SQLITE_BUSY,
-    sqlite3.SQLITE_CANTOPEN,
-    sqlite3.SQLITE_IOERR,
-    sqlite3.SQLITE_LOCKED,
-    sqlite3.SQLITE_NOMEM,
-    sqlite3.SQLITE_PERM,
-    sqlite3.SQLITE_READONLY,
-)
+BEYOND = (  # errors that are not of the file's content
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY,
+)  # fmt: skip
 
 
 class StorageError(HilcellError):
@@ -208,7 +201,7 @@ class Journal:
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute(f"PRAGMA synchronous={SYNCHRONOUS}")
-            self._base.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
+            self._base.execute("PRAGMA cache_size=-256")  # KiB: the last pages are enough
             if create:
                 self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
                 meta = (("form", str(FORM)), ("run", run))
@@ -517,7 +510,7 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             _check_pages(base, path)  # they may hide the last records, while the chain holds
     except (*BROKEN, sqlite3.Error) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
-        if code in _BEYOND:
+        if code in BEYOND:
             raise
         other = "not a journal, or " if code == sqlite3.SQLITE_NOTADB else ""
         damage = f"{other}damaged at record {wanted}: {_cause(error)}"
@@ -547,5 +540,5 @@ def _check_pages(base: sqlite3.Connection, path: Path) -> None:
     (found,) = base.execute("PRAGMA integrity_check(1)").fetchone()
     if found != "ok":
         raise ValueError("the pages of the file are damaged")
-    if 0 < path.stat().st_size < SMALLEST_PAGE:
+    if 0 < path.stat().st_size < 512:  # bytes of the smallest page
         raise ValueError("the file is cut short")  # SQLite takes it for a new one

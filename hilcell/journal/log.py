@@ -58,8 +58,6 @@ E = TypeVar("E", bound=Event)
 F = TypeVar("F", bound=Frame)
 V = TypeVar("V", bound=Verdict)
 Args = TypeVarTuple("Args")
-SAME_DEG = 1.0  # of each axis: corrections and approaches turn less
-SAME_MM = 5.0  # of the slide
 
 
 class Driven:
@@ -94,8 +92,9 @@ class Driven:
         """Whether a motion ended at joints (6,) with the slide there."""
         if not self._ends:
             return False
+        same_mm, same_deg = 5.0, 1.0  # of the slide; of each axis: corrections turn less
         off = np.abs(np.reshape(self._ends, (-1, 7)) - [strip_mm, *np.degrees(joints_rad)])
-        near = (off[:, 0] <= SAME_MM) & (off[:, 1:] <= SAME_DEG).all(axis=1)
+        near = (off[:, 0] <= same_mm) & (off[:, 1:] <= same_deg).all(axis=1)
         return bool(near.any())
 
 

@@ -10,31 +10,26 @@ import shlex
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 OVERRIDE = "HILCELL_RUNS"
-HERE = Path("runs")
-XDG = "XDG_DATA_HOME"
-XDG_USUAL = Path(".local", "share")
 
 
-class RunsFolder(NamedTuple):
-    """``note`` says why it is not the user's own, where nobody has asked for it."""
+def usual_runs(environment: Mapping[str, str]) -> tuple[Path, str]:
+    """Return the folder of runs that holds without ``--runs``, and why it is not the user's own
+    where nobody has asked for that.
 
-    path: Path
-    note: str = ""
-
-
-def usual_runs(environment: Mapping[str, str]) -> RunsFolder:
-    """Return the folder of runs that holds without ``--runs``."""
+    The user's data are where the XDG base directory specification has them.
+    """
     if named := environment.get(OVERRIDE):
-        return RunsFolder(at_home(Path(named)))
-    own = _data_home(environment)
-    if own is None:
-        return RunsFolder(
-            HERE, f"this user has no home: runs are in {HERE.resolve()}; {OVERRIDE} names others"
-        )
-    return RunsFolder(own / "hilcell" / "runs")
+        return at_home(Path(named)), ""
+    data = Path(environment.get("XDG_DATA_HOME", ""))
+    if not data.is_absolute():  # to be ignored
+        home = environment.get("HOME", "") or os.path.expanduser("~")  # noqa: PTH111 - never raises
+        data = Path(home, ".local", "share")
+    if data.is_absolute():
+        return data / "hilcell" / "runs", ""
+    here = Path("runs")
+    return here, f"this user has no home: runs are in {here.resolve()}; {OVERRIDE} names others"
 
 
 def at_home(folder: Path) -> Path:
@@ -44,22 +39,8 @@ def at_home(folder: Path) -> Path:
     return folder
 
 
-def runs_option(runs: Path) -> str:
-    """Return what a command needs, with a blank before it, to find runs; "" where it does."""
-    usual = usual_runs(os.environ).path
-    return "" if usual.resolve() == runs.resolve() else f" --runs {shlex.quote(str(runs))}"
-
-
 def command_on(run: Path, command: str, *words: str) -> str:
     """Return a command of hilcell on the run of a folder, as a shell takes it."""
     line = shlex.join(["hilcell", command, run.name, *words])
-    return line + runs_option(run.parent)
-
-
-def _data_home(environment: Mapping[str, str]) -> Path | None:
-    """Return the user's folder of data by the XDG base directory specification, if there is one."""
-    stated = Path(environment.get(XDG, ""))
-    if stated.is_absolute():  # others are to be ignored
-        return stated
-    home = Path(environment.get("HOME", "") or os.path.expanduser("~"))  # noqa: PTH111 - never raises
-    return home / XDG_USUAL if home.is_absolute() else None
+    there = usual_runs(os.environ)[0].resolve() == run.parent.resolve()
+    return line if there else f"{line} --runs {shlex.quote(str(run.parent))}"

@@ -69,7 +69,7 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     """
     rows = list(rows)
     known, copies = _runs(rows)
-    cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
+    cells = {name: _cell(row, known) for name, row in known.items()}
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
     ordered = sorted(in_order(known.values()), key=lambda row: cells[row.name])
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
@@ -80,7 +80,10 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""
         rows_of_cell = list(of_cell)
-        doubts = {row.name: _doubt(row, known) for row in rows_of_cell}
+        doubts = {
+            row.name: next(filter(None, (each.facts.doubt for each in _origins(row, known))), "")
+            for row in rows_of_cell
+        }
         standing = _of_cell(rows_of_cell, doubts)
         found |= {name: replace(each, machine=machine) for name, each in standing.items()}
     for name, original in copies.items():
@@ -101,8 +104,7 @@ def current_of(
         (
             name
             for name, standing in standings(rows).items()
-            if standing.current == name
-            and (*_cell(known[name]), _machine(known[name], known)) == wanted
+            if standing.current == name and _cell(known[name], known) == wanted
         ),
         "",
     )
@@ -138,23 +140,14 @@ def _runs(rows: Iterable[RunRow]) -> tuple[dict[str, RunRow], dict[str, str]]:
     return known, copies
 
 
-def _cell(row: RunRow) -> tuple[str, ...]:
-    """Return what tells cells apart."""
-    return row.cell, row.serial, str(row.simulated)
-
-
-def _machine(row: RunRow, known: Mapping[str, RunRow]) -> str:
-    """Return which simulated machine it was; "" for a real one.
+def _cell(row: RunRow, known: Mapping[str, RunRow]) -> tuple[str, ...]:
+    """Return what tells cells apart; the last part is a simulated machine, "" for a real one.
 
     A run that uses a calibration was made on the machine of that, wherever its simulator was.
     """
     first = _origins(row, known)[-1]
-    return _simulated(first.machine_seed) if first.simulated else ""
-
-
-def _doubt(row: RunRow, known: Mapping[str, RunRow]) -> str:
-    """Return what makes a calibration doubtful, or one that it was made of; "" is nothing."""
-    return next((each.facts.doubt for each in _origins(row, known) if each.facts.doubt), "")
+    machine = _simulated(first.machine_seed) if first.simulated else ""
+    return row.cell, row.serial, str(row.simulated), machine
 
 
 def _origins(row: RunRow, known: Mapping[str, RunRow]) -> list[RunRow]:

@@ -88,7 +88,10 @@ class StreamFile:
     def take(self, blocks: Iterable[StreamBlock], joints: Iterable[JointSample] = ()) -> None:
         """Append samples; raises `StorageError`."""
         for block in blocks:
-            self._append(_rows_of(block))
+            rows = np.zeros(len(block.device_s), SAMPLES)
+            rows["device_s"], rows["xyz_mm"] = block.device_s, block.xyz_mm
+            rows["after_s"], rows["by_s"] = block.after_s, block.by_s
+            self._append(rows)
             if self._first_s is None:
                 self._first_s = self._last_s = float(block.device_s[0])
             steps_s = np.diff(block.device_s, prepend=self._last_s)
@@ -114,7 +117,11 @@ class StreamFile:
             self._file.flush()
             os.fsync(self._file.fileno())
             self._part.replace(self._path)
-            _sync_folder(self._folder)
+            opened = os.open(self._folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(opened)  # of the rename
+            finally:
+                os.close(opened)
         except OSError as error:
             raise self._failed(error) from error
         return StreamRecorded(
@@ -197,20 +204,3 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
         np.column_stack([joints["before_s"], joints["after_s"]]),
         joints["device_s"],
     )
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a rename durable; systems that open no folders do so by themselves."""
-    if hasattr(os, "O_DIRECTORY"):
-        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(opened)
-        finally:
-            os.close(opened)
-
-
-def _rows_of(block: StreamBlock) -> Rows:
-    rows = np.zeros(len(block.device_s), SAMPLES)
-    rows["device_s"], rows["xyz_mm"] = block.device_s, block.xyz_mm
-    rows["after_s"], rows["by_s"] = block.after_s, block.by_s
-    return rows

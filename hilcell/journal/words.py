@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from hilcell.journal.log import Log
 from hilcell.model.events import Event, OtherEvent, StepBegun
-from hilcell.model.point import HOLDS, KINDS, SEAT, SIDES, PointId
+from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import VALIDATION, verdict_title
 from hilcell.typed import Json
 
@@ -36,7 +36,6 @@ _STEPS = {
     "iso9283": "ISO 9283 test",
 }
 OTHERS = "others"  # stations that are judged together
-NEST_KINDS = ("world", "control", "length", "back", "reflector", "held", "slide", "three")
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
 _NUMBERED = re.compile(
@@ -86,7 +85,7 @@ def id_of(key: str, log: Log) -> PointId:
             found["how"] = part
         else:
             rest.append(SIDES.get(part, part))
-    if kind in NEST_KINDS:  # before it stands how often the nest was measured
+    if kind in ("world", "control", *CHECKS, "slide", "three"):  # after how often it was measured
         rest = rest[-1:]
     return PointId(kind, target=" ".join(rest), **found)
 

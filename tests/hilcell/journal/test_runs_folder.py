@@ -31,9 +31,9 @@ def test_which_folder(here: Path, environment: dict[str, str], path: str) -> Non
 
 
 def test_a_user_without_a_home(here: Path) -> None:
-    usual = usual_runs({"HOME": "nowhere"})
-    assert usual.path == Path("runs")
-    assert f"{here / 'runs'}" in usual.note
+    usual, note = usual_runs({"HOME": "nowhere"})
+    assert usual == Path("runs")
+    assert f"{here / 'runs'}" in note
 
 
 def test_commands_find_a_run_from_any_directory(
@@ -57,8 +57,8 @@ def test_a_tilde_that_no_shell_has_expanded_is_the_home(
 ) -> None:
     monkeypatch.setenv("HOME", str(here / "home"))
     finished(here / "home" / "kept", "1-made", MADE)
-    assert usual_runs({OVERRIDE: "~/kept"}).path == here / "home" / "kept"
-    assert usual_runs({OVERRIDE: "~nobody-of-this-name/x"}).path == Path("~nobody-of-this-name/x")
+    assert usual_runs({OVERRIDE: "~/kept"})[0] == here / "home" / "kept"
+    assert usual_runs({OVERRIDE: "~nobody-of-this-name/x"})[0] == Path("~nobody-of-this-name/x")
     assert main(["runs", "--runs=~/kept"]) == 0
     assert "1-made" in capsys.readouterr().out
     assert not (here / "~").exists()
