@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from shlex import quote
 from typing import TYPE_CHECKING, Literal
 
-from hilcell.alarms.catalogue import By, Entry, Severity, code_of_verdict, entry_of
+from hilcell.alarms.catalogue import By, Severity, code_of_verdict, entry_of
 from hilcell.clean import clean
 from hilcell.model.events import (
     AnswerRefused,
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
 
 # A text may come from a device, so nothing of it reaches a screen uncleaned.
-
-PARTS = ("code", "device", "operation", "found", "wanted", "act")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +82,11 @@ def findings_of(error: Json) -> list[Finding]:
     """Return the findings of an error's facts; devices that failed together have one each."""
     if causes := error.get("causes"):
         return [finding for cause in causes for finding in findings_of(cause)]
-    return [Finding(*(str(error.get(name, "")) for name in PARTS))]
+    parts = ("code", "device", "operation", "found", "wanted", "act")
+    return [Finding(*(str(error.get(name, "")) for name in parts))]
 
 
 DRIFT_LIMIT_K = 2.0
-MANY_APPROACHES = 0.5  # of those that the cell file allows
-STRAYED = 0.5  # of rail.slip_limit_mm: drive against strip, from one hold to the next
-REFUSED_EXITS = (2, 3, 5, 6, 7)
-PROBLEMS = {"safe stop": "HC-C02", "closed": "HC-C03"}
-REFUSALS = {"answer refused": "HC-C09", "retake refused": "HC-C14"}
 GO_ON = "space"  # the usual key
 Cause = Literal[
     "watched",  # looked at again and again: raised for as long as it is there
@@ -126,16 +120,12 @@ class Alarm:
     origin: int = 0
 
 
-SHOW_LAST = "`hilcell show last`"  # as an entry says it, which knows no run
-
-
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """A finding and its record; ``severity`` only where it is not the entry's."""
+    """A finding and its record, if one dates it; ``severity`` only where it is not the entry's."""
 
     finding: Finding
-    t: str = ""
-    seq: int = 0
+    at: Record | Change | None = None
     severity: Severity | None = None
     cause: Cause = "over"
     origin: int = 0
@@ -153,14 +143,13 @@ def alarms_of(
     """
     if log.plan is None:
         return []
-    session = [record for record in log.events if record.seq > log.began]
-    raised = _Raised(log, session, live)
+    raised = _Raised(log, [record for record in log.events if record.seq > log.began], live)
     moments = [*raised.temperature(), *raised.verdicts(), *raised.events(), *raised.points()]
     moments += raised.strip()
     moments += raised.devices() if live else []
     moments += [*raised.cut_off(), *raised.end()]
     moments += raised.lost() if lost and not live else []
-    moments.sort(key=lambda moment: moment.seq)
+    moments.sort(key=lambda moment: 0 if moment.at is None else moment.at.seq)
     over = not live or log.over
     return [_alarm(moment, run, go_on, over=over) for moment in moments]
 
@@ -173,10 +162,13 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
     if not entry.specific:
         steps.insert(0, (finding.advice, "you"))
-    then = "" if severity == "notice" else _then(entry, run, go_on, over=over)
+    name = quote(line(run))  # an entry, which knows no run, says last: by now that may be another
+    command = f", or `hilcell resume {name}`" if over else ""
+    ways = {"resume": f"Continue: {go_on}{command}.", "new run": "Start a new run: `hilcell run`."}
+    then = "" if severity == "notice" else ways.get(entry.then, "")
     steps.append((then, "you"))
-    of_run = f"`hilcell show {quote(line(run))}`"  # the newest may be another by now
-    steps = [(step.replace(SHOW_LAST, of_run), by) for step, by in steps if step]
+    last, this = "`hilcell show last`", f"`hilcell show {name}`"
+    steps = [(step.replace(last, this), by) for step, by in steps if step]
     return Alarm(
         entry.code,
         severity,
@@ -185,8 +177,8 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         finding.text,
         entry.means,
         tuple(step for step, _ in steps),
-        moment.t,
-        moment.seq,
+        "" if moment.at is None else moment.at.t,
+        0 if moment.at is None else moment.at.seq,
         entry.then == "new run",
         entry.passes,
         moment.cause,
@@ -194,17 +186,6 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         bool(then),
         moment.origin,
     )
-
-
-def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
-    match entry.then:
-        case "resume":
-            command = f", or `hilcell resume {quote(line(run))}`" if over else ""
-            return f"Continue: {go_on}{command}."
-        case "new run":
-            return "Start a new run: `hilcell run`."
-        case _:
-            return ""
 
 
 # -- alarms of the journal's records --------------------------------------------------------------
@@ -234,31 +215,31 @@ class _Raised:
             verdict = self.log.verdicts[key]
             if not verdict.holds:
                 code = code_of_verdict(key, verdict.outcome)
-                yield _Moment(_cell(code, f"verdict {key}", verdict.why), record.t, record.seq)
+                yield _Moment(_cell(code, f"verdict {key}", verdict.why), record)
 
     def events(self) -> Iterator[_Moment]:
         back = max((r.seq for r in self.session if isinstance(r.fact, ScreenBack)), default=0)
         for record in self.session:
-            t, seq = record.t, record.seq
             match record.fact:
                 case NoReadingOf(error=error):
                     # Tried again at once; whether that helped is elsewhere.
-                    yield from _moments(error, t, seq, "notice")
+                    yield from _moments(error, record, "notice")
                 case SafeStopSent() | Closed() as closing:
+                    code = "HC-C02" if isinstance(closing, SafeStopSent) else "HC-C03"
                     for name in closing.problems:
-                        code, found = PROBLEMS[closing.what], _problem(name, closing)
-                        finding = _cell(code, closing.what, found)
-                        yield _Moment(finding, t, seq, cause="not watched")
+                        finding = _cell(code, closing.what, _problem(name, closing))
+                        yield _Moment(finding, record, cause="not watched")
                 case CommandRefused() as impossible:
-                    yield _Moment(_cell("HC-C06", "command", impossible.why), t, seq)
-                case ScreenLost() if seq > back:
-                    found = "nobody watches any more"
-                    yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")
+                    yield _Moment(_cell("HC-C06", "command", impossible.why), record)
+                case ScreenLost() if record.seq > back:
+                    finding = _cell("HC-C08", "screen lost", "nobody watches any more")
+                    yield _Moment(finding, record, cause="watched")
                 case AnswerRefused() | RetakeRefused() as refused:
                     found = refused.subject + after(refused.why) if refused.subject else refused.why
-                    yield _Moment(_cell(REFUSALS[refused.what], refused.what, found), t, seq)
+                    code = "HC-C09" if isinstance(refused, AnswerRefused) else "HC-C14"
+                    yield _Moment(_cell(code, refused.what, found), record)
                 case LinkCounted() if self.log.link is not None and self.log.link.warning:
-                    yield _Moment(_cell("HC-R12", "link", self.log.link.counts), t, seq)
+                    yield _Moment(_cell("HC-R12", "link", self.log.link.counts), record)
 
     def points(self) -> Iterator[_Moment]:
         """Yield the points and sweeps that were not as they should be."""
@@ -266,10 +247,10 @@ class _Raised:
             match record.fact:
                 case OutlierMeasuredAgain(key=key):
                     found = f"{key} stands out from its neighbours and was measured again"
-                    yield _Moment(_cell("HC-V05", "outlier", found), record.t, record.seq)
+                    yield _Moment(_cell("HC-V05", "outlier", found), record)
                 case CurveMeasured(holds=False) as sweep:
                     found = f"A{sweep.axis}: {sweep.reason}"
-                    yield _Moment(_cell("HC-V06", "axis sweep", found), record.t, record.seq)
+                    yield _Moment(_cell("HC-V06", "axis sweep", found), record)
 
     def strip(self) -> Iterator[_Moment]:
         """Yield the holds that took long, or at which drive and strip have moved apart."""
@@ -279,15 +260,15 @@ class _Raised:
             if not isinstance(held, StationHeld):
                 continue
             name, tries = held.station, held.tries
-            if tries > MANY_APPROACHES * rail.max_approaches:
-                found = f"{name} held only after {tries} approaches, "
-                found += f"{rail.max_approaches} are allowed"
-                yield _Moment(_cell("HC-S08", "strip approaches", found), record.t, record.seq)
+            if tries > 0.5 * rail.max_approaches:
+                allowed = f"{rail.max_approaches} are allowed"
+                found = f"{name} held only after {tries} approaches, {allowed}"
+                yield _Moment(_cell("HC-S08", "strip approaches", found), record)
             apart_mm = held.rail_mm - held.strip_mm
             strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
-            if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
+            if not abs(strayed_mm) <= 0.5 * rail.slip_limit_mm:
                 found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
-                yield _Moment(_cell("HC-S09", "strip apart", found), record.t, record.seq)
+                yield _Moment(_cell("HC-S09", "strip apart", found), record)
 
     def devices(self) -> Iterator[_Moment]:
         """Yield the devices that are lost while the run waits: the next motion would be refused."""
@@ -299,7 +280,7 @@ class _Raised:
                 case DeviceBack(device=device):
                     lost.pop(device, None)
         for record, error in lost.values():
-            yield from _moments(error, record.t, record.seq, cause="watched")
+            yield from _moments(error, record, cause="watched")
 
     def cut_off(self) -> Iterator[_Moment]:
         """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
@@ -309,48 +290,42 @@ class _Raised:
         severity: Severity | None = "notice" if self.log.state == "finished" else None
         for cut in self.log.cut_off:
             found = _crash(cut.state, cut.points)
-            yield _Moment(found, cut.last.t, cut.last.seq, severity, origin=cut.began)
+            yield _Moment(found, cut.last, severity, origin=cut.began)
 
     def end(self) -> Iterator[_Moment]:
         """Yield why the run stands as it does, or why a session did not begin."""
-        log = self.log
-        state, end = log.state, log.end
-        none = StateChanged(machine="run", to="idle")
-        seq, t, change = log.life[-1] if log.life else Change(0, "", none)
-        reason, error = change.reason, change.error
+        log, state, end = self.log, self.log.state, self.log.end
+        none = Change(0, "", StateChanged(machine="run", to="idle"))
+        newest = log.life[-1] if log.life else none
+        reason, error = newest.change.reason, newest.change.error
         refused_has_end = log.life and not log.over
         if state == "faulted":
-            yield from _moments(error, t, seq, "fault", "not watched")
+            yield from _moments(error, newest, "fault", "not watched")
         elif state == "suspended" and self.live and error:
-            yield from _moments(error, t, seq, cause="watched")
+            yield from _moments(error, newest, cause="watched")
         elif state == "aborted":
-            yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
+            yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), newest)
         elif not self.live and (end is None or refused_has_end):
-            final = log.newest
-            at = (final.t, final.seq) if final is not None else (t, seq)
-            found = _crash(state, log.counted)
-            yield _Moment(found, *at, cause="watched", origin=log.began)
-        if end is not None and end.error and end.reason != reason and end.exit in REFUSED_EXITS:
-            yield from _moments(end.error, t, seq, "fault", "not watched")  # its end alone says so
+            crash = _crash(state, log.counted)
+            yield _Moment(crash, log.newest or newest, cause="watched", origin=log.began)
+        refused = end is not None and end.exit in (2, 3, 5, 6, 7) and end.reason != reason
+        if end is not None and end.error and refused:
+            # Its end alone says so.
+            yield from _moments(end.error, newest, "fault", "not watched")
 
     def lost(self) -> Iterator[_Moment]:
         """Yield that the calibration's file is not there, where the run has ended with one."""
         if self.log.calibrates:
-            final = self.log.life[-1]
             finding = _cell("HC-J11", "calibration", "it has no file")
-            yield _Moment(finding, final.t, final.seq, cause="watched")
+            yield _Moment(finding, self.log.life[-1], cause="watched")
 
 
 def _moments(
-    error: Json,
-    t: str,
-    seq: int,
-    severity: Severity | None = None,
-    cause: Cause = "over",
+    error: Json, at: Record | Change, severity: Severity | None = None, cause: Cause = "over"
 ) -> Iterator[_Moment]:
     """Yield the alarms of a record's error."""
     for finding in findings_of(error):
-        yield _Moment(finding, t, seq, severity, cause)
+        yield _Moment(finding, at, severity, cause)
 
 
 def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:

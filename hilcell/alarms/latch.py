@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hilcell.alarms.alarm import Alarm
@@ -41,11 +40,7 @@ class Latched:
         return self.acknowledged and (bool(self.gone) or self.alarm.cause == "over")
 
 
-Mark = tuple[str, int, str]
-NOBODY: Mapping[str, int] = MappingProxyType({})  # has acknowledged anything
-
-
-def _mark(alarm: Alarm) -> Mark:
+def _mark(alarm: Alarm) -> tuple[str, int, str]:
     return alarm.code, alarm.origin or alarm.seq, alarm.where
 
 
@@ -54,10 +49,13 @@ class Latch:
 
     def __init__(self) -> None:
         self._latched: dict[str, Latched] = {}
-        self._seen: dict[Mark, Alarm] = {}
+        self._seen: dict[tuple[str, int, str], Alarm] = {}
 
     def take(
-        self, alarms: Iterable[Alarm], at: str = "", acknowledged: Mapping[str, int] = NOBODY
+        self,
+        alarms: Iterable[Alarm],
+        at: str = "",
+        acknowledged: Mapping[str, int] | None = None,
     ) -> None:
         """Latch those that were not seen before; ``alarms`` are all that the journal raises now.
 
@@ -65,6 +63,7 @@ class Latch:
         where it is not known: a run that is opened again has not tried its devices yet.
         ``acknowledged`` is what the journal says, as `acknowledged_in` returns it.
         """
+        acknowledged = acknowledged or {}
         for code in acknowledged:
             self._acknowledge_until(code, acknowledged)
         raised = {_mark(alarm): alarm for alarm in alarms}

@@ -40,9 +40,7 @@ from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 
 SIGMAS = 4.0
-FRAMING = "world"  # kind of the points of which {W} is framed
 TEARDOWN_S = 15.0
-HELD_DEVICES = ("Rail", "Robot")
 GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
     "paused": ("command",),
     "suspended": ("command", "answer", "look"),
@@ -117,7 +115,7 @@ class Tally:
 def judge(records: Iterable[Record]) -> dict[str, Proof]:
     """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
     tally, scene = Tally(), Scene()
-    kinds = (LifeRules, Motions, Measurements, TrackerSetUps, Identities)
+    kinds = (_LifeRules, _Motions, _Measurements, _TrackerSetUps, _Identities)
     rules: list[Rules] = [each(tally, scene) for each in kinds]
     for record in records:
         try:
@@ -144,14 +142,13 @@ class Rules:
         raise NotImplementedError
 
 
-class Motions(Rules):
+class _Motions(Rules):
     """Judges motions by what was known when each was journalled: I1, I2, I5, I11, I14.
 
     I9 for motions to what is acknowledged.
     """
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         match record.fact:
             case Intended() as motion:
                 self._motion(record, motion)
@@ -228,11 +225,10 @@ def _before_end(seen: SeenBefore) -> str:
     return "" if late else "the reading was taken before the motion had ended"
 
 
-class TrackerSetUps(Rules):
+class _TrackerSetUps(Rules):
     """Judges what was measured at which set-up, and when the tracker was proven."""
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         scene = self._scene
         match record.fact:
             case Point() as point:
@@ -312,7 +308,7 @@ class TrackerSetUps(Rules):
         before, now = self._nests(self._scene.set_up), self._scene.control
         self._check("I15", record, bool(before) and before.keys() == now.keys(), "nests missing")
         for nest in before.keys() & now.keys():
-            off_mm = _apart_mm(before[nest], now[nest])
+            off_mm = math.dist(before[nest].xyz_mm, now[nest].xyz_mm)
             limit_mm = self._limit_mm(before[nest], now[nest])
             what = f"proven with {nest} {off_mm:.3f} mm off, at most {limit_mm:.3f} mm"
             self._check("I15", record, off_mm <= limit_mm, what)
@@ -323,7 +319,7 @@ class TrackerSetUps(Rules):
         return {
             nest_of(key): point
             for key, point in points
-            if key.startswith(f"{FRAMING}/") and point.set_up == set_up
+            if key.startswith("world/") and point.set_up == set_up
         }
 
     def _changes(
@@ -331,9 +327,9 @@ class TrackerSetUps(Rules):
     ) -> Iterator[tuple[str, float, float]]:
         """Yield each two nests, by how much their distance has changed, and its limit."""
         for one, other in combinations(sorted(before.keys() & now.keys()), 2):
-            then_mm = _apart_mm(before[one], before[other])
-            off_mm = abs(_apart_mm(now[one], now[other]) - then_mm)
             four = (before[one], before[other], now[one], now[other])
+            then, there, here, away = (point.xyz_mm for point in four)
+            off_mm = abs(math.dist(here, away) - math.dist(then, there))
             yield f"{one} to {other}", off_mm, self._limit_mm(*four)
 
     def _limit_mm(self, *points: Point) -> float:
@@ -363,11 +359,7 @@ def _columns(points: Sequence[Point]) -> tuple[Array, Array, Array]:
     return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
 
 
-def _apart_mm(one: Point, other: Point) -> float:
-    return math.dist(one.xyz_mm, other.xyz_mm)
-
-
-class LifeRules(Rules):
+class _LifeRules(Rules):
     """Judges states, teardowns and ends."""
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
@@ -380,7 +372,6 @@ class LifeRules(Rules):
         self._failed: set[str] = set()  # the keys of verdicts that do not hold now
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         gap = f"record {self._seq} came before"
         self._check("I8", record, record.seq == self._seq + 1, gap)
         self._seq = record.seq
@@ -423,7 +414,7 @@ class LifeRules(Rules):
         Then the run has not ended well, and says so.
         """
         problems = self._closings[-1].problems if self._closings else {}
-        for device in HELD_DEVICES:
+        for device in ("Rail", "Robot"):
             problem = problems.get(device, "")
             if problem and to == "faulted":
                 self._tally.unproven("I12", record, f"{device}: {problem}")
@@ -463,11 +454,10 @@ class LifeRules(Rules):
         self._check("I8", record, not wrong, f"the result counts {figures}")
 
 
-class Measurements(Rules):
+class _Measurements(Rules):
     """Judges each point."""
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         point, scene, key = record.fact, self._scene, record.key
         if not isinstance(point, Point):
             return
@@ -533,7 +523,7 @@ class Measurements(Rules):
         self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")
 
 
-class Identities(Rules):
+class _Identities(Rules):
     """Compares what answered with what answered before."""
 
     def __init__(self, tally: Tally, scene: Scene) -> None:
@@ -543,7 +533,6 @@ class Identities(Rules):
         self._accepted = False  # since the last connection
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         match record.fact if record.kind == "event" else None:
             case ChangesAccepted():
                 self._accepted = True

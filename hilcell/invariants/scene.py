@@ -33,61 +33,47 @@ from hilcell.model.records import Intended, StateChanged
 from hilcell.typed import typed
 
 
-class Station(msgspec.Struct, frozen=True):
-    """A station and what the strip reads there."""
-
+class _Station(msgspec.Struct, frozen=True):
     name: str
     strip_mm: float
 
 
-class Rail(msgspec.Struct, frozen=True):
-    """The slide's tolerance."""
-
+class _Rail(msgspec.Struct, frozen=True):
     strip_tolerance_mm: float = 0.01
 
 
-class Robot(msgspec.Struct, frozen=True):
-    """The safe pose."""
-
+class _Robot(msgspec.Struct, frozen=True):
     safe_deg: tuple[float, ...] = ()
 
 
-class Settle(msgspec.Struct, frozen=True):
-    """Rest before a measurement, and the greatest age of a reading."""
-
+class _Settle(msgspec.Struct, frozen=True):
     robot_s: float = 1.0
     rail_s: float = 2.0
-    reading_age_s: float = 0.5
+    reading_age_s: float = 0.5  # at most
 
 
-class Layout(msgspec.Struct, frozen=True):
-    """Whether reflectors are mounted."""
-
+class _Layout(msgspec.Struct, frozen=True):
     reflectors: str = "mounted"
 
 
-class Uncertainty(msgspec.Struct, frozen=True):
-    """The stated drift of the tracker's frame."""
-
-    drift_limit_mm: float = 0.02
+class _Uncertainty(msgspec.Struct, frozen=True):
+    drift_limit_mm: float = 0.02  # of the tracker's frame
 
 
-class Simulation(msgspec.Struct, frozen=True):
-    """A simulated cell."""
-
+class _Simulation(msgspec.Struct, frozen=True):
     address: str = ""
 
 
 class CellFacts(msgspec.Struct, frozen=True):
     """The cell as it was frozen, as far as the rules need it."""
 
-    station: list[Station] = []
-    rail: Rail = Rail()
-    robot: Robot = Robot()
-    settle: Settle = Settle()
-    layout: Layout = Layout()
-    uncertainty: Uncertainty = Uncertainty()
-    simulation: Simulation | None = None
+    station: list[_Station] = []
+    rail: _Rail = _Rail()
+    robot: _Robot = _Robot()
+    settle: _Settle = _Settle()
+    layout: _Layout = _Layout()
+    uncertainty: _Uncertainty = _Uncertainty()
+    simulation: _Simulation | None = None
 
 
 @dataclass(slots=True)
@@ -123,7 +109,7 @@ class Scene:
         """Whether the run waits for the operator."""
         return self.state in WAITING
 
-    def station(self, name: str) -> Station | None:
+    def station(self, name: str) -> _Station | None:
         """Return a station of the cell."""
         return next((each for each in self.cell.station if each.name == name), None)
 
@@ -139,7 +125,11 @@ class Scene:
                 if self.cell.simulation is not None:
                     self.time_factor = math.inf if speed is None else speed
             case Intended() as motion:
-                self._take_motion(record.key, motion)
+                self.last, self.last_key = motion, record.key
+                if of_rail(motion):
+                    self.held, self.rail_moved = "", True
+                else:
+                    self.robot_moved = True
             case Point() as point:
                 self._take_point(record.key, point)
             case Frame() if is_world(record.key):
@@ -154,17 +144,10 @@ class Scene:
             self.held, self.last, self.last_key = "", None, ""
             self.rail_moved = self.robot_moved = False
 
-    def _take_motion(self, key: str, motion: Intended) -> None:
-        self.last, self.last_key = motion, key
-        if of_rail(motion):
-            self.held, self.rail_moved = "", True
-        else:
-            self.robot_moved = True
-
     def _take_point(self, key: str, point: Point) -> None:
         self.points[key] = point
         self.again.discard(key)
-        if is_control(key):
+        if key.startswith("control/"):
             self.control[nest_of(key)] = point
         elif not is_proof(key):
             self.unproven[key] = self.session
@@ -211,11 +194,6 @@ def set_up_of(frame: str) -> int:
     """Return the set-up of a {W}."""
     number = frame.partition(".")[2]
     return int(number) if number.isdecimal() else 0
-
-
-def is_control(key: str) -> bool:
-    """Whether a point proves the tracker."""
-    return key.startswith("control/")
 
 
 def is_proof(key: str) -> bool:

@@ -48,18 +48,17 @@ def parse_channel(channel: str) -> Socket | SerialLine:
         host, more = url.hostname or "", url.username or url.path or url.query or url.fragment
         if url.scheme != "socket" or more or not re.match(_HOST, host) or not port:
             raise ValueError(
-                f"channel: socket://HOST:PORT is wanted, found {channel!r}; "
-                "allowed ports: 1 to 65535"
+                f"channel: expected socket://HOST:PORT with a port of 1 to 65535, got {channel!r}"
             )
         return Socket(host, port)
     path, at, baud = channel.partition("@")
     if not path.strip() or (at and not (baud.isascii() and baud.isdecimal() and len(baud) < 9)):
-        raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
+        raise ValueError(f"channel: expected socket://HOST:PORT or PATH[@BAUD], got {channel!r}")
     slowest_baud, fastest_baud = 50, 4_000_000
     if at and not slowest_baud <= int(baud) <= fastest_baud:
         raise ValueError(
-            f"channel: a baud rate is wanted behind @, found {channel!r}; "
-            f"allowed: {slowest_baud} to {fastest_baud}, without @ it is {BAUD}"
+            f"channel: expected a baud rate of {slowest_baud} to {fastest_baud} behind @, "
+            f"got {channel!r}; without @ it is {BAUD}"
         )
     return SerialLine(path, int(baud) if at else BAUD)
 

@@ -80,10 +80,6 @@ class Head(msgspec.Struct, frozen=True):
     form: int = FORM
 
 
-class _Form(msgspec.Struct):
-    form: int | None = None
-
-
 class Recorder:
     """Writes one recording; safe to use from several threads. A full disk ends it, no wire."""
 
@@ -171,7 +167,7 @@ def head_of(clock: Sequence[Piece], path: Path) -> Head:
     stated = next((piece.data for piece in clock if piece.e == "run"), b"")
     if not stated:
         raise SettingsError(str(path), [f"does not state the recorded run; {COPY_AGAIN}"])
-    form = decoded(stated, _Form).form
+    form = decoded(stated, Json).get("form")
     if form != FORM:
         found = f"form {form or 'none'}, expected {FORM}; record the run again"
         raise SettingsError(str(path), [found])

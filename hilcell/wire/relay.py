@@ -78,17 +78,16 @@ class SocketRelay:
             with far:
                 for end in (near, far):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._carry(near, far, number)
+                arguments = {"source": far, "sink": near, "number": number, "outward": False}
+                back = threading.Thread(target=self._pump, kwargs=arguments, daemon=True)
+                back.start()
+                self._pump(near, far, number, outward=True)
+                back.join()
 
-    def _carry(self, near: socket.socket, far: socket.socket, number: int) -> None:
-        """Carry bytes both ways until one side ends."""
-        back = threading.Thread(target=self._pump, args=(far, near, number, "<"), daemon=True)
-        back.start()
-        self._pump(near, far, number, ">")
-        back.join()
-
-    def _pump(self, source: socket.socket, sink: socket.socket, number: int, way: str) -> None:
-        outward = way == ">"
+    def _pump(
+        self, source: socket.socket, sink: socket.socket, number: int, *, outward: bool
+    ) -> None:
+        """Carry bytes one way until that side ends."""
         with suppress(OSError):
             while data := source.recv(READ):
                 self._recorder.take(number, ">" if outward else "<", data)
