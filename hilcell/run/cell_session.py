@@ -27,8 +27,6 @@ from hilcell.run.run_context import Ask, RunContext
 from hilcell.run.states import still_refused
 from hilcell.run.watch import Watch
 
-STRAY_MM = 10.0  # of a pose in the measured base: nominal errors are far less, a lost zero is more
-
 
 class CellSession:
     """A cell with its devices open, as one run sees it. Used by the worker thread alone."""
@@ -172,11 +170,12 @@ class CellSession:
         robot = self._mover.robot_to(joints_rad, what, above=above, straight=straight)
         T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
+        stray_mm = 10.0  # in the measured base: nominal errors are far less, a lost zero is more
         for n, id in enumerate(ids):
             smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]
             at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
             place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
-            reading = self._watch.measured_in_world(id.key, place, at_mm, samples, STRAY_MM)
+            reading = self._watch.measured_in_world(id.key, place, at_mm, samples, stray_mm)
             self._meter.keep(
                 id,
                 station.name,

@@ -27,8 +27,6 @@ from hilcell.run.interlocks import Blocked, check_joint_limits
 from hilcell.run.run_context import RunContext
 
 PLANNED_MM = 10.0  # by which a plan is stricter: corrections, the base as measured, the held place
-CUBE_MM, CUBE_RAD = 20.0, np.radians(1.0)  # corrected poses are a little outside, too
-CIRCLE_RAD = np.radians(1.0)
 
 
 # -- for plans ------------------------------------------------------------------------------------
@@ -47,8 +45,7 @@ def clear(cell: Cell, station: Station, from_rad: Array, to_rad: Array) -> Bools
 
 def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
     """Return which poses (N, 6) a plan may drive to at ``station``, and back, (N,)."""
-    low, high = cell.robot.margin_limits_rad
-    ok: Bools = ((joints_rad >= low) & (joints_rad <= high)).all(axis=-1)
+    ok = _within(joints_rad, *cell.robot.margin_limits_rad)
     if cell.surroundings is None:
         return ok & ~leaves_cube(cell, joints_rad)
     for start, end in _legs(cell, joints_rad):
@@ -63,8 +60,7 @@ def check_path(cell: Cell, station: Station, from_rad: Array, to_rad: Array, wha
 
 def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
     """Refuse poses (N, 6) that a plan cannot drive to at ``station``, or back; raises `Blocked`."""
-    low, high = cell.robot.margin_limits_rad
-    for joints in joints_rad[~((joints_rad >= low) & (joints_rad <= high)).all(axis=-1)]:
+    for joints in joints_rad[~_within(joints_rad, *cell.robot.margin_limits_rad)]:
         check_joint_limits(cell, joints, what)
     if not bool(np.all(~leaves_cube(cell, joints_rad))):
         check_stated(cell, what)
@@ -91,7 +87,6 @@ def check_stated(cell: Cell, what: str) -> None:
             what,
             "it leaves the grid's cube, and nothing is stated of what stands around the arm",
             wanted="robot.envelope and keep_out",
-            act="state them in the cell file",
         )
 
 
@@ -108,10 +103,11 @@ def leaves_cube(cell: Cell, joints_rad: Array) -> Bools:
 
     Stated are the grid's cube, with the tool turned as the grid has it, and the base's circles.
     """
+    cube_mm, cube_rad = 20.0, np.radians(1.0)  # corrected poses are a little outside, too
     found, centre = forward(cell.robot.arm(), joints_rad), cell.grid.centre.matrix()
     off_mm = np.abs(found[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
     cosine = (np.einsum("nij,ij->n", found[:, :3, :3], centre[:3, :3]) - 1.0) / 2.0  # of the turn
-    stated = (off_mm <= CUBE_MM).all(axis=-1) & (cosine >= np.cos(CUBE_RAD))
+    stated = (off_mm <= cube_mm).all(axis=-1) & (cosine >= np.cos(cube_rad))
     if not bool(stated.all()):
         table = cell.base_frame
         stated |= _on_circle(joints_rad, 0, table.axis_1_deg, table.axis_1_sweep_deg)
@@ -125,9 +121,14 @@ def _on_circle(
 ) -> Bools:
     low, high = np.radians(fixed_deg), np.radians(fixed_deg)
     low[axis], high[axis] = np.radians(min(sweep_deg)), np.radians(max(sweep_deg))
-    inside = (joints_rad >= low - CIRCLE_RAD) & (joints_rad <= high + CIRCLE_RAD)
-    on: Bools = inside.all(axis=-1)
-    return on
+    more_rad = np.radians(1.0)
+    return _within(joints_rad, low - more_rad, high + more_rad)
+
+
+def _within(joints_rad: Array, low: Array, high: Array) -> Bools:
+    """Return which poses (N, 6) are within limits (6,) on every axis, (N,)."""
+    within: Bools = np.all((joints_rad >= low) & (joints_rad <= high), axis=-1)
+    return within
 
 
 def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
@@ -207,7 +208,6 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
         f"{what}{of}",
         f"link {nearest.link} {near} keep-out {nearest.volume}, at {axes} deg, rail {at[0]:.0f} mm",
         wanted=f">= {wanted_mm:.0f} mm",
-        act="choose another pose, or correct keep_out or robot.envelope in the cell file",
         fields={
             "link": nearest.link,
             "keep_out": nearest.volume,

@@ -48,7 +48,6 @@ from hilcell.wire.record import Addresses, WireRecording
 from hilcell.wire.recording import Head, TimedStop
 from hilcell.writing import NotWritten
 
-RUNS_LOOKED_AT = 5  # for poses that were driven before
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
 
 
@@ -229,7 +228,6 @@ class NewEngine(Engine):
         self._before: Json = {}  # facts of earlier runs
 
     def _open(self, stack: ExitStack) -> RunJournal:
-        """Make the run's folder and its journal."""
         folder, cell, runs = self.plan.folder, self.plan.cell, self.plan.folder.parent
         if is_run(folder):
             raise HilcellError(
@@ -251,7 +249,6 @@ class NewEngine(Engine):
         return stack.enter_context(closing(RunJournal(folder / JOURNAL, folder.name, create=True)))
 
     def _begin(self) -> None:
-        """Journal the plan."""
         order, plan, cell = self._order, self.plan, self.plan.cell
         speed = order.speed
         packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
@@ -311,7 +308,6 @@ class ResumedEngine(Engine):
         self.plan = replace(self.plan, changes=Changes(accepted=changes.accepted))
 
     def _begin(self) -> None:
-        """Journal the session's order, and what is to be measured again."""
         if self.plan.goes_on:
             place = msgspec.structs.asdict(self._place())
             self.journal.append("event", "", SessionOrdered(**place))
@@ -320,7 +316,8 @@ class ResumedEngine(Engine):
 
 
 def finished_runs(runs: Path, cell: Cell) -> list[str]:
-    """Return the newest finished runs of a cell that states its volumes: poses known from them.
+    """Return the newest five finished runs of a cell that states its volumes: poses are known from
+    them.
 
     Where a simulated cell or a replay went, nothing is known of the real one.
     """
@@ -329,4 +326,4 @@ def finished_runs(runs: Path, cell: Cell) -> list[str]:
     of_cell = cell.name, cell.serial, cell.simulation is not None
     rows = [row for row in read_index(runs) if row.state == "finished" and not row.replayed]
     same = [row.name for row in rows if (row.cell, row.serial, row.simulated) == of_cell]
-    return same[:RUNS_LOOKED_AT]
+    return same[:5]

@@ -18,7 +18,6 @@ from hilcell.ports import Array, DeviceError
 
 SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift
 ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
-FLOOR_UM_M_K, UNKNOWN_K = 12.0, 10.0  # concrete's and steel's growth; air that nobody measured
 
 
 class WrongDistance(NamedTuple):
@@ -74,14 +73,16 @@ def limit_since(
     Besides noise and stated drift both runs have the tracker's limits, and the floor has grown.
     """
     now_c = [point.temperature_c for point in nests if point.temperature_c is not None]
-    known = bool(now_c) and then_c is not None
-    warmer_k = abs(float(np.mean(now_c)) - (then_c or 0.0)) if known else UNKNOWN_K
+    warmer_k = 10.0  # air that nobody measured
+    if now_c and then_c is not None:
+        warmer_k = abs(float(np.mean(now_c)) - then_c)
     at_mm = positions_mm(nests)
     longest_mm = float(np.linalg.norm(at_mm[:, None] - at_mm[None], axis=-1).max())
     far_mm = float(np.linalg.norm(at_mm, axis=1).max())
     stated = cell.uncertainty
     tracker_mm = 2.0 * (stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm)
-    grown_mm = 1e-6 * FLOOR_UM_M_K * warmer_k * longest_mm
+    floor_um_m_k = 12.0  # growth of concrete and steel
+    grown_mm = 1e-6 * floor_um_m_k * warmer_k * longest_mm
     return float(limits_of(cell, noise, nests, nests).max()) + tracker_mm + grown_mm
 
 

@@ -20,12 +20,9 @@ from hilcell.ports import Array, Clock, DeviceError, RailReading, RobotReading
 from hilcell.run.control import Interlock
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
-OVERVIEW_AGE_S = 5.0  # an older reading tells a face nothing; motions take their own
 RAIL_BLOCKED, ROBOT_BLOCKED = "rail move blocked", "robot move blocked"
 MEASURE_BLOCKED = "measurement blocked"
-# By device: a reading that is too old, and a motion where there should be none.
-TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}
-MOVES = {"Rail": "HC-R41", "Robot": "HC-B31"}
+TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}  # a reading, by device
 
 
 class Blocked(DeviceError):
@@ -107,7 +104,6 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
             RAIL_BLOCKED,
             f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
             wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
-            act="move the robot to its safe pose",
             fields={
                 "axis": worst + 1,
                 "angle_deg": np.degrees(robot.joints_rad[worst]),
@@ -163,7 +159,6 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
             operation,
             f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
             wanted=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
-            act="the slide has moved; resume to approach the station again",
             fields={
                 "station": station.name,
                 "strip_mm": rail.strip_mm,
@@ -185,7 +180,6 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
             what,
             f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
             wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
-            act="move the target or choose another status",
             fields={"axis": axis + 1, "angle_deg": np.degrees(joints_rad[axis])},
         )
 
@@ -232,11 +226,12 @@ def _known(device: str, operation: str, reading: R | None, moves: bool, now_s: f
     """Return a device's last reading, unless it moves now or the reading says nothing any more."""
     name = device.lower()
     if moves:
-        raise Blocked(MOVES[device], device, operation, f"the {name} is moving", wanted="at rest")
+        code = "HC-R41" if device == "Rail" else "HC-B31"
+        raise Blocked(code, device, operation, f"the {name} is moving", wanted="at rest")
     if reading is None:
         raise Blocked(TOO_OLD[device], device, operation, f"the {name} was not read yet")
     age_s = now_s - reading.taken_s
-    if not -0.001 <= age_s <= OVERVIEW_AGE_S:  # it is read again before anything moves
+    if not -0.001 <= age_s <= 5.0:  # it is read again before anything moves
         found = f"the {name} was last read {age_s:.0f} s ago"
         raise Blocked(TOO_OLD[device], device, operation, found, fields={"age_s": age_s})
     return reading

@@ -22,7 +22,6 @@ from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_p
 from hilcell.run.run_context import RunContext
 
 MEASURE_TRIES = 3
-FLANGE_TOLERANCE_MM = 20.0  # of a seat, by the nominal arm
 
 
 class Meter:
@@ -99,8 +98,6 @@ class Meter:
                 f"measure {key}",
                 f"reflector {off_mm:.2f} mm from its expected place",
                 wanted=f"<= {limit_mm:.1f} mm",
-                act="another reflector was caught, tool, base or tracker moved, or an axis lost "
-                "its zero; check, resume",
                 fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
             )
 
@@ -217,7 +214,8 @@ class Meter:
         near_mm = self._run.frames.tracker_from_world(nominal_mm)[0]
         if "world" not in self._run.log.frames:
             return near_mm, self._run.cell.tracker.find_radius_mm
-        limit_mm = FLANGE_TOLERANCE_MM if place == FLANGE else 2 * layout.nest_tolerance_mm
+        flange_mm = 20.0  # by the nominal arm
+        limit_mm = flange_mm if place == FLANGE else 2 * layout.nest_tolerance_mm
         return near_mm, limit_mm
 
     def _borrow(self, place: str, nest: Nest) -> None:

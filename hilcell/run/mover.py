@@ -76,7 +76,6 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
         f"station {station.name} not held",
         f"strip {reading.strip_mm:.2f} mm",
         wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} approaches",
-        act="check the strip head and the slide's friction, then resume",
         fields={
             "station": station.name,
             "strip_mm": reading.strip_mm,
@@ -109,7 +108,6 @@ def _check_strip_follows(
             f"approach of {station.name}",
             f"drive {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
             wanted=f"<= {table.slip_limit_mm:.2f} mm apart",
-            act="the slide slipped or this is another station; home and check the coupling",
             fields={
                 "station": station.name,
                 "drive_mm": reading.position_mm,

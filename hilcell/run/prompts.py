@@ -156,7 +156,7 @@ def refusal(prompt: Prompt, look: Look, lost: Mapping[str, DeviceError]) -> str:
 def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
     """Return the fault of a run that asks while nobody is there to answer."""
     if cause is None:
-        return DeviceError("HC-C16", "Tracker", "measure", prompt.reason, act="run it attended")
+        return DeviceError("HC-C16", "Tracker", "measure", prompt.reason)
     return DeviceError(
         cause.code,
         cause.device,
@@ -169,8 +169,6 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
 
 
 FLANGE = "flange"
-_SEE = "see that nothing is in the line of sight, and that the reflector is clean and sits well"
-OTHER_BALL_MM = 20.0  # a ball of another size has its centre elsewhere in the same nest
 
 
 def where(cell: Cell, place: str) -> str:
@@ -216,7 +214,7 @@ def borrow_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prom
         text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
         place=nest,
         expected_mm=_rounded(expected_mm),
-        limit_mm=OTHER_BALL_MM,
+        limit_mm=20.0,  # a ball of another size has its centre elsewhere in the same nest
         reason=f"the reflector of {place} is to be measured in {nest}",
     )
 
@@ -231,7 +229,10 @@ def beam_prompt(
     """
     entry = entry_of(error.code, error.device)
     found = entry.title if entry.specific else error.found
-    advice = error.act or _SEE
+    clear = (
+        "see that nothing is in the line of sight, and that the reflector is clean and sits well"
+    )
+    advice = error.act or clear
     return Prompt(
         title=f"No good reading of {place}",
         text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",

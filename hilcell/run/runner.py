@@ -55,7 +55,6 @@ from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 from hilcell.typed import Json
 
-SIGNAL_S = 0.05
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 
 
@@ -254,7 +253,7 @@ class Runner:
         """
         while True:
             try:
-                return self._messages.get(timeout=SIGNAL_S)
+                return self._messages.get(timeout=0.05)
             except queue.Empty:
                 continue
 

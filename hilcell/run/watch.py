@@ -62,7 +62,6 @@ from hilcell.run.run_context import RunContext
 from hilcell.run.states import retake_refusal
 
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
-STRAIGHT_MM = 0.5  # a way between stations by the strip: its error, the rail's tilt and lean
 
 
 class BlockLost(Exception):
@@ -347,7 +346,8 @@ class Watch:
         if not before:
             return Off(0.0, 0.0)
         first = (here or before)[0]
-        held_mm = 2.0 * cell.rail.held_within_mm if here else STRAIGHT_MM
+        straight_mm = 0.5  # between stations by the strip: its error, the rail's tilt and lean
+        held_mm = 2.0 * cell.rail.held_within_mm if here else straight_mm
         limit_mm = held_mm + float(limits_of(cell, run_noise(log), [first], [now])[0])
         at_mm = apply(log.matrix("world"), positions_mm([first, now]))
         way_mm = station.strip_mm - cell.station_named(first.station).strip_mm
@@ -459,8 +459,6 @@ def _jumped(station: Station, off: Off) -> DeviceError:
         f"hold {station.name}",
         f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
         wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
-        act="the strip has jumped, or a slide nest has moved; put the strip head right and resume, "
-        "else start a new run",
         fields=suspicion.facts
         | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
     )

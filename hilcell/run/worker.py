@@ -84,7 +84,6 @@ class PauseGate:
 # at a strip that was frozen is no proof before the slide has moved.
 
 FIRST_LOOK_S, LONGEST_APART_S = 10.0, 300.0
-SLICE_S = 0.5  # in which an answer of somebody who attends after all is noticed
 
 
 class UnattendedWait:
@@ -107,7 +106,7 @@ class UnattendedWait:
 
     def look_due(self) -> bool:
         """Let a slice of time pass; return whether to look now."""
-        slice_s = min(SLICE_S, self._left_s)
+        slice_s = min(0.5, self._left_s)  # an answer of somebody who attends is noticed meanwhile
         self._clock.wait(slice_s)
         self._left_s -= slice_s
         self._due_s -= slice_s
