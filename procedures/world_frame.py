@@ -15,8 +15,7 @@ from hilcell.calibration.instrument import TWO_FACES, known_lengths, two_faces
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
-from hilcell.journal.log import Log
-from hilcell.journal.set_ups import world_key
+from hilcell.journal.log import Log, world_key
 from hilcell.model.frame import Matrix
 from hilcell.model.plan import Span, Step
 from hilcell.model.point import BACK, LENGTH, PointId

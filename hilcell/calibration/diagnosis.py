@@ -62,6 +62,7 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.journal.log import (
+    PROOFS,
     Log,
     commanded_rad,
     covariances_mm2,
@@ -70,7 +71,6 @@ from hilcell.journal.log import (
     repeated_visits,
     variances_mm2,
 )
-from hilcell.journal.set_ups import PROOFS
 from hilcell.model.frame import MeasuredBase
 from hilcell.model.point import CHECKS, CONTROL, Point
 from hilcell.model.suspicion import Cause, Suspicion

@@ -33,8 +33,15 @@ from hilcell.calibration.influence import no_less_than_nought
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import Log, commanded_rad, noise_at, of_measured, positions_mm, run_noise
-from hilcell.journal.set_ups import PROOFS
+from hilcell.journal.log import (
+    PROOFS,
+    Log,
+    commanded_rad,
+    noise_at,
+    of_measured,
+    positions_mm,
+    run_noise,
+)
 from hilcell.model.events import URAD
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause, Suspicion

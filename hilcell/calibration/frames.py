@@ -28,8 +28,7 @@ from hilcell.geometry.frames import (
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import rectangular_variance
 from hilcell.journal.floor_before import FLOOR_NESTS
-from hilcell.journal.log import Log, positions_mm, variances_mm2
-from hilcell.journal.set_ups import world_key
+from hilcell.journal.log import Log, positions_mm, variances_mm2, world_key
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array

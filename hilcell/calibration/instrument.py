@@ -27,8 +27,15 @@ from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor, rectangular_variance
-from hilcell.journal.log import Log, covariances_mm2, noise_at, positions_mm, run_noise
-from hilcell.journal.set_ups import PROOFS, world_key
+from hilcell.journal.log import (
+    PROOFS,
+    Log,
+    covariances_mm2,
+    noise_at,
+    positions_mm,
+    run_noise,
+    world_key,
+)
 from hilcell.model.events import URAD
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
 from hilcell.model.suspicion import Cause, Suspicion

@@ -29,8 +29,7 @@ from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import Log, positions_mm, run_noise
-from hilcell.journal.set_ups import PROOFS, world_key
+from hilcell.journal.log import PROOFS, Log, positions_mm, run_noise, world_key
 from hilcell.model.events import (
     RetakeAsked,
     RoomBack,

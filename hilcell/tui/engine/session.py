@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Unpack
 import msgspec
 
 from hilcell.alarms import Latch, alarms_of
-from hilcell.alarms.alarm import GO_ON
-from hilcell.alarms.latch import acknowledged_in
+from hilcell.alarms.alarm import GO_ON, acknowledged_in
 from hilcell.errors import HilcellError
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import Command, EngineClient, Subject, stop_engine

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hilcell.alarms import Alarm, Latch
+from hilcell.alarms.alarm import acknowledged_in
 from hilcell.alarms.catalogue import Severity
-from hilcell.alarms.latch import acknowledged_in
 from hilcell.errors import DeviceError
 from tests.hilcell.alarms.journals import (
     BEAM,
