@@ -388,17 +388,15 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 
 def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...]:
     """Return mean before, mean and maximum after (mm), where the result has them."""
-    try:
+    with suppress(msgspec.ValidationError):  # another's procedure has figures of its own there
         main = typed(result, _Result)
-    except msgspec.ValidationError:
-        return None, None, None  # another's procedure, with figures of its own under these names
-    place = main.validation.get(station)
-    if place is not None:
-        return place.before.mean, place.chosen.mean, place.chosen.max
-    before, chosen = (main.campaign.methods.get(name) for name in ("nominal", main.campaign.chosen))
-    if before is None or chosen is None:
-        return None, None, None
-    return before.mean_mm, chosen.mean_mm, chosen.max_mm
+        if place := main.validation.get(station):
+            return place.before.mean, place.chosen.mean, place.chosen.max
+        methods = main.campaign.methods
+        before, chosen = methods.get("nominal"), methods.get(main.campaign.chosen)
+        if before and chosen:
+            return before.mean_mm, chosen.mean_mm, chosen.max_mm
+    return None, None, None
 
 
 def _seconds(t: str) -> str:

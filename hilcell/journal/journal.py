@@ -189,7 +189,7 @@ class Journal:
     def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
         """``again`` is the command to repeat once a failed disk is mended; usually ``resume``."""
         self.path, self.run = path, run
-        self._asked_again = again
+        self._again = again or command_on(path.parent, "resume")
         self._lock = threading.Lock()
         self._listeners: list[Callable[[Record], None]] = []
         if not create:
@@ -227,10 +227,6 @@ class Journal:
     def listen(self, listener: Callable[[Record], None]) -> None:
         """Call ``listener`` with every record appended from now on, once it is durable."""
         self._listeners.append(listener)
-
-    @property
-    def _again(self) -> str:
-        return self._asked_again or command_on(self.path.parent, "resume")
 
     def append(self, kind: Kind, key: str, body: Body) -> Record:
         """Write one record and return it when it is durable.

@@ -53,19 +53,20 @@ def locks_folder() -> tuple[Path, str]:
     Raises `StorageError` where none can be used.
     """
     if override := os.environ.get(OVERRIDE):
-        _make_for_all(Path(override))
-        _check_mode(Path(override))
-        return Path(override), ""
+        folder = Path(override)
+        _make_for_all(folder)
+        _check_trusted(folder, of_anybody=True)
+        return folder, ""
     try:
         _make_for_all(USUAL)
     except StorageError as error:
         _make_for_all(BEFORE_SET_UP)
-        _check_owner(BEFORE_SET_UP)
+        _check_trusted(BEFORE_SET_UP)
         return BEFORE_SET_UP, (
             f"{error}; the devices' locks lie in {BEFORE_SET_UP}, which excludes nobody who can "
             f"use {USUAL}: set it up with `{_set_up(USUAL)}`"
         )
-    _check_owner(USUAL)
+    _check_trusted(USUAL)
     return USUAL, ""
 
 
@@ -85,29 +86,22 @@ def _make_for_all(folder: Path) -> None:
             os.umask(before)
 
 
-def _check_owner(folder: Path) -> None:
+def _check_trusted(folder: Path, *, of_anybody: bool = False) -> None:
     """Raise `StorageError` where another user could remove a lock that is held.
 
     There is no way round: a lock of that user would be seen by nobody who looks elsewhere.
     """
-    owner = folder.lstat().st_uid
-    if owner not in (0, os.getuid()):
-        raise _untrusted(folder, f"it belongs to user {owner}")
-    _check_mode(folder)
-
-
-def _check_mode(folder: Path) -> None:
-    """Raise `StorageError` where everybody who may add a file may remove another's, too."""
-    mode = stat.S_IMODE(folder.lstat().st_mode)
-    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
-        raise _untrusted(folder, f"its mode is {mode:o}")
-
-
-def _untrusted(folder: Path, found: str) -> StorageError:
-    return StorageError(
-        f"locks folder {folder} cannot be used: {found}, so another user could remove a lock that "
-        f"is held; set it up with `{_set_up(folder)}`"
-    )
+    found = folder.lstat()
+    mode, problem = stat.S_IMODE(found.st_mode), ""
+    if not of_anybody and found.st_uid not in (0, os.getuid()):
+        problem = f"it belongs to user {found.st_uid}"
+    elif mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        problem = f"its mode is {mode:o}"
+    if problem:
+        raise StorageError(
+            f"locks folder {folder} cannot be used: {problem}, so another user could remove a lock "
+            f"that is held; set it up with `{_set_up(folder)}`"
+        )
 
 
 def _set_up(folder: Path) -> str:

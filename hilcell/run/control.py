@@ -86,15 +86,12 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
         if self.command in TIMELESS or self.before is None:
             return ""
         try:
-            before_s = float(self.before)
+            late_s = time.monotonic() - float(self.before)
         except ValueError:
-            before_s = math.nan
-        if not math.isfinite(before_s):
-            return (
-                f"before: a finite number of seconds is wanted, found {self.before[:80]!r}; "
-                "nothing was done"
-            )
-        late_s = time.monotonic() - before_s
+            late_s = math.nan
+        if not math.isfinite(late_s):
+            found = self.before[:80]
+            return f"before: expected a finite number of seconds, got {found!r}; nothing was done"
         return f"the order came {late_s:.1f} s too late; nothing was done" if late_s > 0 else ""
 
 

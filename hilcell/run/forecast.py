@@ -55,10 +55,6 @@ class _Step:
         self.alike = False  # whether the way to the next measurement is like those after it
         self.done = False
 
-    def begin(self) -> None:
-        """Begin, or go on in a later session."""
-        self.since_s, self.alike = 0.0, False
-
     def measure(self, *, again: bool, unlike: str = "") -> tuple[Span, float] | None:
         """Take one measurement; return its span and interval where that is like the others.
 
@@ -153,8 +149,10 @@ class Forecast:
             self._pass(moment)
         self._latest = moment
         match fact:
-            case PlanRecord():
-                self._plan(fact)
+            case PlanRecord() as plan:
+                self._steps = [_Step(step) for step in plan.steps]
+                if plan.simulated:
+                    self._pace = _Pace(1.0 / plan.speed if plan.speed else 0.0)
             case StateChanged(machine="run", to=to):
                 self._enter(typed(to, RunState))
             case StepBegun(number=number):
@@ -211,11 +209,6 @@ class Forecast:
     def _step(self) -> _Step | None:
         return self._steps[self._number - 1] if 0 < self._number <= len(self._steps) else None
 
-    def _plan(self, plan: PlanRecord) -> None:
-        self._steps = [_Step(step) for step in plan.steps]
-        if plan.simulated:
-            self._pace = _Pace(1.0 / plan.speed if plan.speed else 0.0)
-
     def _enter(self, state: RunState) -> None:
         self._working = state in WORKING
         if not self._working and (step := self._step) is not None:
@@ -231,7 +224,7 @@ class Forecast:
             before.done = True
         self._number = number
         if (step := self._step) is not None:
-            step.begin()
+            step.since_s, step.alike = 0.0, False
 
     def _measure(self, group: str, *, again: bool, joints: bool = False) -> None:
         """Take a measurement; ``joints``: the robot was sent to its place."""

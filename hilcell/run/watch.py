@@ -312,7 +312,16 @@ class Watch:
             self._mover.hold_station(station, again=True)
             off = self._prove_hold(station)
         if not off.holds:
-            raise _jumped(station, off)
+            jump = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}").facts
+            raise DeviceError(
+                "HC-S10",
+                "Rail",
+                f"hold {station.name}",
+                f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
+                wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
+                fields=jump
+                | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
+            )
         self._proven = (station.name, log.visit)
 
     def _prove_hold(self, station: Station) -> Off:
@@ -447,17 +456,4 @@ def _rests_on(log: Log, point: Point) -> str:
 def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
     return DeviceError(
         "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
-    )
-
-
-def _jumped(station: Station, off: Off) -> DeviceError:
-    suspicion = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}")
-    return DeviceError(
-        "HC-S10",
-        "Rail",
-        f"hold {station.name}",
-        f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
-        wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
-        fields=suspicion.facts
-        | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
     )

@@ -83,7 +83,7 @@ class PauseGate:
 # fault. A cause that comes back soon after a good look is looked at ever more seldom, too: a look
 # at a strip that was frozen is no proof before the slide has moved.
 
-FIRST_LOOK_S, LONGEST_APART_S = 10.0, 300.0
+FIRST_LOOK_S = 10.0
 
 
 class UnattendedWait:
@@ -112,7 +112,7 @@ class UnattendedWait:
         self._due_s -= slice_s
         if self._due_s > 0.0 and not self.over:
             return False
-        self._apart_s = min(2.0 * self._apart_s, LONGEST_APART_S)
+        self._apart_s = min(2.0 * self._apart_s, 300.0)
         self._due_s = self._apart_s
         self._looked_s = self._clock.now_s()
         return True
