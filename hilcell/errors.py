@@ -33,9 +33,9 @@ def bounded(lines: Iterable[str], count: int | None = None, most: int = MOST_LIS
     return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
-def indented(lines: Iterable[str], count: int | None = None) -> str:
+def indented(lines: Iterable[str], count: int | None = None, most: int = MOST_LISTED) -> str:
     """Return what `bounded` does as text, each line indented below the words before it."""
-    return "\n".join(f"  {each}" for each in bounded(lines, count))
+    return "\n".join(f"  {each}" for each in bounded(lines, count, most))
 
 
 def one_line(error: BaseException) -> str:

@@ -309,15 +309,10 @@ def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
             options = load_entry(group, shared.driver).Options
         except SettingsError:
             continue  # reported where its options are checked
-        channel = f"socket://127.0.0.1:{n}"
-        known = options.__struct_fields__
+        own_places = {"host": "127.0.0.1", "channel": f"socket://127.0.0.1:{n}"}
         wanted = {each.name for each in msgspec.structs.fields(options) if each.required}
-        places_of_none = {"host": "127.0.0.1", "channel": channel}
-        found[table] = {
-            key: place
-            for key, place in places_of_none.items()
-            if key in known and key not in shared.options
-        }
+        unstated = set(options.__struct_fields__).difference(shared.options)
+        found[table] = {key: place for key, place in own_places.items() if key in unstated}
         strip = shared.options.get("strip", {} if "strip" in wanted else None)
         if isinstance(strip, Mapping):
             other = f"socket://127.0.0.1:{n + len(TABLES)}"  # no strip shares the drive's wire

@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from hilcell.clean import clean, counted
-from hilcell.errors import HilcellError, bounded
+from hilcell.errors import HilcellError, indented
 from hilcell.typed import Json, typed
 
 LONGEST_VALUE = 80
@@ -62,15 +62,12 @@ class SettingsError(HilcellError):
     """Settings refused; ``problems`` lists every one of them, the message as many as are read."""
 
     code = "HC-C11"
-    MOST_SHOWN = 40  # a cell file has fewer, a list of holes in wrong units a thousand
 
     def __init__(self, source: str, problems: list[str]) -> None:
         self.source, self.problems = source, problems
-        count = counted(len(problems), "problem")
-        super().__init__(
-            f"{source}: {count}\n"
-            + "\n".join(f"  {line}" for line in bounded(problems, most=self.MOST_SHOWN))
-        )
+        most = 40  # a cell file has fewer, a list of holes in wrong units a thousand
+        lines = indented(problems, most=most)
+        super().__init__(f"{source}: {counted(len(problems), 'problem')}\n{lines}")
 
 
 def read_text(path: Path) -> str:

@@ -29,8 +29,6 @@ from hilcell.identification.estimate import DETERMINED
 from hilcell.identification.kinematics import LINKS
 from hilcell.writing import write_whole
 
-DH_HEADER = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
-
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -64,18 +62,6 @@ class RigidArm:
     covariance: Array
     figures: Figures
 
-    def dh_rows(self) -> Iterable[list[str]]:
-        """Yield the rows of `DH_HEADER`."""
-        for each in self.parameters:
-            values = (each.nominal, each.identified, each.u, each.prior_u)
-            determined = "yes" if each.determined else "no"
-            yield [
-                each.name,
-                each.unit,
-                *(f"{round(value, 6) + 0.0:.6f}" for value in values),
-                determined,
-            ]
-
 
 def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
@@ -103,9 +89,14 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
 
 def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:
     """Write the DH table as CSV, or as JSON with the covariance; raises `NotWritten`."""
-    json = ".json"
-    if path.suffix.lower() != json:
-        write_rows(path, DH_HEADER, found.dh_rows(), inputs=inputs)
+    if path.suffix.lower() != ".json":
+        header = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
+        rows = []
+        for each in found.parameters:
+            values = (each.nominal, each.identified, each.u, each.prior_u)
+            numbers = (f"{round(value, 6) + 0.0:.6f}" for value in values)
+            rows.append([each.name, each.unit, *numbers, "yes" if each.determined else "no"])
+        write_rows(path, header, rows, inputs=inputs)
         return
     convention = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
     table = {

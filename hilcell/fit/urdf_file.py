@@ -305,7 +305,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     """Read the chain to ``tip``, or the only one of six revolute joints; raises `SettingsError`."""
     try:
         text = read_urdf_text(read_bytes(path))
-        joints = _chain_to(tip, text) if tip else _only_chain(text)
+        joints = _chain_to(tip, text)
     except OSError as error:
         raise unreadable(str(path), error) from error
     except NotUrdf as error:
@@ -341,14 +341,16 @@ def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
     return Chain(np.array(frames), axes, done)
 
 
-def _only_chain(text: UrdfText) -> list[JointText]:
-    """Return the joints to the only tip that six revolute joints lead to."""
+def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
+    """Return the joints to a tip, or to the only one that six revolute joints lead to."""
+    parents, links = ({joint.end(end) for joint in text.joints} for end in ("parent", "child"))
+    links |= parents
+    if tip and tip not in links:
+        raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
     above = text.above
-    tips = sorted(set(above) - {joint.end("parent") for joint in text.joints})
+    tips = [tip] if tip else sorted(set(above) - parents)
     if not tips:
-        raise NotUrdf(
-            "has no joint" if not text.joints else "its links form a loop: no link is a tip"
-        )
+        raise NotUrdf("its links form a loop: no link is a tip" if text.joints else "has no joint")
     ways = {tip: _way_to(tip, above) for tip in tips}
     good = [tip for tip in tips if not _unfit(ways[tip])]
     if len(good) == 1:
@@ -356,21 +358,8 @@ def _only_chain(text: UrdfText) -> list[JointText]:
     if good:
         raise NotUrdf(f"several chains of six joints end in {_list(good)}: say which, --tip LINK")
     longest = max(tips, key=lambda tip: len(ways[tip]))
-    raise NotUrdf(
-        f"the chain to {longest} {_unfit(ways[longest])}; tips: {_list(tips)}; "
-        "where an earlier link ends the arm, --tip LINK names it"
-    )
-
-
-def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
-    links = {link for joint in text.joints for link in (joint.end("parent"), joint.end("child"))}
-    if tip not in links:
-        raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
-    way = _way_to(tip, text.above)
-    fault = _unfit(way)
-    if fault:
-        raise NotUrdf(f"the chain to {tip} {fault}")
-    return way
+    others = f"; tips: {_list(tips)}; where an earlier link ends the arm, --tip LINK names it"
+    raise NotUrdf(f"the chain to {longest} {_unfit(ways[longest])}{'' if tip else others}")
 
 
 def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:

@@ -356,7 +356,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     revoked = ["", *(each.reason for _, each in _facts(facts, CalibrationRevoked))]
     devices = [device for _, each in _facts(facts, Connected) for device in each.devices]
     before_mean_mm, chosen_mean_mm, chosen_max_mm = _figures(
-        {} if last is None else last.result, inputs.grid_station
+        {} if last is None else last.result, inputs.cell["grid"]["station"]
     )
     return RunRow(
         name=name,
@@ -367,7 +367,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
         ended="" if end is None else _seconds(end.t),
         reason=(life[-1][1].reason if life else "") or ("" if last is None else last.reason),
         procedure=inputs.procedure,
-        cell=inputs.cell_name,
+        cell=inputs.cell["name"],
         serial=inputs.serial,
         operator=inputs.operator,
         job=inputs.job,

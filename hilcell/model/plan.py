@@ -95,16 +95,6 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
 
     @property
-    def cell_name(self) -> str:
-        """Return the cell's name, without the cell."""
-        return str(self.cell["name"])
-
-    @property
     def serial(self) -> str:
         """Return the cell's serial number."""
         return str(self.cell["serial"])
-
-    @property
-    def grid_station(self) -> str:
-        """Return the station of the grid."""
-        return str(self.cell["grid"]["station"])
