@@ -271,9 +271,7 @@ class SdoServer:
         return 4 if entry.kind == "s" else entry.size
 
 
-INVALID, NO_RTR = 1 << 31, 1 << 30
-SYNC_TYPES = range(241)
-EVENT_TYPES = range(254, 256)
+INVALID = 1 << 31
 Mapping = tuple[tuple[int, int], ...]
 
 
@@ -284,6 +282,9 @@ class Pdo:
     is 0; the count is written last and is where the node judges the whole mapping. Remote frames
     are not answered, so bit 30 of a COB-ID must stay set (clauses 7.2.2 and 7.5.2.35-38).
     """
+
+    NO_RTR = 1 << 30
+    SYNC_TYPES, EVENT_TYPES = range(241), range(254, 256)
 
     def __init__(
         self,
@@ -296,10 +297,10 @@ class Pdo:
     ) -> None:
         self._dictionary = dictionary
         self._communication, self._mapping = communication, mapping
-        types = (*SYNC_TYPES, *EVENT_TYPES)
+        types = (*self.SYNC_TYPES, *self.EVENT_TYPES)
         dictionary.add_array(
             communication,
-            Entry("I", NO_RTR | cob_id, write=self._change_cob_id),
+            Entry("I", self.NO_RTR | cob_id, write=self._change_cob_id),
             Entry("B", transmission, allowed=types),
             Entry("H", 0, write=self._while_invalid),
             Entry("B", 0),
@@ -359,7 +360,7 @@ class Pdo:
         old = self._dictionary.number(self._communication, 1)
         if self.valid and (value ^ old) & 0x3FFFFFFF:
             raise SdoAbortError(Abort.DEVICE_STATE)
-        if not value & NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
+        if not value & self.NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
             raise SdoAbortError(Abort.VALUE_RANGE)
 
     def _while_invalid(self, _value: int) -> None:
@@ -414,7 +415,7 @@ class TransmitPdo(Pdo):
     def at_sync(self) -> bytes | None:
         """Return the data due at this SYNC."""
         kind = self.transmission
-        if kind not in SYNC_TYPES or not self.valid:
+        if kind not in self.SYNC_TYPES or not self.valid:
             return None
         self._syncs += 1
         data = self.assemble()
@@ -424,7 +425,7 @@ class TransmitPdo(Pdo):
 
     def at_event(self, now_s: float) -> bytes | None:
         """Return the data due now, by the event timer or because it changed."""
-        if self.transmission not in EVENT_TYPES or not self.valid:
+        if self.transmission not in self.EVENT_TYPES or not self.valid:
             return None
         data, timer_s = self.assemble(), self.event_timer_s
         if data == self._sent and not (timer_s and now_s >= self._sent_s + timer_s):
@@ -434,7 +435,7 @@ class TransmitPdo(Pdo):
 
     def next_s(self) -> float:
         """Return when the event timer runs out."""
-        if self.transmission in EVENT_TYPES and self.valid and self.event_timer_s:
+        if self.transmission in self.EVENT_TYPES and self.valid and self.event_timer_s:
             return self._sent_s + self.event_timer_s
         return float("inf")
 
@@ -450,7 +451,7 @@ class ReceivePdo(Pdo):
 
     def take(self, data: bytes) -> bool:
         """Take a frame; False when it is shorter than the mapping."""
-        if self.transmission in SYNC_TYPES:
+        if self.transmission in self.SYNC_TYPES:
             self._held = data
             return True
         return self.distribute(data)
@@ -461,7 +462,7 @@ class ReceivePdo(Pdo):
         return data is None or self.distribute(data)
 
 
-NMT_COB_ID, SYNC_COB_ID = 0x000, 0x080
+SYNC_COB_ID = 0x080
 
 
 class ErrorKind(IntEnum):
@@ -470,9 +471,6 @@ class ErrorKind(IntEnum):
     GENERIC = 0x01
     COMMUNICATION = 0x10
     DEVICE_PROFILE = 0x20
-
-
-Send = Callable[[int, bytes], None]
 
 
 class Nmt(IntEnum):
@@ -499,12 +497,15 @@ class NodeIdentity:
 class CanopenSlave:
     """One node on the bus; ``send(cob_id, data)`` puts its frames there."""
 
+    NMT_COB_ID = 0x000
     PDO_TOO_SHORT = 0x8210
     COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
     KEPT_ERRORS = 4
     HEARTBEAT_LOST = 0x8130
 
-    def __init__(self, node: int, identity: NodeIdentity, send: Send) -> None:
+    def __init__(
+        self, node: int, identity: NodeIdentity, send: Callable[[int, bytes], None]
+    ) -> None:
         self.node = node
         self.nmt = Nmt.BOOT_UP
         self.dictionary = ObjectDictionary()
@@ -541,7 +542,7 @@ class CanopenSlave:
         """Take one frame from the bus."""
         if self.nmt is Nmt.BOOT_UP:
             return
-        if cob_id == NMT_COB_ID:
+        if cob_id == self.NMT_COB_ID:
             self._command(data, now_s)
         elif cob_id == SYNC_COB_ID:
             self._synchronise()

@@ -163,13 +163,6 @@ class ExternalAxis:
         return state.encoder_mm + (0.0 if state.moving else self.DITHER_MM * self._dither.counts)
 
 
-class Motion(IntEnum):
-    """Values of HC_CMD."""
-
-    PTP = 1
-    SLIDE = 2
-
-
 class Error(IntEnum):
     """Values of HC_ERR."""
 
@@ -186,6 +179,7 @@ class Error(IntEnum):
 class KrlController:
     """One robot's controller; ``read`` and ``write`` may come from several threads."""
 
+    PTP, SLIDE = 1, 2  # values of HC_CMD
     FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
     EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 
@@ -219,7 +213,7 @@ class KrlController:
         self._pose_of: Array | None = None
         self._looks = 0
         self._moment: RobotState | None = None  # that several variables are read of
-        self._readers = self._system_readers() | self._program_readers()
+        self._readers = self._all_readers()
         self.restore()
 
     def restore(self) -> None:
@@ -279,7 +273,7 @@ class KrlController:
 
     # -- variables to read ----------------------------------------------------------------------
 
-    def _system_readers(self) -> dict[str, Callable[[], str]]:
+    def _all_readers(self) -> dict[str, Callable[[], str]]:
         return {
             "$MODE_OP": lambda: self._mode,
             "$PERI_RDY": lambda: boolean(not self._emergency),
@@ -303,11 +297,6 @@ class KrlController:
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
-        }
-
-    def _program_readers(self) -> dict[str, Callable[[], str]]:
-        integers = {name: lambda name=name: str(self._integers[name]) for name in self._integers}
-        return integers | {
             "HC_VER": lambda: "4",
             "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
             "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
@@ -315,6 +304,7 @@ class KrlController:
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: boolean(self._in_stop),
+            **{name: lambda name=name: str(self._integers[name]) for name in self._integers},
         }
 
     def _identity(self) -> str:
@@ -448,9 +438,9 @@ class KrlController:
 
     def _start(self) -> int:
         self._looks = 0
-        if self._integers["HC_CMD"] == Motion.SLIDE:
+        if self._integers["HC_CMD"] == self.SLIDE:
             return self._start_slide()
-        if self._integers["HC_CMD"] != Motion.PTP:
+        if self._integers["HC_CMD"] != self.PTP:
             return Error.UNKNOWN_COMMAND
         if (forbidden := self._slide_forbids()) != Error.OK:
             return forbidden

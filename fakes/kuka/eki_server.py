@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import ClassVar
 from xml.parsers import expat
 
 from fakes.faults import Faults
@@ -40,22 +41,6 @@ RECEIVED = (
     *(f"RobotCommand/@{name}" for name in ("Id", "Type", "Percent", "Life")),
     *(f"RobotCommand/Pos/@{name}" for name in (*AXES, "E1")),
 )
-STOP_RECEIVED = ("RobotStop/@Id", "RobotStop/@Brake")
-STATUS = {
-    "Mode_Op": "$MODE_OP",
-    "Peri_Rdy": "$PERI_RDY",
-    "StopMess": "$STOPMESS",
-    "Alarm_Stop": "$ALARM_STOP",
-    "User_Saf": "$USER_SAF",
-    "Pro_State1": "$PRO_STATE1",
-    "Ov_Pro": "$OV_PRO",
-}
-COMMAND = {"Motion_Id": "HC_SEQ", "Finished_Id": "HC_ACK", "Stopped": "HC_STOP"}
-SLIDE = {"Count": "$EX_AX_NUM", "Mastered": "$AXIS_JUS[7]", "Held": "HC_HELD"}
-OTHERS = (
-    "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
-)  # fmt: skip
-PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
 
 
 class Overflow(Exception):
@@ -107,6 +92,21 @@ class Queues:
 class EkiProgram:
     """One cycle of the submit program for each command."""
 
+    STATUS: ClassVar = {
+        "Mode_Op": "$MODE_OP",
+        "Peri_Rdy": "$PERI_RDY",
+        "StopMess": "$STOPMESS",
+        "Alarm_Stop": "$ALARM_STOP",
+        "User_Saf": "$USER_SAF",
+        "Pro_State1": "$PRO_STATE1",
+        "Ov_Pro": "$OV_PRO",
+    }
+    COMMAND: ClassVar = {"Motion_Id": "HC_SEQ", "Finished_Id": "HC_ACK", "Stopped": "HC_STOP"}
+    SLIDE: ClassVar = {"Count": "$EX_AX_NUM", "Mastered": "$AXIS_JUS[7]", "Held": "HC_HELD"}
+    OTHERS = (
+        "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
+    )  # fmt: skip
+    PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
     NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
 
     def __init__(self, controller: KrlController, faults: Faults, time: PlantTime) -> None:
@@ -173,18 +173,22 @@ class EkiProgram:
 
     def _state(self, number: int) -> bytes:
         texts = dict(zip(self.NAMES, self._controller.read_all(self.NAMES), strict=True))
-        axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
+
+        def named(names: dict[str, str]) -> dict[str, str]:
+            return {attribute: texts[name] for attribute, name in names.items()}
+
+        axes, pose, tool, base = (raw_members(texts[name]) for name in self.PLACES)
         return _document(
             "RobotState",
             {
-                "Command": {"Id": str(number)} | _named(COMMAND, texts),
+                "Command": {"Id": str(number)} | named(self.COMMAND),
                 "Pos": {name: axes[name] for name in (*AXES, "E1")}
                 | {name: pose[name] for name in (*FRAME, "S", "T")},
-                "Status": _named(STATUS, texts),
+                "Status": named(self.STATUS),
                 "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in FRAME},
                 "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in FRAME},
                 "Override": {"Old": texts["HC_OV_OLD"]},
-                "Slide": _named(SLIDE, texts),
+                "Slide": named(self.SLIDE),
                 "Robot": {
                     "Model": texts["$TRAFONAME[]"].strip('"'),
                     "Serial": texts["$KR_SERIALNO"],
@@ -194,10 +198,6 @@ class EkiProgram:
                 "Error": {"Code": texts["HC_ERR"]},
             },
         )
-
-
-def _named(names: dict[str, str], texts: dict[str, str]) -> dict[str, str]:
-    return {attribute: texts[name] for attribute, name in names.items()}
 
 
 def _document(root: str, elements: dict[str, dict[str, str]]) -> bytes:
@@ -253,7 +253,7 @@ class EkiServer(Server):
                         return
 
     def _serve_stops(self, client: socket.socket) -> None:
-        queues, pending, there = Queues(STOP_RECEIVED), b"", True
+        queues, pending, there = Queues(("RobotStop/@Id", "RobotStop/@Brake")), b"", True
         cycle_s = 0.06  # of the submit interpreter, with a state in it
         with suppress(ValueError):
             while there:

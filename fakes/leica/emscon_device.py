@@ -34,8 +34,6 @@ from fakes.truth.tracker_truth import Followed, Instrument, Measurement, StreamT
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
-Pack = Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm -> packet
-
 
 class SampleStream:
     """A continuous measurement: samples by the tracker's clock, in packets, late and cut.
@@ -52,13 +50,15 @@ class SampleStream:
         time: PlantTime,
         faults: Faults,
         followed: Followed,
-        pack: Pack,
+        pack: Callable[[Array, Array], bytes],
         *,
         separation_s: float,
         points: int,
         lost: Callable[[], None],
     ) -> None:
-        """``points`` 0 is until it is stopped; ``lost`` is called when the beam breaks."""
+        """``pack``: device times (N,), positions (N, 3) mm -> packet. ``points`` 0 is until it is
+        stopped; ``lost`` is called when the beam breaks.
+        """
         self._truth, self._time, self._faults = truth, time, faults
         self._followed, self._pack, self._lost = followed, pack, lost
         self._separation_s, self._points = separation_s, points

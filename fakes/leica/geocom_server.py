@@ -28,7 +28,7 @@ from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 from fakes.wires import Connection, LineSession, Listener, SerialLine, Server, Wire
 
-NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
+SERIAL = 884321
 
 
 class Code(IntEnum):
@@ -106,8 +106,8 @@ class GeocomDevice:
             2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
             2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
             5003: (0, self._serial),
-            5004: (0, lambda: Answer(values=(f'"{NAME}"',))),
-            5034: (0, lambda: _whole(*FIRMWARE)),
+            5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
+            5034: (0, lambda: _whole(8, 50, 0)),
             9027: (5, lambda hz, v, exact, aim, dummy: self._turn(hz, v, aim)),
             9028: (3, lambda exact, aim, dummy: self._change_face()),
             9029: (3, lambda hz, v, dummy: self._aim(hz, v)),

@@ -27,8 +27,6 @@ from fakes.replay.event_time import EventTime, following
 from fakes.wires import Listener, Server
 from hilcell.wire.recording import Piece
 
-_NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
-NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
 
 
@@ -128,24 +126,27 @@ class Names:
     the same answers may differ in its last digits.
     """
 
+    NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
+    NEAR = 1e-4  # deg, mm or rad
+
     def __init__(self, names: Iterable[bytes]) -> None:
         self._names = set(names)
         self._alike: dict[bytes, list[bytes]] = {}
         for name in self._names:
-            self._alike.setdefault(_NUMBER.sub(b"#", name), []).append(name)
+            self._alike.setdefault(self.NUMBER.sub(b"#", name), []).append(name)
 
     def of(self, name: bytes) -> bytes:
         """Return the known name that is the same; this one where there is none."""
         if name in self._names:
             return name
-        alike = self._alike.get(_NUMBER.sub(b"#", name), [])
-        apart, nearest = min(((_apart(name, each), each) for each in alike), default=(NEAR, name))
-        return nearest if apart < NEAR else name
+        alike = self._alike.get(self.NUMBER.sub(b"#", name), [])
+        near = ((self._apart(name, each), each) for each in alike)
+        apart, nearest = min(near, default=(self.NEAR, name))
+        return nearest if apart < self.NEAR else name
 
-
-def _apart(name: bytes, other: bytes) -> float:
-    pairs = zip(_NUMBER.findall(name), _NUMBER.findall(other), strict=True)
-    return max((abs(float(a) - float(b)) for a, b in pairs), default=NEAR)
+    def _apart(self, name: bytes, other: bytes) -> float:
+        pairs = zip(self.NUMBER.findall(name), self.NUMBER.findall(other), strict=True)
+        return max((abs(float(a) - float(b)) for a, b in pairs), default=self.NEAR)
 
 
 class Script:

@@ -34,8 +34,6 @@ from fakes.wires import HOST, Connection, LineSession, Listener, Server
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 
-HALT = b"!HALT"
-
 
 class Refusal(Enum):
     """Codes of refused requests, and their words."""
@@ -49,9 +47,6 @@ class Refusal(Enum):
     HALTED = 330, "Measurement halted."
     NOT_SIMULATING = 337, "Failed to set simulation mode."
     NOT_READY = 338, "Instrument is not ready."
-
-
-SETTINGS = ("!SET_STATION_LOCK", "SET_NUM_SAMPLES", "SET_NUM_ITERATIONS", "SET_RANDOMIZE_POINTS")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +100,13 @@ class T2saDevice:
             "?STAT": lambda _: Answer("ACK-300 Instrument is connected (simulated)"),
             "SET_POWER_LOCK": self._set_power_lock,
         }
-        self._handlers = handlers | dict.fromkeys(SETTINGS, lambda _: Answer())
+        kept = (
+            "!SET_STATION_LOCK",
+            "SET_NUM_SAMPLES",
+            "SET_NUM_ITERATIONS",
+            "SET_RANDOMIZE_POINTS",
+        )
+        self._handlers = handlers | dict.fromkeys(kept, lambda _: Answer())
 
     def handle(self, line: str) -> Answer:
         """Return the answer to a request."""
@@ -297,6 +298,8 @@ def _ways_mm(cell: Cell) -> Array:
 class T2saServer(Server):
     """Serves one bridge on a port, 0 for one that the system chooses."""
 
+    HALT = b"!HALT"
+
     def __init__(
         self,
         device: T2saDevice,
@@ -330,7 +333,7 @@ class T2saServer(Server):
                 self._obey(session, line)
 
     def _obey(self, session: LineSession, line: bytes) -> None:
-        if line == HALT:
+        if line == self.HALT:
             self._halted.set()
             with self._measuring:  # another client's measurement has ended
                 self._reply(session, Answer())
@@ -373,7 +376,7 @@ class T2saServer(Server):
             if self._halted.is_set():
                 return False
             line = session.line(min(left_s, look_s))
-            if line == HALT:
+            if line == self.HALT:
                 self._halted.set()
                 return True
             if line is not None:

@@ -28,7 +28,6 @@ Extent = Annotated[float, Meta(gt=0, le=100)]  # mm
 Rate = Annotated[float, Meta(ge=0, le=1000)]  # um, um/m, um/m/K
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le=1000)]]
-KNOWN = 4  # texts that are kept
 
 
 class JointAxis(Frozen, frozen=True, kw_only=True):
@@ -212,12 +211,12 @@ def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, 
     return {**values, **sizes, **inner}
 
 
-@lru_cache(KNOWN)
+@lru_cache(4)
 def _tables(text: str) -> Mapping[str, Any]:
     return tomllib.loads(text)
 
 
-@lru_cache(KNOWN)
+@lru_cache(4)
 def _described(text: str, where: str) -> Machine:
     return convert(_tables(text), Machine, where)
 

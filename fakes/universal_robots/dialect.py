@@ -15,38 +15,17 @@ from fakes.replay.dialects import Dialect, Options, Sized
 
 KIND, HEAD = 2, 3
 DATA, OUTPUTS = 85, 79
-SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
-SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
-SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
-LEAST_S = 1e-6  # from one package to the next
-# recipe, then sequence, command, sign of life, stop; joints; speed
-_INPUTS = struct.Struct("!4i6dd")
-_QUESTION = struct.Struct("!i")
-_NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
-_END = b"\nend\n"
-
-
-class Sessions:
-    """The numbers of the scripts that the driver has sent, by those of the recording."""
-
-    def __init__(self) -> None:
-        self._new: dict[int, int] = {}
-
-    def renew(self, recorded: int, number: int) -> None:
-        """Take a number in the place of a recorded one."""
-        self._new[recorded] = number
-
-    def of(self, recorded: int) -> int:
-        """Return the number in the place of a recorded one."""
-        return self._new.get(recorded, recorded)
 
 
 class Rtde(Sized):
     """Packages; those of data come by themselves."""
 
     flows = True
+    # recipe, then sequence, command, sign of life, stop; joints; speed
+    INPUTS, QUESTION = struct.Struct("!4i6dd"), struct.Struct("!i")
 
-    def __init__(self, sessions: Sessions) -> None:
+    def __init__(self, sessions: dict[int, int]) -> None:
+        """``sessions``: the numbers of the scripts that were sent, by those of the recording."""
         super().__init__(">H", 0, 0)
         self._sessions = sessions
         self._places: dict[str, int] = {}  # of a field in a package of data
@@ -54,18 +33,18 @@ class Rtde(Sized):
 
     def unheard(self, message: bytes) -> bool:
         """Whether it is a question for a fresh state: every state answers the last of them."""
-        return message[KIND] == DATA and len(message) == HEAD + 1 + _QUESTION.size
+        return message[KIND] == DATA and len(message) == HEAD + 1 + self.QUESTION.size
 
     def passed(self, message: bytes) -> None:
         """Take note of a question's number."""
-        (self._question,) = _QUESTION.unpack_from(message, HEAD + 1)
+        (self._question,) = self.QUESTION.unpack_from(message, HEAD + 1)
 
     def name(self, message: bytes) -> bytes:
         """Return what a write commands, with its target; other requests as they are."""
         values = message[HEAD + 1 :]
-        if message[KIND] != DATA or len(values) != _INPUTS.size:
+        if message[KIND] != DATA or len(values) != self.INPUTS.size:
             return message
-        sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
+        sequence, command, _, stop, *numbers = self.INPUTS.unpack(values)
         move = 1
         target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == move else ""
         ends = 2  # a stop that is the number of a session, or more than a brake
@@ -75,20 +54,24 @@ class Rtde(Sized):
         """Return the package with the numbers of the driver's own session; time goes on."""
         if answer[KIND] == OUTPUTS:
             self._learn(recorded, answer)
+        fields = ("timestamp", "output_int_register_26", "output_int_register_27")
         echo = "input_int_register_28"
-        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT, echo}:
+        if answer[KIND] != DATA or not self._places.keys() >= {*fields, echo}:
             return answer
         found = bytearray(answer)
-        (time_s,) = struct.unpack_from("!d", found, self._places[TIME])
-        number, count = (
-            struct.unpack_from("!i", found, self._places[name])[0] for name in (SESSION, COUNT)
+        time_s, number, count = (
+            struct.unpack_from(form, found, self._places[name])[0]
+            for form, name in zip(("!d", "!i", "!i"), fields, strict=True)
         )
-        self._time_s = max(time_s, self._time_s + LEAST_S)
+        least_s = 1e-6  # from one package to the next
+        self._time_s = max(time_s, self._time_s + least_s)
         self._count = max(count, self._count + 1)
-        struct.pack_into("!d", found, self._places[TIME], self._time_s)
-        struct.pack_into("!i", found, self._places[SESSION], self._sessions.of(number))
-        struct.pack_into("!i", found, self._places[COUNT], self._count)
-        struct.pack_into("!i", found, self._places[echo], self._question)
+        session = self._sessions.get(number, number)
+        struct.pack_into("!d", found, self._places[fields[0]], self._time_s)
+        for name, value in zip(
+            (*fields[1:], echo), (session, self._count, self._question), strict=True
+        ):
+            struct.pack_into("!i", found, self._places[name], value)
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:
@@ -99,24 +82,29 @@ class Rtde(Sized):
         """Whether the script has not acknowledged a write's number yet."""
         acknowledged = "output_int_register_24"
         values, at = asked[HEAD + 1 :], self._places.get(acknowledged)
-        if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != _INPUTS.size or at is None:
+        if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != self.INPUTS.size or at is None:
             return False
-        sequence, *_ = _INPUTS.unpack(values)
+        sequence, *_ = self.INPUTS.unpack(values)
         return answer[KIND] == DATA and struct.unpack_from("!i", answer, at) != (sequence,)
 
     def _learn(self, asked: bytes, answer: bytes) -> None:
+        size = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
+        size |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
         names = asked[HEAD + 8 :].decode("ascii", "replace").split(",")
-        sizes = [SIZES.get(each, 0) for each in answer[HEAD + 1 :].decode("ascii").split(",")]
+        types = answer[HEAD + 1 :].decode("ascii").split(",")
         at = HEAD + 1
         self._places, self._time_s, self._count = {}, 0.0, 0
-        for name, size in zip(names, sizes, strict=False):
-            self._places[name], at = at, at + size
+        for name, kind in zip(names, types, strict=False):
+            self._places[name], at = at, at + size.get(kind, 0)
 
 
 class UrScript(Dialect):
     """Scripts, each up to its end; the states of this wire are read by nobody."""
 
-    def __init__(self, sessions: Sessions) -> None:
+    NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
+    END = b"\nend\n"
+
+    def __init__(self, sessions: dict[int, int]) -> None:
         self._sessions = sessions
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
@@ -126,22 +114,22 @@ class UrScript(Dialect):
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole scripts, and the rest."""
         ends = [0]
-        while (end := data.find(_END, ends[-1])) >= 0:
-            ends.append(end + len(_END))
+        while (end := data.find(self.END, ends[-1])) >= 0:
+            ends.append(end + len(self.END))
         return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
 
     def name(self, message: bytes) -> bytes:
         """Return the script without the number of its session."""
-        return _NUMBER.sub(b"", message)
+        return self.NUMBER.sub(b"", message)
 
     def heard(self, asked: bytes, recorded: bytes) -> None:
         """Take note of the session's number."""
-        new, old = _NUMBER.search(asked), _NUMBER.search(recorded)
+        new, old = self.NUMBER.search(asked), self.NUMBER.search(recorded)
         if new is not None and old is not None:
-            self._sessions.renew(int(old[1]), int(new[1]))
+            self._sessions[int(old[1])] = int(new[1])
 
 
 def ur_rtde(_options: Options) -> dict[str, Dialect]:
     """Return the dialects of a Universal Robots controller; its dashboard's are lines."""
-    sessions = Sessions()
+    sessions: dict[int, int] = {}
     return {"rtde": Rtde(sessions), "script": UrScript(sessions)}
