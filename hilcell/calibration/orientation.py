@@ -217,19 +217,14 @@ def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
     """Return the distances (N, D) between each two reflectors at poses where all were seen."""
     numbers = range(1, len(log.cell.robot.seats_mm) + 1)
     each = [[log.find(point.id.at_seat(n)) for n in numbers] for point in points]
-    seen_mm = np.array([positions_mm(seats) for seats in map(_all_seen, each) if seats])
+    known = [[seat for seat in seats if seat is not None] for seats in each]
+    seen_mm = np.array([positions_mm(seats) for seats in known if len(seats) == len(numbers)])
     pairs = [*combinations(range(len(numbers)), 2)]
     if not len(seen_mm) or not pairs:
         return np.zeros((0, len(pairs)))
     one, other = np.array(pairs).T
     apart_mm: Array = np.linalg.norm(seen_mm[:, one] - seen_mm[:, other], axis=-1)
     return apart_mm
-
-
-def _all_seen(points: Sequence[Point | None]) -> list[Point]:
-    """Return the points of a pose, none where one is missing."""
-    seen = [point for point in points if point is not None]
-    return seen if len(seen) == len(points) else []
 
 
 def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:

@@ -39,15 +39,11 @@ class StaticPoses:
     fold: Ints
 
     def __post_init__(self) -> None:
-        count = len(self.joints_rad)
-        for name, values, shape in (
-            ("joints", self.joints_rad, (count, 6)),
-            ("nominal poses", self.nominal, (count, 4, 4)),
-            ("errors", self.error_mm, (count, 3)),
-            ("covariances", self.covariance_mm2, (count, 3, 3)),
-        ):
-            if np.shape(values) != shape:
-                raise GridError(f"poses: {name} of shape {np.shape(values)}, expected {shape}")
+        rows = {"joints_rad": (6,), "nominal": (4, 4), "error_mm": (3,), "covariance_mm2": (3, 3)}
+        for name, row in rows.items():
+            found, shape = np.shape(getattr(self, name)), (len(self.joints_rad), *row)
+            if found != shape:
+                raise GridError(f"poses: {name} of shape {found}, expected {shape}")
 
     @classmethod
     def of(cls, joints_rad: Array, nominal: Array, error_mm: Array, covariance_mm2: Array) -> Self:

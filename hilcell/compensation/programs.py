@@ -151,11 +151,6 @@ def statuses_of(program: object, expected: int) -> Sequence[tuple[str, int]]:
     return program.statuses(expected) if isinstance(program, StatesPosture) else ()
 
 
-def slide_of(program: object) -> tuple[str, float] | None:
-    """Return where a program moves the slide, mm, and the first target that does so."""
-    return program.slide if isinstance(program, StatesSlide) else None
-
-
 def stands_in_root(program: object) -> bool:
     """Whether the targets of a program stand in {B}."""
     return isinstance(program, InRoot) and program.in_root

@@ -19,8 +19,7 @@ from msgspec import Meta
 
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
-from hilcell.compensation.csv_text import CsvText, read_csv
-from hilcell.compensation.targets import MOST, MOST_DEG, header_of, numbers
+from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, header_of, numbers, read_csv
 from hilcell.geometry.kinematics import Arm, Array
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]

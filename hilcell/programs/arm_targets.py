@@ -173,10 +173,9 @@ def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
     if not beyond.any():
         return ""
     axes = ", ".join(f"A{axis + 1}" for axis in np.flatnonzero(beyond.any(axis=0)))
-    count = int(np.count_nonzero(beyond.any(axis=1)))
-    first = names[int(np.flatnonzero(beyond.any(axis=1))[0])]
+    rows = np.flatnonzero(beyond.any(axis=1)).tolist()
     return (
-        f"{counted(count, 'target')} beyond the joints that were measured ({axes}), {first} the "
+        f"{counted(len(rows), 'target')} beyond the joints measured ({axes}), {names[rows[0]]} the "
         "first; errors there are extrapolated: measure poses there, or move the targets"
     )
 

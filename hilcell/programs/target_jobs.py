@@ -23,11 +23,11 @@ from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
     Program,
     StatedBase,
+    StatesSlide,
     Stroke,
     load_program,
     notes_of,
     setting_tool,
-    slide_of,
     stands_in_root,
     statuses_of,
     suffixes,
@@ -281,7 +281,8 @@ def _check_program(
         status = cell.robot.status
         check_posture(status, statuses_of(program, status))
         if rides_on_robot(cell):
-            _check_slide(cell.station_named(station), slide_of(program))
+            slide = program.slide if isinstance(program, StatesSlide) else None
+            _check_slide(cell.station_named(station), slide)
         T_W_B = released.calibration.base(station)
         program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
     elif program.needs_arm:

@@ -19,8 +19,8 @@ from typing import NamedTuple, Protocol, Self
 import msgspec
 
 from hilcell import __version__
-from hilcell.calibration.derived import calibration_after
 from hilcell.calibration.file import write_calibration
+from hilcell.calibration.target_pass import calibration_after
 from hilcell.cell.devices import build_devices, device_places, is_replay, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.clean import encodable

@@ -35,7 +35,7 @@ def test_all_problems_are_told_with_their_lines(tmp_path: Path) -> None:
     )  # fmt: skip
     with pytest.raises(SettingsError) as told:
         read_targets(path)
-    places = ["name 'H1'", "6 fields, expected 7", *3 * ["x_mm"], *2 * ["x_mm"], "z_mm", "x_mm", "x_mm"]
+    places = ["name 'H1'", "6 fields, expected 7", *5 * ["x_mm"], "z_mm", *2 * ["x_mm"]]
     for line, (problem, place) in enumerate(zip(told.value.problems, places, strict=True), start=3):
         assert problem.startswith(f"line {line}: {place}")
         assert len(problem) < 120
