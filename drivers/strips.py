@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import astuple
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -75,17 +75,6 @@ def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
     return LinkStatistics(*(ours + theirs for ours, theirs in counts))
 
 
-_BITS = {
-    0: "the head is too far from the strip",
-    1: "the absolute value is not plausible",
-    2: "the slide was too fast for the head",
-    4: "the head is being adjusted",
-    5: "wrong values in the sensor's memory",
-    6: "wrong check sum in the sensor's memory",
-    7: "the sensor's memory cannot be read",
-}
-
-
 class SerialStrip:
     """A sensor on a serial line, by the service commands of SIKO's sensors.
 
@@ -96,6 +85,15 @@ class SerialStrip:
     used again.
     """
 
+    BITS: ClassVar = {
+        0: "the head is too far from the strip",
+        1: "the absolute value is not plausible",
+        2: "the slide was too fast for the head",
+        4: "the head is being adjusted",
+        5: "wrong values in the sensor's memory",
+        6: "wrong check sum in the sensor's memory",
+        7: "the sensor's memory cannot be read",
+    }
     REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
@@ -125,7 +123,7 @@ class SerialStrip:
     def alarm_text(self, alarms: int) -> str:
         """Return the bits of the system register in words."""
         bits = [bit for bit in range(16) if alarms >> bit & 1]
-        return "; ".join(_BITS.get(bit, f"bit {bit} of its register") for bit in bits)
+        return "; ".join(self.BITS.get(bit, f"bit {bit} of its register") for bit in bits)
 
     def statistics(self) -> LinkStatistics:
         """Return the counts of answers, and of those in another form."""

@@ -27,11 +27,12 @@ from hilcell.ports import Clock, DeviceError, LinkStatistics
 # of the PC counts as `PAUSE_S` at most.
 
 PAUSE_S = 0.1
-BEHIND_S = 1.0  # a bus that is never empty must not stop the time
 
 
 class LinkTime:
     """Written by the receiving thread alone; read by any."""
+
+    BEHIND_S = 1.0  # a bus that is never empty must not stop the time
 
     def __init__(self, clock: Clock) -> None:
         self.listened_s = 0.0
@@ -45,7 +46,7 @@ class LinkTime:
 
     def behind(self, now_s: float) -> None:
         """Note that more waits to be handed out; one second of that counts as a pause."""
-        if now_s - self.counted_s > BEHIND_S:
+        if now_s - self.counted_s > self.BEHIND_S:
             self._count(now_s)
 
     def _count(self, now_s: float) -> None:

@@ -15,7 +15,6 @@ from drivers.device_errors import RAIL
 
 PC_HEARTBEAT_LIMIT_MS = 1000
 GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
-_ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"
 
 
 def doubts_sensor(register: int) -> bool:
@@ -103,6 +102,6 @@ class NodeWatch:
                 )
                 self._fail("HC-R44", f"{late}, {reports}", act)
 
-    def _fail(self, code: str, found: str, act: str = _ADVICE) -> None:
+    def _fail(self, code: str, found: str, act: str = "put the cause right, then resume") -> None:
         if not self._failure:
             self._code, self._failure, self._act = code, found, act

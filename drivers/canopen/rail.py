@@ -42,7 +42,6 @@ from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
-LARGEST_COUNT = 2**31 - 1
 
 
 class CanopenRail:
@@ -89,7 +88,7 @@ class CanopenRail:
             if not self.travel_min_mm < self.travel_max_mm:
                 raise ValueError("travel_min_mm must be below travel_max_mm")
             reach_mm = max(abs(self.travel_min_mm), abs(self.travel_max_mm)) + SLACK_MM
-            if not reach_mm * self.counts_per_mm < LARGEST_COUNT:
+            if not reach_mm * self.counts_per_mm < 2**31 - 1:
                 raise ValueError("travel times counts_per_mm does not fit 32 bits")
 
     def __init__(self, options: Options, clock: Clock) -> None:

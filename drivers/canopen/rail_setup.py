@@ -33,9 +33,7 @@ FIND_S = 5.0
 OPERATIONAL_S = 3.0  # wire deadline
 START_PERIOD_S = 0.5
 POLL_S = 0.02
-HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
-LARGEST_U16 = 0xFFFF
-SLOWER_BEATS_MS = (100, 200)  # several within the limit of a node's silence
+HOMING_SLOW_MM_S = 5.0
 
 # Why a node has the settings that it is given here.
 PURPOSES: dict[int, str] = {
@@ -246,7 +244,7 @@ def set_heartbeat(sdo: SdoChannel, bitrate: int) -> None:
     wanted_ms = round(1000 * heartbeat_period_s(bitrate))
     if (refusal := sdo.offer(NodeObject.PRODUCER_HEARTBEAT, 0, wanted_ms)) is None:
         return
-    for slower_ms in SLOWER_BEATS_MS:
+    for slower_ms in (100, 200):  # several within the limit of a node's silence
         if sdo.offer(NodeObject.PRODUCER_HEARTBEAT, 0, slower_ms) is None:
             return
     raise Unsupported(
@@ -257,16 +255,17 @@ def set_heartbeat(sdo: SdoChannel, bitrate: int) -> None:
 def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
     """Return how long homing is planned to take from the far end of the travel."""
     fast_s = travel_mm / speed_mm_s
-    return fast_s + HOMING_SLOW_MM / min(speed_mm_s, HOMING_SLOW_MM_S)
+    # Off the switch it goes 20 mm at most.
+    return fast_s + 20.0 / min(speed_mm_s, HOMING_SLOW_MM_S)
 
 
 def window_settings(*, arrived: int, speed: float, dwell_s: float) -> Mapping[tuple[int, int], int]:
     """Return the drive's own windows of arrival (counts) and standstill (counts/s)."""
-    dwell_ms = min(LARGEST_U16, round(dwell_s * 1000))
+    dwell_ms = min(0xFFFF, round(dwell_s * 1000))
     return {
         (Object.POSITION_WINDOW, 0): arrived,
         (Object.POSITION_WINDOW_TIME, 0): dwell_ms,
-        (Object.VELOCITY_THRESHOLD, 0): min(LARGEST_U16, round(speed)),
+        (Object.VELOCITY_THRESHOLD, 0): min(0xFFFF, round(speed)),
         (Object.VELOCITY_THRESHOLD_TIME, 0): dwell_ms,
     }
 

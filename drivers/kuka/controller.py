@@ -19,6 +19,7 @@ from typing import Generic, Protocol, TypeVar
 
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
+from drivers.kuka.krl import POSE
 from drivers.supervision import LIFE_S
 from hilcell.ports import Array, DeviceError, HilcellError, Stopped
 
@@ -140,9 +141,6 @@ def override_held(found: int, wanted: int) -> None:
         )
 
 
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-SLIDE = "E1"
-FRAME = ("X", "Y", "Z", "A", "B", "C")
 LOST, STOPPED = 8, 9  # HC_ERR
 # HC_ERR in words, and its alarm.
 ERRORS = {
@@ -175,7 +173,7 @@ def refused_motion(error: int) -> DeviceError:
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:
     """Return a frame's six values in words."""
-    return ", ".join(f"{n} {v:.3f}" for n, v in zip(FRAME, values, strict=True))
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(POSE, values, strict=True))
 
 
 class LifeSign:

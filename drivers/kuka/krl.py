@@ -13,6 +13,9 @@ import re
 from collections.abc import Mapping
 
 Value = float | int | bool | str
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+POSE = ("X", "Y", "Z", "A", "B", "C")
+SLIDE = "E1"
 
 _PADDING = "\0 \t\r\n"
 _NAME = r"[#$]?[A-Za-z_$][\w$]*(?:\[[\d,\s]*\])?"

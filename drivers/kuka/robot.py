@@ -28,13 +28,10 @@ from msgspec import Meta
 
 from drivers.device_errors import RAIL, ROBOT
 from drivers.kuka.controller import (
-    AXES,
-    FRAME,
     HEALTH,
     LOST,
     PROGRAM_VERSION,
     PROGRESS,
-    SLIDE,
     STOPPED,
     Access,
     Controller,
@@ -42,6 +39,7 @@ from drivers.kuka.controller import (
     integer,
     refused_motion,
 )
+from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.motion_limits import (
     MotionLimits,
     check_identity,
@@ -74,9 +72,6 @@ STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 AXIS_TOLERANCE_DEG = 0.005
 STILL_DEG, STILL_MM = 0.0005, 0.01
-STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
-ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
-PERCENT = 100
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
 BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
 
@@ -96,6 +91,8 @@ class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class KukaRobot:
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
+    STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
+    ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
     MAX_SEQUENCE = 1_000_000_000
     POLL_LOOK_S = 0.5  # one poll counts for this long, at most
     CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
@@ -174,7 +171,7 @@ class KukaRobot:
         self.wire().look()
         pose = self._pose()
         moved = np.abs(self._axes() - before)
-        still = not self._under_way and bool(np.all(moved <= STILL[: len(moved)]))
+        still = not self._under_way and bool(np.all(moved <= self.STILL[: len(moved)]))
         return RobotReading(np.radians(before[:6]), pose, still, taken_s, self._ended_s)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
@@ -327,7 +324,7 @@ class KukaRobot:
         return unwell(code, name, str(number), wanted, moving=moving)
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
-        found = self.wire().numbers(name, FRAME)
+        found = self.wire().numbers(name, POSE)
         if not all(abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
             raise ROBOT.refused(
                 "HC-B06",
@@ -418,7 +415,7 @@ class KukaRobot:
             self._clock.wait(self.DWELL_S)
             controller.look()
             pose = self._pose()
-            arrived = bool(np.all(np.abs(axes - wanted) <= ARRIVED[: len(wanted)]))
+            arrived = bool(np.all(np.abs(axes - wanted) <= self.ARRIVED[: len(wanted)]))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
                 self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
                 return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
@@ -481,7 +478,7 @@ class KukaRobot:
         return np.array(self.wire().numbers(self.wire().measured, self._names()))
 
     def _names(self) -> tuple[str, ...]:
-        return AXES if self.slide_mm is None else (*AXES, SLIDE)
+        return JOINTS if self.slide_mm is None else (*JOINTS, SLIDE)
 
     def _whole(self, target_deg: Array) -> Array:
         """Return joints (6,), and where the slide is held (7,): the arm's motions carry it."""
@@ -489,7 +486,7 @@ class KukaRobot:
 
     def _pose(self) -> Array:
         """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
-        values = self.wire().numbers("$POS_ACT", FRAME)
+        values = self.wire().numbers("$POS_ACT", POSE)
         pose = np.eye(4)
         pose[:3, :3] = from_zyx(values[3:])
         pose[:3, 3] = values[:3]
@@ -523,7 +520,7 @@ class KukaSweep:
         full_deg_s: Array,
     ) -> None:
         """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
-        if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
+        if not (0 <= axis < len(JOINTS) and np.isfinite(end_deg)):
             raise ROBOT.failed(
                 "HC-B28",
                 "sweep",
@@ -531,12 +528,12 @@ class KukaSweep:
                 wanted="an axis of 1 to 6, a finite angle",
             )
         full = float(full_deg_s[axis])
-        if not full / PERCENT**2 <= speed_deg_s <= full:
+        if not full / 100**2 <= speed_deg_s <= full:
             raise ROBOT.failed(
                 "HC-B28",
                 "sweep",
                 f"{speed_deg_s} deg/s",
-                wanted=f"{full / PERCENT**2:.4f} to {full:g} deg/s",
+                wanted=f"{full / 100**2:.4f} to {full:g} deg/s",
                 speed_deg_s=speed_deg_s,
             )
         self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
@@ -544,7 +541,7 @@ class KukaSweep:
         self._axis, self._end_deg = axis, end_deg
         self._speed_deg_s, self._full_deg_s = speed_deg_s, full
         self._target_deg = np.zeros(6)
-        self._velocity = self._override = PERCENT
+        self._velocity = self._override = 100
         self._variable, self._number, self._under_way = PROGRESS, 0, False
         self._round: Iterator[tuple[str, ...]] = iter(())
         self._limits = MotionLimits(0.0, STALL_S, self.PROGRESS_DEG)
@@ -559,7 +556,7 @@ class KukaSweep:
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = split_speed(share, found)
         self.speed_rad_s = float(
-            np.radians(self._full_deg_s) * self._velocity * self._override / PERCENT**2
+            np.radians(self._full_deg_s) * self._velocity * self._override / 100**2
         )
         self._target_deg = robot.stands_at().copy()
         distance_deg = np.zeros(6)
@@ -588,7 +585,7 @@ class KukaSweep:
         """Ask for the joints once, and look whether all is well and the motion has ended."""
         controller, before_s = self._robot.wire(), self._clock.now_s()
         controller.look()
-        joints_deg = controller.numbers(self._variable, AXES)
+        joints_deg = controller.numbers(self._variable, JOINTS)
         after_s = self._clock.now_s()
         self._look()
         return JointSample(np.radians(joints_deg), before_s, after_s)
@@ -644,10 +641,10 @@ def split_speed(share: float, override: int) -> tuple[int, int]:
 
     The operator's ``override`` is never raised; of equal ones the highest is taken.
     """
-    wanted = share * PERCENT**2 * (1.0 + 1e-9)
+    wanted = share * 100**2 * (1.0 + 1e-9)
     pairs = [
         (velocity * lowered, lowered, velocity)
-        for velocity in range(1, PERCENT + 1)
+        for velocity in range(1, 100 + 1)
         if (lowered := min(override, int(wanted / velocity))) >= 1
     ]
     _, lowered, velocity = max(pairs)
@@ -667,7 +664,7 @@ def give_back_left_behind(access: Access) -> None:
 def await_rest(
     access: Access,
     joints: str = PROGRESS,
-    names: tuple[str, ...] = AXES,
+    names: tuple[str, ...] = JOINTS,
     *,
     closing: bool = False,
 ) -> None:

@@ -20,16 +20,15 @@ from functools import cached_property, partial
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.controller import (
-    AXES,
     PROGRAM_VERSION,
     PROGRESS,
-    SLIDE,
     KeepAlive,
     LifeSign,
     integer,
     override_held,
     unreadable,
 )
+from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.tcp import TcpLink
@@ -37,13 +36,9 @@ from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 from hilcell.wire.channel import Port
 
-MAX_NAME = 250
 MAX_BODY = 4096
 REPLY_S = 2.0
 _HEADER = struct.Struct(">HH")
-PTP_JOINTS, PTP_SLIDE = 1, 2
-MEASURED = "$AXIS_ACT_MEAS"
-SLIDES, MASTERED, PLACE, HELD = "$EX_AX_NUM", "$AXIS_JUS[7]", "$AXIS_ACT.E1", "HC_HELD"
 
 
 class C3Error(ValueError):
@@ -74,7 +69,7 @@ def encode_write(tag: int, name: str, value: str) -> bytes:
 
 def _request(tag: int, kind: int, name: str, rest: bytes) -> bytes:
     text = name.encode("ascii")
-    if not 0 < len(text) <= MAX_NAME or len(rest) > MAX_BODY:
+    if not 0 < len(text) <= 250 or len(rest) > MAX_BODY:
         raise C3Error(f"{name[:40]!r} or its value is too long for one request")
     body = struct.pack(">BH", kind, len(text)) + text + rest
     return _HEADER.pack(tag, len(body)) + body
@@ -259,6 +254,11 @@ class C3Controller(C3Access):
         (PROGRESS,),
     )
 
+    PTP_JOINTS, PTP_SLIDE = 1, 2
+    MEASURED = "$AXIS_ACT_MEAS"
+    SLIDES, MASTERED = "$EX_AX_NUM", "$AXIS_JUS[7]"
+    PLACE, HELD = "$AXIS_ACT.E1", "HC_HELD"
+
     ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
 
     def __init__(self, options: KukaC3Robot.Options, robot: KukaRobot) -> None:
@@ -275,7 +275,7 @@ class C3Controller(C3Access):
     @cached_property
     def measured(self) -> str:
         """Return the variable of measured joints, where the controller has it."""
-        return MEASURED if self._line.knows(MEASURED) else PROGRESS
+        return self.MEASURED if self._line.knows(self.MEASURED) else PROGRESS
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
@@ -283,33 +283,33 @@ class C3Controller(C3Access):
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Write the target, and the number last."""
-        axes = dict(zip((*AXES, SLIDE), target_deg.tolist(), strict=False))
-        self._start(number, axes, PTP_JOINTS, speed_percent)
+        axes = dict(zip((*JOINTS, SLIDE), target_deg.tolist(), strict=False))
+        self._start(number, axes, self.PTP_JOINTS, speed_percent)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Write the target of E1, and the number last; the program looks at no other axis of it."""
-        joints_deg = self.numbers(PROGRESS, AXES)
-        axes = dict(zip((*AXES, SLIDE), [*joints_deg, place_mm], strict=True))
-        self._start(number, axes, PTP_SLIDE, speed_percent)
+        joints_deg = self.numbers(PROGRESS, JOINTS)
+        axes = dict(zip((*JOINTS, SLIDE), [*joints_deg, place_mm], strict=True))
+        self._start(number, axes, self.PTP_SLIDE, speed_percent)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
-        return self._line.knows(SLIDES) and integer(self, SLIDES) > 0
+        return self._line.knows(self.SLIDES) and integer(self, self.SLIDES) > 0
 
     def mastered(self) -> bool:
         """Whether E1 is mastered."""
-        return not self._line.knows(MASTERED) or self.value(MASTERED) is True
+        return not self._line.knows(self.MASTERED) or self.value(self.MASTERED) is True
 
     def hold_slide(self, held: bool) -> None:
         """Write whether E1 may move."""
-        self._line.write(HELD, "TRUE" if held else "FALSE")
+        self._line.write(self.HELD, "TRUE" if held else "FALSE")
 
     def slide(self) -> tuple[float, bool]:
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
-        place_mm = self.value(PLACE)
+        place_mm = self.value(self.PLACE)
         if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
-            raise unreadable(PLACE, f"{place_mm!r} is no place")
-        return float(place_mm), self.value(HELD) is True
+            raise unreadable(self.PLACE, f"{place_mm!r} is no place")
+        return float(place_mm), self.value(self.HELD) is True
 
     def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))

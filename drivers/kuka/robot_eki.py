@@ -29,21 +29,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from typing import ClassVar
 from xml.parsers import expat
 
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.controller import (
-    AXES,
     HEALTH,
     PROGRAM_VERSION,
     PROGRESS,
-    SLIDE,
     KeepAlive,
     integer,
     override_held,
     unreadable,
 )
+from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from drivers.wires.tcp import POLL_S, TcpLink
@@ -78,21 +78,10 @@ SINGLE = {
     "HC_VER": ("Robot", "Program"),
     "HE_VER": ("Robot", "Documents"),
 }
-BOOLEANS = {
-    "HC_STOP", "HC_HELD", "$AXIS_JUS[7]", "$PERI_RDY", "$STOPMESS", "$ALARM_STOP", "$USER_SAF",
-}  # fmt: skip
-STRUCTURES = {
-    "$AXIS_ACT": "Pos",
-    "$AXIS_ACT_MEAS": "Pos",
-    "$POS_ACT": "Pos",
-    "$TOOL": "Tool",
-    "$BASE": "Base",
-}
 
 # The controller serves one client a channel and opens it again a moment after a client has gone, so
 # connecting is tried for a while.
 OPEN_S = 3.0  # the channel of a client that has gone is open again
-AGAIN = 5  # times POLL_S from one try to the next
 
 
 class Kind(IntEnum):
@@ -117,6 +106,17 @@ class EkiError(ValueError):
 class State:
     """One answer: attributes as text, by element; names are without capitals."""
 
+    BOOLEANS: ClassVar = {
+        "HC_STOP", "HC_HELD", "$AXIS_JUS[7]", "$PERI_RDY", "$STOPMESS", "$ALARM_STOP", "$USER_SAF",
+    }  # fmt: skip
+    STRUCTURES: ClassVar = {
+        "$AXIS_ACT": "Pos",
+        "$AXIS_ACT_MEAS": "Pos",
+        "$POS_ACT": "Pos",
+        "$TOOL": "Tool",
+        "$BASE": "Base",
+    }
+
     elements: Mapping[str, Mapping[str, str]]
 
     def text(self, element: str, attribute: str) -> str:
@@ -129,11 +129,11 @@ class State:
     def single(self, name: str) -> krl.Value:
         """Return a single variable of the controller."""
         value = krl.parse(self.text(*SINGLE[name]))
-        return bool(value) if name in BOOLEANS and value in (0, 1) else value
+        return bool(value) if name in self.BOOLEANS and value in (0, 1) else value
 
     def numbers(self, name: str, components: Sequence[str]) -> list[float]:
         """Return components of a structure."""
-        element = STRUCTURES[name]
+        element = self.STRUCTURES[name]
         found = ", ".join(f"{each} {self.text(element, each)}" for each in components)
         return krl.numbers(f"{{{element}: {found}}}", tuple(components))
 
@@ -148,7 +148,7 @@ def command(
     life_ms: int = 0,
 ) -> bytes:
     """Return a command; ``axes`` (6,) in deg, ``e1`` in mm or deg."""
-    places = dict(zip((*AXES, SLIDE), (*axes, e1), strict=True))
+    places = dict(zip((*JOINTS, SLIDE), (*axes, e1), strict=True))
     for name, value in places.items():
         if not math.isfinite(value):
             raise EkiError(f"{name} {value} is not finite")
@@ -301,7 +301,7 @@ def open_channel(
         else:
             return channel
         over = patience.over()
-        for _ in range(AGAIN):
+        for _ in range(5):
             attend()
             time.sleep(POLL_S)
 

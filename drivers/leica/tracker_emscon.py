@@ -63,13 +63,14 @@ from hilcell.ports import (
 from hilcell.wire.channel import Host, Port
 
 AIR = "values that air can have"
-SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 
 T = TypeVar("T")
 
 
 class LeicaEmsconTracker:
     """Satisfies `hilcell.ports.Tracker`, `hilcell.ports.Streams` and `hilcell.ports.TwoFaces`."""
+
+    SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -210,7 +211,7 @@ class LeicaEmsconTracker:
             self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
         settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
         settings.write(Setting.STATIONARY, round(1000 * options.reading_s), 1)
-        settings.write(Setting.SEARCH, options.find_radius_mm, SEARCH_MS)
+        settings.write(Setting.SEARCH, options.find_radius_mm, self.SEARCH_MS)
         settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):

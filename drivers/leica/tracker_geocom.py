@@ -50,13 +50,10 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import SerialLine, parse_channel
 
-TRANSACTIONS = 2**15
-ABORT = "c"  # ends a motion or measurement; answered by "?"
 RAD_PER_ARCSEC = math.pi / 648_000
 MM_PER_M = 1000.0
 PLACES = 15  # decimal places that the instrument is to send
 FARTHEST = 1e5  # m or rad; figures above are no reading
-AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
 BUSY = frozenset({13, 786, 1293})
 # Communication codes of an instrument that is in step: unknown procedure, asleep, off.
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)
@@ -302,13 +299,13 @@ def class_std_mm(xyz_mm: Array, along_mm: float, across_rad: float) -> Array:
     return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
 
 
-SETTING_SHARE = 1e-6
-NOWHERE_MM = np.full(3, np.nan)
-
-
 class LeicaGeocomTracker:
     """Satisfies `hilcell.ports.Tracker`."""
 
+    TRANSACTIONS = 2**15
+    ABORT = "c"  # ends a motion or measurement; answered by "?"
+    AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
+    NOWHERE_MM = np.full(3, np.nan)
     DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
     TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
     CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
@@ -399,7 +396,7 @@ class LeicaGeocomTracker:
     def stop(self) -> None:
         """Stop turning and measuring; any thread; waits for no answer."""
         if self._lines is not None:
-            self._lines.send(ABORT, "stop")
+            self._lines.send(self.ABORT, "stop")
 
     def close(self) -> None:
         """Close the wire."""
@@ -458,7 +455,7 @@ class LeicaGeocomTracker:
             set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *self.CORRECTED)
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
-        self._ask(Rpc.DO_MEASURE, Program.CLEAR, AUTOMATIC_TILT)
+        self._ask(Rpc.DO_MEASURE, Program.CLEAR, self.AUTOMATIC_TILT)
 
     def _set_checked(self, what: str, write: Rpc, read: Rpc, *wanted: float) -> None:
         """Write a setting where it reads differently, and believe it only when it reads back.
@@ -512,13 +509,13 @@ class LeicaGeocomTracker:
         options = self._options
         window_rad = 2.0 * options.find_radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
         self._ask(Rpc.FINE_ADJUST, window_rad, window_rad, 0, limit_s=self.MOVE_S)
-        before_mm = NOWHERE_MM
+        before_mm = self.NOWHERE_MM
         for _ in range(self.TRIES):
             reply = self._measured()
             values = self._decoded(reply, 3)
             if reply.is_whole:
                 break
-            at_mm = position_mm(*values) if possible(values) else NOWHERE_MM
+            at_mm = position_mm(*values) if possible(values) else self.NOWHERE_MM
             if float(np.linalg.norm(at_mm - before_mm)) <= options.max_std_mm:
                 break  # no two lose the same character: both have lost zeros alone
             before_mm = at_mm
@@ -542,12 +539,12 @@ class LeicaGeocomTracker:
         """Return angles and a new distance, which reading it makes an old one."""
         options = self._options
         for program in (Program.CLEAR, Program.DISTANCE):
-            self._ask(Rpc.DO_MEASURE, program, AUTOMATIC_TILT)
+            self._ask(Rpc.DO_MEASURE, program, self.AUTOMATIC_TILT)
         wait_ms = self.DISTANCE_MS + round(1000 * options.reading_s)
         reply = self._ask(
             Rpc.GET_MEASUREMENT,
             wait_ms,
-            AUTOMATIC_TILT,
+            self.AUTOMATIC_TILT,
             limit_s=wait_ms / 1000.0 + self.REPLY_S,
             accepted=options.accept_uncorrected,
         )
@@ -610,7 +607,7 @@ class LeicaGeocomTracker:
         raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
-        transaction = 1 + next(self._transactions) % (TRANSACTIONS - 1)
+        transaction = 1 + next(self._transactions) % (self.TRANSACTIONS - 1)
         self._given_up.discard(transaction)
         self._wire().send(request(rpc, transaction, *parameters), rpc.spoken)
         return transaction
@@ -656,5 +653,5 @@ class LeicaGeocomTracker:
 
 
 def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
-    close = np.isclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE)
+    close = np.isclose(found, wanted, rtol=1e-6, atol=1e-6)
     return bool(np.all(close & np.isfinite(found)))

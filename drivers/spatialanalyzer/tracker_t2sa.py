@@ -59,7 +59,7 @@ PORT = 50_000
 REPLY_S = 5.0
 MEASURE_S = 30.0
 BUSY_PAUSE_S = 0.2
-HALT, STATUS, LASER, LASER_ON = "!HALT", "?STAT", "?LSTA", "!LST:1"
+HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
 MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
 READY = ("Instrument is connected", "READY")
 BUSY = 201
@@ -424,7 +424,7 @@ class T2saTracker:
         """Switch the laser on where it is off, and wait until it has warmed up."""
         state = bridge.ask(LASER).text
         if "LOFF" in state:
-            bridge.ask(LASER_ON)
+            bridge.ask("!LST:1")
             state = bridge.ask(LASER).text
         ends_s = self._clock.now_s() + self.WARM_S
         while "WARM" in state and self._clock.now_s() < ends_s:

@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import pytest
 
 from drivers.kuka import robot_eki as eki
-from drivers.kuka.controller import AXES, FRAME, PROGRAM_VERSION, SLIDE, LifeSign
+from drivers.kuka.controller import PROGRAM_VERSION, LifeSign
+from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.supervision import LIFE_S
 from tests.drivers.kuka_peer import VARIABLES
 
@@ -138,9 +139,9 @@ def test_the_interface_is_configured_for_all_that_the_driver_sends() -> None:
 
 def test_the_interface_is_configured_for_all_that_the_driver_reads() -> None:
     read = {f"RobotState/{element}/@{attribute}" for element, attribute in eki.SINGLE.values()}
-    places = [*AXES, SLIDE, *FRAME]
+    places = [*JOINTS, SLIDE, *POSE]
     read |= {"RobotState/Command/@Id"} | {f"RobotState/Pos/@{name}" for name in places}
-    read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in FRAME}
+    read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in POSE}
     assert read == SENT["HilcellEki"] - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
     assert SENT["HilcellStop"] == {"RobotStopState/Command/@Id"}
 

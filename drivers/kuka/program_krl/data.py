@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+from drivers.kuka.krl import POSE
 from drivers.program_text import MARK, Number
 from hilcell.ports import HilcellError
 
@@ -132,7 +133,6 @@ def quoted(tokens: Sequence[Token]) -> str:
     return "".join(gap + token.text for gap, token in zip(("", *gaps), tokens, strict=False))
 
 
-POSE = ("X", "Y", "Z", "A", "B", "C")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 POINTS = ("E6POS", "POS", "FRAME")
 AXES = ("E6AXIS", "AXIS")

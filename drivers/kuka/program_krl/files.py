@@ -14,11 +14,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from drivers.kuka.krl import JOINTS, POSE
 from drivers.kuka.program_krl.data import (
     AXES,
     EXTERNAL,
     POINTS,
-    POSE,
     DataList,
     Datum,
     KrlError,
@@ -41,28 +41,6 @@ from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import pose_from_zyx
 
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
-JOINTWISE = ("PTP", "SPTP")
-JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
-HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
-NAMED = 5
-CONTROL = (
-    "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
-    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS", "DIV", "MOD", "SEC",
-    "PRIO", "DELAY", "DISTANCE", "PATH",
-)  # fmt: skip
-MOVES_NOTHING = (
-    "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
-    "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
-    "IR_STOPM",  # the controller's own, which each program declares for its stop messages
-    "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ASIN", "ATAN", "ATAN2", "ROUND", "FRAND",
-    "FORWARD", "INVERSE", "INV_POS", "CAST_TO", "CAST_FROM", "VARSTATE", "VARTYPE", "GETVARSIZE",
-    "STRADD", "STRCLEAR", "STRCOPY", "STRCOMP", "STRFIND", "STRLEN", "STRDECLLEN", "STRTOBOOL",
-    "STRTOINT", "STRTOREAL", "STRTOSTRING", "STRTOFRAME", "STRTOPOS", "STRTOE6POS", "STRTOAXIS",
-    "STRTOE6AXIS", "GET_SIG_INF", "GET_DECL_PLACE", "GETCYCDEF", "GETSYSSTATE", "GET_SYSTEM_DATA",
-    "IS_KEY_PRESSED", "ISMESSAGESET", "TIMER_LIMIT", "MBX_REC", "SYNC", "SYNCCMD", "WSPACEGIVE",
-    "WSPACETAKE", "SET_KRLMSG", "EXISTS_KRLMSG", "CLEAR_KRLMSG", "SET_KRLDLG", "EXISTS_KRLDLG",
-    "SET_KRLDLGANSWER", "GET_MSGBUFFER", "ERR_CLEAR", "ERR_RAISE", "DELETE_BACKWARD_BUFFER",
-)  # fmt: skip
 
 
 def load_program(path: Path) -> Program:
@@ -164,6 +142,28 @@ class _Surely:
 class _Reader:
     """Goes through the statements once for motions, and once more for other uses of points."""
 
+    JOINTWISE = ("PTP", "SPTP")
+    HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
+    CONTROL = (
+        "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
+        "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS", "DIV", "MOD", "SEC",
+        "PRIO", "DELAY", "DISTANCE", "PATH",
+    )  # fmt: skip
+    MOVES_NOTHING = (
+        "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
+        "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
+        "IR_STOPM",  # the controller's own, which each program declares for its stop messages
+        "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ASIN", "ATAN", "ATAN2", "ROUND", "FRAND",
+        "FORWARD", "INVERSE", "INV_POS", "CAST_TO", "CAST_FROM", "VARSTATE", "VARTYPE",
+        "GETVARSIZE", "STRADD", "STRCLEAR", "STRCOPY", "STRCOMP", "STRFIND", "STRLEN", "STRDECLLEN",
+        "STRTOBOOL", "STRTOINT", "STRTOREAL", "STRTOSTRING", "STRTOFRAME", "STRTOPOS", "STRTOE6POS",
+        "STRTOAXIS", "STRTOE6AXIS", "GET_SIG_INF", "GET_DECL_PLACE", "GETCYCDEF", "GETSYSSTATE",
+        "GET_SYSTEM_DATA", "IS_KEY_PRESSED", "ISMESSAGESET", "TIMER_LIMIT", "MBX_REC",
+        "SYNC", "SYNCCMD", "WSPACEGIVE", "WSPACETAKE", "SET_KRLMSG", "EXISTS_KRLMSG",
+        "CLEAR_KRLMSG", "SET_KRLDLG", "EXISTS_KRLDLG", "SET_KRLDLGANSWER", "GET_MSGBUFFER", "ERR_CLEAR", "ERR_RAISE", "DELETE_BACKWARD_BUFFER",
+    )  # fmt: skip
+    JOINT_TARGET = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
+
     def __init__(self, file: str, found: list[Statement], data: DataList | None) -> None:
         self.targets: dict[str, Target] = {}
         self._lacks_data = data is None
@@ -216,9 +216,9 @@ class _Reader:
     def _no_data(self) -> str:
         stem = self._file.rpartition(".")[0] or self._file
         names = list(dict.fromkeys(self._missing))
-        more = ", ..." if len(names) > NAMED else ""
+        more = ", ..." if len(names) > 5 else ""
         return (
-            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:NAMED])}"
+            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:5])}"
             f"{more}; copy both files of the program into one folder"
         )
 
@@ -330,7 +330,7 @@ class _Reader:
             self._stands.stands_at([f"{statement.line}"])
             return
         self._places.add(target[0].start)
-        if statement.head in JOINTWISE and self._stays(name, statement.line):
+        if statement.head in self.JOINTWISE and self._stays(name, statement.line):
             return
         self._frames.move(statement.line, clause)
         meant = {each.name: each for each in self._meant(target)}
@@ -341,8 +341,8 @@ class _Reader:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""
         stated = f"{statement.head} {quoted(inline.tokens)}"
         numbers = {name: number(name, each) for name, each in inline.fields().items()}
-        if self.targets or statement.head not in JOINTWISE or not set(JOINTS) <= set(numbers):
-            raise KrlError(_JOINTS.format(stated))
+        if self.targets or statement.head not in self.JOINTWISE or not set(JOINTS) <= set(numbers):
+            raise KrlError(self.JOINT_TARGET.format(stated))
         values = {name: each.value for name, each in numbers.items()}
         self._stops[statement.line] = [Stop("", values)]
         self._left.setdefault(f"{stated}: joint targets are left unchanged", statement.line)
@@ -351,11 +351,11 @@ class _Reader:
         """Whether this is a home move, or one to where the robot is, which are left unchanged."""
         if name == "$AXIS_ACT":
             return True
-        kind = self._data.kinds.get(name, "E6AXIS" if name in HOMES else "")
+        kind = self._data.kinds.get(name, "E6AXIS" if name in self.HOMES else "")
         if kind not in AXES or name in self._local:
             return False
-        if name not in HOMES:
-            raise KrlError(_JOINTS.format(name))
+        if name not in self.HOMES:
+            raise KrlError(self.JOINT_TARGET.format(name))
         self._stops[line] = [Stop("", self._joints(name))]
         self._left.setdefault(f"home move {name}: joint targets are left unchanged", line)
         return True
@@ -382,7 +382,7 @@ class _Reader:
             raise KrlError(f"{name} is not a point with numbers in the program's .dat file")
         found = [self._data.data[each] for each in names]
         if found[0].kind in AXES:
-            raise KrlError(_JOINTS.format(name))
+            raise KrlError(self.JOINT_TARGET.format(name))
         if found[0].kind not in POINTS:
             raise KrlError(f"{name} is {found[0].kind}, which is no point")
         return found
@@ -392,8 +392,8 @@ class _Reader:
         self._stops[motion.line] = stops = list[Stop]()
         for key, datum in meant.items():
             known = self.targets.get(key)
-            target = self._target_of(datum, by_joints=motion.head in JOINTWISE)
-            if known is None or (known.posture is None and motion.head in JOINTWISE):
+            target = self._target_of(datum, by_joints=motion.head in self.JOINTWISE)
+            if known is None or (known.posture is None and motion.head in self.JOINTWISE):
                 self.targets[key] = target
             values = {name: each.value for name, each in target.numbers.items()}
             stops.append(Stop(key, values, target.status))
@@ -414,7 +414,7 @@ class _Reader:
         tokens = statement.tokens
         for at, token in enumerate(tokens[:-1]):
             called = token.kind == "word" and tokens[at + 1].text == "("
-            if not called or token.word in CONTROL:
+            if not called or token.word in self.CONTROL:
                 continue
             handed = tokens[at + 2 : closing(tokens, at + 1)]
             points = [t.word for t in handed if self._data.kinds.get(t.word, "FDAT") != "FDAT"]
@@ -423,7 +423,7 @@ class _Reader:
                     f"{token.word} is called with the motion parameter "
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
-            known = token.word in self._own or token.word in MOVES_NOTHING
+            known = token.word in self._own or token.word in self.MOVES_NOTHING
             # Functions of EthernetKRL exchange data alone.
             if not known and not token.word.startswith("EKI_"):
                 note = (
@@ -462,9 +462,6 @@ class _Reader:
                     f"it: it may run without the base and tool of line {stated.line}; set them in "
                     f"{name}, in a file of its own"
                 )
-
-
-_JOINTS = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
 
 
 def _refuse_motions(statement: Statement) -> None:

@@ -21,8 +21,9 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Generic, NamedTuple, TypeVar
 
+from drivers.kuka.krl import SLIDE
 from drivers.kuka.program_krl.data import EXTERNAL, KrlError, Statement
-from drivers.kuka.program_krl.program import SLIDE, Kept, Target
+from drivers.kuka.program_krl.program import Kept, Target
 from hilcell.errors import bounded
 
 State = TypeVar("State", bound=Hashable)

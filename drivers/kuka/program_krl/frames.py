@@ -21,9 +21,9 @@ import re
 from collections.abc import Hashable, Mapping, Sequence
 from typing import NamedTuple
 
+from drivers.kuka.krl import POSE
 from drivers.kuka.program_krl.data import (
     POINTS,
-    POSE,
     DataList,
     KrlError,
     Statement,
@@ -38,7 +38,6 @@ from drivers.kuka.program_krl.data import (
 from drivers.kuka.program_krl.flow import Flow
 from drivers.kuka.program_krl.strokes import STROKES
 
-BAS_FORM = "#FRAMES"
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = (
     "BASE_DATA",
@@ -195,7 +194,7 @@ class FrameRule:
             raise KrlError(f"BAS({first},...) may set another base")
         elif first == "#INITMOV" and (self._set or self._form or self._moved):
             raise KrlError(f"BAS({first},...) resets base and tool after they were set or used")
-        elif first == BAS_FORM and self._set:
+        elif first == "#FRAMES" and self._set:
             stated = next(iter(self._set.values()))
             raise KrlError(
                 f"BAS({first},...) sets base and tool by FDAT_ACT after line {stated.line} has set "
@@ -203,7 +202,7 @@ class FrameRule:
             )
         elif first == "#INITMOV":
             self.settings[line].append((RESET, ""))
-        elif first in (BAS_FORM, "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
+        elif first in ("#FRAMES", "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
             self.settings[line].append((APPLY, ""))
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.kuka.program_krl.data import POSE, statements
+from drivers.kuka.krl import POSE
+from drivers.kuka.program_krl.data import statements
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below, plain
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import inverse, pose_from_zyx
@@ -25,7 +26,6 @@ from hilcell.ports import Array, HilcellError
 
 SOURCE, DATA = ".src", ".dat"
 DECIMALS = 3
-SLIDE = "E1"
 USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
 
 

@@ -19,7 +19,6 @@ MOTIONS = (
     "PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL", "SPLINE", "PTP_SPLINE", "PTP_REL",
     "CIRC_REL", "SPTP_REL", "SCIRC_REL", "ASYPTP",
 )  # fmt: skip
-SHIFT = ("X", "Y", "Z")
 BRANCHES = (
     "DEF", "DEFFCT", "GLOBAL", "END", "ENDFCT", "IF", "ELSE", "ENDIF", "FOR", "ENDFOR", "WHILE",
     "ENDWHILE", "LOOP", "ENDLOOP", "REPEAT", "UNTIL", "SWITCH", "CASE", "DEFAULT", "ENDSWITCH",
@@ -131,7 +130,7 @@ def _shift(statement: Statement) -> tuple[float, float, float]:
     left = set(words) - {"#TOOL", "#BASE", "C_DIS", "C_VEL", "C_ORI", "C_SPL"}
     if left or len(frames) > 1:
         raise KrlError(f"{head} is a relative motion with {quoted(rest)}, which is not understood")
-    others = [name for name in fields if name not in SHIFT]
+    others = [name for name in fields if name not in ("X", "Y", "Z")]
     if others:
         raise KrlError(
             f"{head} is a relative motion that changes {', '.join(others)}: only strokes in X, Y, "
@@ -143,5 +142,5 @@ def _shift(statement: Statement) -> tuple[float, float, float]:
             "the correction of the point before them"
         )
     values = {name: number(name, each).value for name, each in fields.items()}
-    x, y, z = (values.get(name, 0.0) for name in SHIFT)
+    x, y, z = (values.get(name, 0.0) for name in "XYZ")
     return x, y, z

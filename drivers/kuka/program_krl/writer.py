@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from drivers.kuka.program_krl.data import POSE
+from drivers.kuka.krl import POSE
 from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
 from drivers.program_text import ENCODING, module_name, plain
 from hilcell.cell.robot import REFLECTOR
@@ -22,7 +22,6 @@ from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
 CLEAR_RAD = 1e-4
-ACCELERATION_PERCENT = 50
 STRAIGHT_M_S = 0.1  # in to a hole and out of it
 
 
@@ -51,7 +50,7 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield "BAS (#INITMOV,0 )"
     yield f"BAS (#TOOL,{_tool_number(program)} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
-    yield f"BAS (#ACC_PTP,{ACCELERATION_PERCENT} )"
+    yield "BAS (#ACC_PTP,50 )"
     yield f"BAS (#VEL_CP,{STRAIGHT_M_S:g} )"
     yield comment("{W} as calibrated, in the robot's root")
     yield f"$BASE={_frame(program.base)}"

@@ -41,7 +41,6 @@ from hilcell.geometry.frames import from_rotvec, matrix, poses_from_zyx, to_rotv
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array, HilcellError
 
-LONGEST_QUOTE = 80
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 POSE = re.compile(r"p\[\s*" + r"\s*,\s*".join(f"({NUMBER})" for _ in range(6)) + r"\s*\]", re.ASCII)
 _QUIET = re.compile(r"\"[^\"]*\"|#.*")
@@ -64,7 +63,7 @@ class Statement:
     def quoted(self) -> str:
         """Return it as the file has it, for messages."""
         text = clean(self.source)
-        return text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
+        return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def statements(text: str) -> Iterator[Statement]:
@@ -236,29 +235,6 @@ def _nearest(position: Array, before_rad: Array) -> list[float]:
     return found
 
 
-MOTIONS = ("movej", "movel")
-PARAMETERS = ("a", "v", "t", "r")  # behind the target, in their order
-WORDS = ("and", "or", "not", "xor", "True", "False", "return", "global", "local")
-HARMLESS = (
-    "sleep", "sync", "textmsg", "popup", "halt", "to_num", "to_str", "str_cat", "str_len", "abs",
-    "sqrt", "floor", "ceil", "pow", "sin", "cos", "tan", "d2r", "r2d", "random", "length",
-    "get_steptime", "is_steady", "stopj", "stopl", "force", "get_tcp_force", "set_digital_out",
-    "set_analog_out", "set_standard_digital_out", "set_standard_analog_out",
-    "set_configurable_digital_out", "set_tool_digital_out", "set_tool_voltage", "set_flag",
-    "get_flag", "get_digital_in", "get_digital_out", "get_analog_in", "get_standard_digital_in",
-    "get_standard_digital_out", "get_standard_analog_in", "get_configurable_digital_in",
-    "get_configurable_digital_out", "get_tool_digital_in", "get_tool_digital_out",
-    "get_tool_analog_in", "read_input_boolean_register", "read_input_integer_register",
-    "read_input_float_register", "write_output_boolean_register", "write_output_integer_register",
-    "write_output_float_register", "set_payload", "set_target_payload", "set_gravity",
-)  # fmt: skip
-_DEF = re.compile(r"def\s+(\w+)\s*\(([\w\s,]*)\)\s*:", re.ASCII)
-_BRANCH = re.compile(r"(?:if|elif|while)\b(.+):", re.ASCII)
-_ASSIGN = re.compile(r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII)
-_CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
-_NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
-
-
 def read_program(file: str, text: str) -> Program:
     """Return the program; raises `SettingsError` with all that is refused, by line."""
     reader = _Reader(list(statements(text)))
@@ -274,6 +250,31 @@ def read_program(file: str, text: str) -> Program:
 
 class _Reader:
     """Goes through the statements once for names, and once more for their uses."""
+
+    MOTIONS = ("movej", "movel")
+    PARAMETERS = ("a", "v", "t", "r")  # behind the target, in their order
+    WORDS = ("and", "or", "not", "xor", "True", "False", "return", "global", "local")
+    HARMLESS = (
+        "sleep", "sync", "textmsg", "popup", "halt", "to_num", "to_str", "str_cat", "str_len",
+        "abs", "sqrt", "floor", "ceil", "pow", "sin", "cos", "tan", "d2r", "r2d", "random",
+        "length", "get_steptime", "is_steady", "stopj", "stopl", "force", "get_tcp_force",
+        "set_digital_out", "set_analog_out", "set_standard_digital_out", "set_standard_analog_out",
+        "set_configurable_digital_out", "set_tool_digital_out", "set_tool_voltage", "set_flag",
+        "get_flag", "get_digital_in", "get_digital_out", "get_analog_in", "get_standard_digital_in",
+        "get_standard_digital_out", "get_standard_analog_in", "get_configurable_digital_in",
+        "get_configurable_digital_out", "get_tool_digital_in", "get_tool_digital_out",
+        "get_tool_analog_in", "read_input_boolean_register", "read_input_integer_register",
+        "read_input_float_register", "write_output_boolean_register",
+        "write_output_integer_register", "write_output_float_register", "set_payload",
+        "set_target_payload", "set_gravity",
+    )  # fmt: skip
+    _DEF = re.compile(r"def\s+(\w+)\s*\(([\w\s,]*)\)\s*:", re.ASCII)
+    _BRANCH = re.compile(r"(?:if|elif|while)\b(.+):", re.ASCII)
+    _ASSIGN = re.compile(
+        r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII
+    )
+    _CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
+    _NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
 
     def __init__(self, found: list[Statement]) -> None:
         self.targets: dict[str, Target] = {}
@@ -319,11 +320,11 @@ class _Reader:
         if ";" in code or code.count('"') % 2:
             raise UrScriptError("one statement a line is wanted, and strings that end on it")
         split(code)
-        if match := _DEF.fullmatch(code):
+        if match := self._DEF.fullmatch(code):
             self._functions.add(match[1])
             for parameter in filter(None, (each.strip() for each in match[2].split(","))):
                 self._assigned[parameter].append(statement.line)
-        elif (match := _ASSIGN.fullmatch(code)) and not _BRANCH.fullmatch(code):
+        elif (match := self._ASSIGN.fullmatch(code)) and not self._BRANCH.fullmatch(code):
             self._assigned[match[1]].append(statement.line)
             numbers = pose(match[3], statement.start + match.start(3))
             if numbers is not None and match[2] is None:
@@ -331,15 +332,15 @@ class _Reader:
 
     def _use(self, statement: Statement) -> None:
         code = statement.code
-        for word, _ in _NAME.findall(code):
+        for word, _ in self._NAME.findall(code):
             if word in ("thread", "run", "join", "kill", "enter_critical", "exit_critical"):
                 raise UrScriptError(f"{word}: several threads may move the robot at once")
         plain = r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*"
         if self._block(statement) or re.fullmatch(plain, code, re.ASCII):
             return
-        if match := _ASSIGN.fullmatch(code):
+        if match := self._ASSIGN.fullmatch(code):
             self._assign(match[1], match[2] or "", match[3])
-        elif match := _CALL.fullmatch(code):
+        elif match := self._CALL.fullmatch(code):
             self._call(statement, match)
         elif code.startswith("return "):
             self._check(code)
@@ -349,11 +350,11 @@ class _Reader:
     def _block(self, statement: Statement) -> bool:
         """Whether the statement opens or ends a block; raises `UrScriptError`."""
         code = statement.code
-        if match := _DEF.fullmatch(code):
-            if match[1] in (*HARMLESS, *MOTIONS, "set_tcp"):
+        if match := self._DEF.fullmatch(code):
+            if match[1] in (*self.HARMLESS, *self.MOTIONS, "set_tcp"):
                 raise UrScriptError(f"it gives {match[1]} another meaning")
             self._main = self._main or statement.line
-        elif match := _BRANCH.fullmatch(code):
+        elif match := self._BRANCH.fullmatch(code):
             self._check(match[1])
         elif code != "end":
             return False
@@ -375,7 +376,7 @@ class _Reader:
     def _call(self, statement: Statement, match: re.Match[str]) -> None:
         name, arguments = match[1], split(match[2])
         at = statement.start + match.start(2) + len(arguments[0]) - len(arguments[0].lstrip())
-        if name in MOTIONS:
+        if name in self.MOTIONS:
             self._move(statement, name, arguments, at)
         elif name == "set_tcp":
             self._set_tcp(statement, arguments, at)
@@ -396,11 +397,11 @@ class _Reader:
             self.targets.setdefault(stated, self._variable(stated))
         for position, argument in enumerate(arguments[1:]):
             named = re.fullmatch(r"(\w+)\s*=(?!=)\s*(.*)", argument.strip(), re.ASCII)
-            if named is None and position >= len(PARAMETERS):
+            if named is None and position >= len(self.PARAMETERS):
                 raise UrScriptError("it has more arguments than a, v, t, r behind its target")
-            key = named[1] if named else PARAMETERS[position]
+            key = named[1] if named else self.PARAMETERS[position]
             value = named[2] if named else argument.strip()
-            if key not in PARAMETERS:
+            if key not in self.PARAMETERS:
                 raise UrScriptError(f"{key} is no argument of {name} behind its target")
             if key == "r" and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
                 raise UrScriptError(
@@ -414,7 +415,7 @@ class _Reader:
         """Return the pose that a variable holds; raises `UrScriptError`."""
         if stated.startswith("["):
             raise UrScriptError("a joint target: nothing there can be corrected; state a pose p[]")
-        if called := _CALL.match(stated):
+        if called := self._CALL.match(stated):
             raise UrScriptError(f"its target is computed at run time, by {called[1]}")
         if stated not in self._poses:
             raise UrScriptError("its target is no pose that stands in the program as six numbers")
@@ -441,12 +442,12 @@ class _Reader:
         """Refuse an expression that has to do with poses, or calls a function that is not known."""
         if re.search(r"(?<!\w)p\s*\[", code, re.ASCII):
             raise UrScriptError("a pose stands where hilcell does not follow it")
-        for word, called in _NAME.findall(code):
+        for word, called in self._NAME.findall(code):
             if word in self._poses:
                 raise UrScriptError(f"the pose {word} is used besides the motions to it")
-            if not called or word in WORDS or word in HARMLESS or word in self._functions:
+            if not called or word in self.WORDS or word in self.HARMLESS or word in self._functions:
                 continue
-            if word in MOTIONS:
+            if word in self.MOTIONS:
                 raise UrScriptError(f"{word} must be a statement of its own")
             raise UrScriptError(f"{word}() is not known to leave robot, TCP and poses as they are")
 
