@@ -15,7 +15,7 @@ from hilcell.journal.words import in_words, local_words, time_words
 from hilcell.model.events import NOT_KNOWN
 from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, ends
+from hilcell.tui.layout import BLANK, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.terminal.capabilities import Glyphs
 
 
@@ -56,9 +56,7 @@ def lamps_of(view: RunView) -> tuple[str, ...]:
 def lamps(view: RunView, glyphs: Glyphs) -> Lines:
     """Return the lamps with the age of their readings, and the air."""
     devices = view.status.devices if view.status is not None and view.live else {}
-    found: list[Cell] = [
-        lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)
-    ]
+    found = [lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)]
     columns = Col(13), *[Col(14)] * (len(found) - 2), Col(), Col(1, right=True, grows=True)
     return Grid([[*found, air(view, glyphs)]], *columns)
 
@@ -66,12 +64,12 @@ def lamps(view: RunView, glyphs: Glyphs) -> Lines:
 def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
     """Return one lamp; a stale reading is grey and shows its age."""
     title = name.capitalize()
-    if device.age_s is None and device.state != "lost":
-        return Content.styled(f"{glyphs.stale} {title} -", "$stale")
-    age = short_age((device.age_s or 0.0) + view.status_age_s)
     if device.state == "lost":
         return Content.styled(f"{glyphs.lost} {title} lost", "bold $fault")
-    aged = not (device.age_s or 0.0) + view.status_age_s <= STALE_AFTER_S
+    if device.age_s is None:
+        return Content.styled(f"{glyphs.stale} {title} -", "$stale")
+    age_s = device.age_s + view.status_age_s
+    aged, age = not age_s <= STALE_AFTER_S, short_age(age_s)
     if device.state not in ("fresh", "moving") or view.stale or aged:
         return Content.styled(f"{glyphs.stale} {title} {age}", "$stale")
     moves = device.state == "moving"
@@ -100,11 +98,9 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
         return Content.styled("air not measured", "$label")
     drift_k = celsius - measured_c[0]
     text = f"{celsius:.1f} {glyphs.degree}C {drift_k:+z.1f} K".replace("-", "−")
-    within = abs(drift_k) <= DRIFT_LIMIT_K
-    return Content.styled(text if within else f"{glyphs.warned} {text}", "" if within else "$ask")
-
-
-# -- interlocks ------------------------------------------------------------------------------------
+    if abs(drift_k) <= DRIFT_LIMIT_K:
+        return Content(text)
+    return Content.styled(f"{glyphs.warned} {text}", "$ask")
 
 
 def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
@@ -117,11 +113,11 @@ def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
         known = view.status is not None and bool(view.status.interlocks)
         age = f" for {short_age(view.status_age_s)}" if known else ""
         return ends((f"{glyphs.stale} interlocks: no reading{age}", "$stale"), "")
-    parts = []
-    for n, each in enumerate(found):
-        why = f": {each.short}" if n == 0 and each.short else ""
-        shape, words = (each.shape, each.tone), f" {each.name} {each.word}"
-        parts.append(Content.assemble(shape, words, (why, each.tone)))
+    parts = [
+        Content.assemble((each.shape, each.tone), f" {each.name} {each.word}") for each in found
+    ]
+    if why := found[0].short:
+        parts[0] = parts[0].append(Content.styled(f": {why}", found[0].tone))
     columns = Col(43), *[Col(14)] * (len(parts) - 2), *[Col()] * (len(parts) > 1)
     return Grid([parts], *columns)
 
@@ -129,8 +125,8 @@ def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
 def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
     """Return that nothing may move, the longest words first."""
     if view.state == "gone":
-        gone = f"{glyphs.lost} the engine is gone: nobody watches the cell"
-        return [Content.styled(gone, "$ask")]
+        gone = "the engine is gone: nobody watches the cell"
+        return [Content.styled(f"{glyphs.lost} {gone}", "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
     at = [f" at {time_words(end.t)}", f" at {local_words(end.t)}"] if end is not None else []
     known = end is None or view.log.was_connected
@@ -190,18 +186,14 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
         )
         for each in locks(view, glyphs)
     ] or [Content.styled(f"{glyphs.stale} no reading", "$stale")]
-    lines.append(Content(""))
+    lines.append(BLANK)
     for name in lamps_of(view):
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
         detail = device.reason or device.text
         lines.append(head.append(f"   {in_words(detail, view.log)}" if detail else ""))
-    lines += [
-        Content(""),
-        Content.styled(
-            "These interlocks protect the measurement. They are no safety function: guards, "
-            "enabling switch and E-stop work without hilcell.",
-            "$label",
-        ),
-    ]
-    return Content("\n").join(lines)
+    words = (
+        "These interlocks protect the measurement. They are no safety function: guards, "
+        "enabling switch and E-stop work without hilcell."
+    )
+    return Content("\n").join([*lines, BLANK, Content.styled(words, "$label")])

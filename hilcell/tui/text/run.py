@@ -93,11 +93,6 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
 }
 
 
-def block(text: str, tone: str) -> Content:
-    """Return a block of a role's fill."""
-    return Content.styled(f" {text} ", f"bold $on-{tone} on ${tone}-fill")
-
-
 def badge(text: str) -> Content:
     """Return a quiet block: no state, but to be seen."""
     return Content.styled(f" {text} ", "bold $foreground on $badge")
@@ -123,19 +118,15 @@ def role_of(view: RunView) -> str:
     return "label" if role == "live" and view.stale else role
 
 
-def state_block(view: RunView, glyphs: Glyphs) -> Content:
-    """Return the state by word, shape and colour."""
-    return block(f"{glyphs.states[view.state]} {state_of(view)[0]}", role_of(view))
-
-
 def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> Lines:
     """Return the first row: state, LIVE or HISTORIC, SIMULATION, and a notice; trouble fills it.
 
     ``background``: the live run that goes on while this one is shown.
     """
     tone = role_of(view)
-    ground = f"bold $on-{tone} on ${tone}-fill" if tone in LOUD else ""
-    parts = [state_block(view, glyphs)]
+    fill = f"bold $on-{tone} on ${tone}-fill"
+    ground = fill if tone in LOUD else ""
+    parts = [Content.styled(f" {glyphs.states[view.state]} {state_of(view)[0]} ", fill)]
     if view.engine is not EngineState.UNKNOWN and background is None:
         parts.append(badge("LIVE" if view.live else "HISTORIC"))
     if is_simulated(view):
@@ -195,17 +186,13 @@ def step(view: RunView) -> Lines:
     plan, now = view.log.plan, view.step
     if plan is None or not now:
         return ends(("no step yet", "$label"), "")
-    number, of = now.number, now.of
     name = step_words(now.name, has_rail=view.has_rail)
-    over = view.state in ("done", "intolerant")
-    words = "finished" if over else _part(view)
-    taken, planned = _of_step(view, number)
-    if over:
-        planned = plan.points
+    words, (taken, planned) = _part(view), _of_step(view, now.number)
+    if view.state in ("done", "intolerant"):
+        words, planned = "finished", plan.points
         taken = min(sum(map(len, view.measured.values())), planned)
-    head = Content.assemble(
-        (f"Step {number} of {of}  ", "$label"), (name, "bold"), f": {words}" if words else ""
-    )
+    which = f"Step {now.number} of {now.of}  ", "$label"
+    head = Content.assemble(which, (name, "bold"), f": {words}" if words else "")
     return ends(head, (f"{taken} of {planned}" if planned else "", "bold"))
 
 
@@ -268,8 +255,7 @@ def duration(seconds: float) -> str:
     """Return a duration as M:SS, or H:MM:SS."""
     if not math.isfinite(seconds):
         return "-:--"
-    whole = max(round(seconds), 0)
-    minutes, second = divmod(whole, 60)
+    minutes, second = divmod(max(round(seconds), 0), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
 
@@ -279,12 +265,11 @@ def following(view: RunView) -> Content:
     plan, now = view.log.plan, view.step
     if plan is None or not now or not view.live:
         return BLANK
-    number = now.number
     words = "the end"
-    if number < len(plan.steps):
-        words = step_words(plan.steps[number].name, has_rail=view.has_rail)
+    if now.number < len(plan.steps):
+        words = step_words(plan.steps[now.number].name, has_rail=view.has_rail)
     known = bool(view.ahead) and view.state == "running" and not view.stale
-    left_s = sum(part.takes_s for part in view.ahead if part.step == number)
+    left_s = sum(part.takes_s for part in view.ahead if part.step == now.number)
     when = f", in {duration(left_s)}" if known else ""
     return Content.styled(f"next: {words}{when}", "$label")
 
@@ -308,7 +293,7 @@ def resume_text(view: RunView | None) -> str:
 
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
-RAW_SCALE_MM = 2.0
+RAW_SCALE_MM = 2.0  # of the signed bars, where there is no limit
 LEAST_LARGE = 41  # columns
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
@@ -366,22 +351,18 @@ class Shown:
         scale_mm = step_at_least(max([least_mm, *known_mm]))
         text = "bold $stale" if self.stale else "bold"
         fill = "$stale" if self.stale else "$foreground"
-        rows: list[list[Cell]] = []
-        for name, value_mm, digits, unit, scale in zip(
-            ("dx", "dy", "dz"),
-            found.error_mm,
-            large(figure(found.norm_mm), self.tone, glyphs),
-            ("|e|", "mm", ""),
-            (f"±{scale_mm:g}", "mm", ""),
-            strict=True,
-        ):
-            component = Content.assemble(
+        units = [(unit, "$label") for unit in ("|e|", "mm", "")]
+        digits = large(figure(found.norm_mm), self.tone, glyphs)
+        components = [
+            Content.assemble(
                 (f"{name} ", "$label"), (f"{_signed(value_mm):>6}", text), (" mm", "$label")
             )
-            bar = SignedBar(value_mm / scale_mm, fill)
-            rows.append(["", (unit, "$label"), digits, component, bar, (scale, "$label")])
-        columns = Col(), Col(3), Col(21), Col(14), Col(28), Col()
-        return Grid(rows, *columns)
+            for name, value_mm in zip(("dx", "dy", "dz"), found.error_mm, strict=True)
+        ]
+        bars = [SignedBar(value_mm / scale_mm, fill) for value_mm in found.error_mm]
+        scale = [(each, "$label") for each in (f"±{scale_mm:g}", "mm", "")]
+        rows = zip(("", "", ""), units, digits, components, bars, scale, strict=True)
+        return Grid(rows, Col(), Col(3), Col(21), Col(14), Col(28), Col())
 
     def one_line(self, found: Deviation) -> Content:
         """Return |e| and its components in one line."""
@@ -470,7 +451,7 @@ MOTIONS = {
 }
 
 
-def event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
+def _event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
     """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
     zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
     events: list[list[Cell]] = []
@@ -537,7 +518,7 @@ def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, r
             parts += step_lines(view, glyphs, rows)
             rows -= 1 + max(min(len(_parts(view)), MOST_STEPS), 1)
     if rows > 1:
-        parts += event_lines(view, errors_mm, min(rows, MOST_EVENTS + 1))
+        parts += _event_lines(view, errors_mm, min(rows, MOST_EVENTS + 1))
     return Stack(*parts)
 
 
@@ -551,9 +532,7 @@ def interlock_lines(view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
         return [section("interlocks"), (f" {glyphs.stale} no reading", "$stale")]
     rows: list[list[Cell]] = []
     for each in found:
-        whys = (
-            (each.whole, each.short) if each.whole else (_reading(each.name, view.status.devices),)
-        )
+        whys = each.whole or _reading(each.name, view.status.devices), each.short
         why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
         rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
     return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
@@ -573,14 +552,12 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
 def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
     """Return the step under way and those after it, when each starts and how long it takes."""
     heading, starts_s, steps = section("next steps", "starts in   takes"), 0.0, []
-    for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
-        start = "now" if n == 0 else duration(starts_s)
-        style = "$foreground" if n == 0 else "$label"
-        shape = glyphs.moving if n == 0 and not view.at_rest else " "
-        steps.append(
-            ((f" {shape}", "$live"), (words, style), (start, style), (duration(takes_s), style), "")
-        )
+    start, style, shape = "now", "$foreground", " " if view.at_rest else glyphs.moving
+    for words, takes_s in _parts(view)[: min(rows - 1, MOST_STEPS)]:
+        said = ((text, style) for text in (words, start, duration(takes_s)))
+        steps.append(((f" {shape}", "$live"), *said, ""))
         starts_s += takes_s
+        start, style, shape = duration(starts_s), "$label", " "
     if not steps:
         return [heading, ("   not known yet", "$label")]
     columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
