@@ -46,7 +46,7 @@ from hilcell.tui.layout import Lines
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarms import AlarmContext, alarm_page
+from hilcell.tui.text.alarms import AlarmContext
 from hilcell.tui.text.tables import record_row
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
@@ -341,7 +341,7 @@ def screen(data: bytes) -> None:
         run_text.banner(view, UNICODE),
         devices.lamps(view, UNICODE),
         devices.interlocks(view, UNICODE),
-        alarm_page(view.alarms, Latch(), CONTEXT),
+        CONTEXT.page(view.alarms, Latch()),
     ]
     painted = [
         *(line.plain for each in shown for line in each.lines(80)),

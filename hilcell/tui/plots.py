@@ -95,7 +95,7 @@ def log_scale(values: Array, limits: Sequence[float] = (), before: Scale | None 
     """Return a log scale for values (N,) in mm, of whole steps of 1, 2 and 5."""
     known = [each for each in np.asarray(values, dtype=float).tolist() if LEAST <= each <= MOST]
     lows, highs = [LOG_LOW], [LOG_HIGH]
-    lows += [max(s for s in _around(each) if s <= each * (1 + ROUNDING)) for each in known]
+    lows += [step_at_most(each) for each in known]
     lows += [max(s for s in _around(each) if s < each * (1 - ROUNDING)) for each in limits]
     highs += [step_at_least(each) for each in known] + [step_above(each) for each in limits]
     if before is not None and before.is_log:
@@ -122,6 +122,11 @@ def even_scale(
 def step_at_least(value: float) -> float:
     """Return the least of 1, 2, 5 x 10^n that is not below a value."""
     return min(each for each in _around(value) if each >= value * (1 - ROUNDING))
+
+
+def step_at_most(value: float) -> float:
+    """Return the greatest of 1, 2, 5 x 10^n that is not above a value."""
+    return max(each for each in _around(value) if each <= value * (1 + ROUNDING))
 
 
 def step_above(value: float) -> float:

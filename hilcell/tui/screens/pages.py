@@ -18,7 +18,6 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Lines, Stack
 from hilcell.tui.screens.base import BaseScreen, Page
-from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.devices import interlock_page
 from hilcell.tui.text.finished import report_lines
 from hilcell.tui.text.points import point_page
@@ -57,8 +56,7 @@ class AlarmPage(TextPage):
         """Return the alarms, newest first."""
         if view is None:
             return Content("")
-        latch = self.application.shown_session.latch
-        return alarm_page(view.alarms, latch, self.alarm_context())
+        return self.alarm_context().page(view.alarms, self.application.shown_session.latch)
 
 
 class InterlockPage(TextPage):

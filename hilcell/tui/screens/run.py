@@ -20,12 +20,12 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Look, Scale
-from hilcell.tui.screens.pages import FilterScreen
+from hilcell.tui.screens.pages import DetailPage, FilterScreen
 from hilcell.tui.screens.plots import plot_look
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarms import AlarmBox, alarm_line, kept_words, newest_line, panel_is_due
+from hilcell.tui.text.alarms import AlarmBox, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.finished import Result, result_lines, result_of, verdict_lines, verdict_of
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
@@ -87,7 +87,6 @@ class WidePanels:
         return False
 
 
-SLOTS = ("stop", *ACTS, *VIEWS)
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 HIDE_POINTS = ("verdict", "alarm")
 BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
@@ -169,11 +168,10 @@ class RunScreen(FilterScreen):
             return
         self.points_open &= not view.live
         glyphs = self.application.glyphs
-        self.panel("identity").show(run_text.identity(view))
-        self.panel("step").show(run_text.step(view))
-        self.panel("progress").show(run_text.progress(view))
-        self.panel("lamps").show(devices.lamps(view, glyphs))
-        self.panel("interlock").show(devices.interlocks(view, glyphs))
+        shown = run_text.identity(view), run_text.step(view), run_text.progress(view)
+        shown += devices.lamps(view, glyphs), devices.interlocks(view, glyphs)
+        for name, lines in zip(LINES, shown, strict=True):
+            self.panel(name).show(lines)
         self._show_points(view)
         self._show_wide(view)
         self._show_middle(view)
@@ -229,35 +227,30 @@ class RunScreen(FilterScreen):
                 self._show_verdict(view)
             case _:
                 self._show_deviation(view, rows_for(height))
-        said = instead == "verdict" and not self._other_alarms(view)
+        shown = view.state == "intolerant" and verdict_of(view) is not None  # by the verdict
+        said = instead == "verdict" and len(standing) <= shown
         self.panel("status").display = not said and (bool(standing) or height >= FULL - 1)
         self.panel("status").show(self._status(view))
         # A table has a row at least, and would push the status out.
         rows = height - block_rows(height, live=view.live)
         self.query_one(Table).styles.height = 0 if instead and rows <= FULL else "1fr"
 
-    def _other_alarms(self, view: RunView) -> bool:
-        """Whether alarms stand that a verdict does not show."""
-        shown = view.state == "intolerant" and verdict_of(view) is not None
-        return len(self._standing) > shown
-
     def _status(self, view: RunView) -> Lines:
         """Return the worst alarm that is not shown, or that there is none and what comes next."""
         standing, context = self._standing, self.alarm_context()
         if self.instead == "alarm":
-            return Stack(alarm_line(standing, context, skip=1), newest_line(view))
+            return Stack(context.line(standing, skip=1), newest_line(view))
         if standing:
-            return alarm_line(standing, context)
+            return context.line(standing)
         return ends((f"{context.glyphs.stale} no alarms", "$label"), run_text.following(view))
 
     def _show_deviation(self, view: RunView, rows: int) -> None:
         """Show the newest point of a live run, or the one that was chosen."""
-        table = self.query_one(Table)
+        table, known = self.query_one(Table), self._table.deviation
         last = table.follow and table.cursor >= len(table.rows) - 1
-        newest = not table.rows or (view.live and last)
-        known = self._table.deviation
-        point = newest_shown(view, known)
-        if not newest:
+        if not table.rows or (view.live and last):
+            point = newest_shown(view, known)
+        else:
             point = chosen_shown(view, table.key, known, chosen=not last)
         self.panel("deviation").show(point_lines(point, self.application.glyphs, rows))
 
@@ -333,7 +326,7 @@ class RunScreen(FilterScreen):
         """Return the footer: slots that keep their places; in a text box, its own keys."""
         if isinstance(self.focused, Input):
             return super().key_line()
-        slots = {name: self.key_of(name) for name in SLOTS}
+        slots = {name: self.key_of(name) for name in ("stop", *ACTS, *VIEWS)}
         state = (slots, self.line_width)
         if state != self._footer[0]:
             self._footer = (state, footer_lines(slots.__getitem__, self.line_width))
@@ -362,8 +355,6 @@ class RunScreen(FilterScreen):
         elif self.instead in HIDE_POINTS:
             self._open_points()
         elif key:
-            from hilcell.tui.screens.pages import DetailPage
-
             self.app.push_screen(DetailPage(key))
 
     # -- keys of this screen ------------------------------------------------------------------

@@ -16,6 +16,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import ClassVar
 
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
@@ -155,20 +156,20 @@ class StartScreen(BaseScreen):
         self.mark_simulated(simulated=self._checked.simulated)
         checked, glyphs = self._checked, self.application.glyphs
         attended = self.query_one("#attended", Choice).value == WATCHED[0]
-        before = before_lines(checked, attended=attended)
+        before = checked.before_lines(attended=attended)
         taken = len(before.lines(self.line_width)) + 6 if self._is_roomy else 4
         rows = self.app.size.height - taken
-        self.panel("banner").show(banner(checked, glyphs))
+        self.panel("banner").show(checked.banner(glyphs))
         self.panel("who").show(section("what and who"))
         self.panel("checks").styles.max_height = max(rows - len(FIELDS) - 4, 1)
-        self.panel("checks").show(check_lines(checked, glyphs))
+        self.panel("checks").show(checked.check_lines(glyphs))
         self.panel("plan").styles.max_height = rows
-        self.panel("plan").show(plan_lines(checked, glyphs))
+        self.panel("plan").show(checked.plan_lines(glyphs))
         self.panel("before").show(before)
         self.panel("before").display = self._is_roomy
-        self.panel("start").show(start_line(checked))
+        self.panel("start").show(checked.start_line)
         speed = self.query_one("#speed", Choice).value
-        self.panel("end").show(end_line(checked, speed))
+        self.panel("end").show(checked.end_line(speed))
         summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
         self.panel("summary").show(ends((summary, "$label"), ""))
         self._show_summary()
@@ -239,18 +240,8 @@ class StartScreen(BaseScreen):
         else:
             self.focus_previous()
 
-    def on_input_changed(self) -> None:
-        """Compute the plan again."""
-        self._change()
-
-    def on_choice_turned(self) -> None:
-        """Compute the plan again."""
-        self._change()
-
-    def on_input_submitted(self) -> None:
-        """Ask whether to start."""
-        self.action_enter()
-
+    @on(Input.Changed)
+    @on(Choice.Turned)
     def _change(self) -> None:
         """Compute the plan of the new fields, once they have been left alone for a moment."""
         if not self.is_shown or self._planned == self.entries().planned:
@@ -283,6 +274,7 @@ class StartScreen(BaseScreen):
         self._checked = Checked(plan, refused, cell, now())
         self.show(None)
 
+    @on(Input.Submitted)
     def action_enter(self) -> None:
         """Ask whether to start, once at a time: keys may be held down."""
         if not self._asking:
@@ -399,10 +391,6 @@ def summaries(names: list[str]) -> dict[str, str]:
     return found
 
 
-REFUSED = " refused before anything moves"  # after the procedure, in a plan's refusal
-FEW = 4  # nests that are named one by one
-
-
 @dataclass(frozen=True, slots=True)
 class Checked:
     """The plan of the fields as they stand, or why it is refused, or nothing yet."""
@@ -424,136 +412,128 @@ class Checked:
         """Whether the cell has a rail."""
         return self.plan is None or self.plan.rail
 
+    def banner(self, glyphs: Glyphs) -> Lines:
+        """Return the first line: that nothing is opened, and whether the cell is simulated."""
+        blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
+        left = Content(" ").join([*blocks, *([simulation_block()] if self.simulated else [])])
+        nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
+        return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
 
-def banner(checked: Checked, glyphs: Glyphs) -> Lines:
-    """Return the first line: that nothing is opened, and whether the cell is simulated."""
-    blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
-    left = Content(" ").join([*blocks, *([simulation_block()] if checked.simulated else [])])
-    nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
-    return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
+    def plan_lines(self, glyphs: Glyphs) -> Lines:
+        """Return the steps with their points and durations, numbered as in the run.
 
+        Where room is short, steps that do nothing are left out first.
+        """
+        plan = self.plan
+        if self.refused:
+            return Stack(section("plan", "refused"), self._refusals(glyphs))
+        if plan is None:
+            return Stack(section("plan"), ("  is being checked ...", "$label"))
+        whole = [*enumerate(plan.steps, start=1)]
 
-def plan_lines(checked: Checked, glyphs: Glyphs) -> Lines:
-    """Return the steps with their points and durations, numbered as in the run.
+        def draw(width: int, height: int) -> list[Content]:
+            steps, most = whole, (height or len(whole) + 2) - 2
+            if len(steps) > most:
+                steps = [(n, step) for n, step in steps if step.points or step.duration_s]
+            shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
+            rows: list[list[Text]] = []
+            for n, step in shown:
+                name = harmless(step_words(step.name, has_rail=self.has_rail))
+                takes = duration(step.duration_s) if step.duration_s else "-"
+                rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
+            if len(shown) < len(steps):
+                rows.append([f"   {len(steps) - len(shown)} more steps", "", "", ""])
+            total = str(plan.points), duration(plan.duration_s)
+            rows.append(
+                [(f"   all {len(whole)} steps", "bold"), *((each, "bold") for each in total), ""]
+            )
+            columns = Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
+            heading = section("plan", "points    takes").lines(width)
+            return [*heading, *Grid(rows, *columns).lines(width)]
 
-    Where room is short, steps that do nothing are left out first.
-    """
-    plan = checked.plan
-    if checked.refused:
-        return Stack(section("plan", "refused"), refusals(checked, glyphs))
-    if plan is None:
-        return Stack(section("plan"), ("  is being checked ...", "$label"))
-    whole = [*enumerate(plan.steps, start=1)]
+        return Drawing(repr(plan), draw)
 
-    def draw(width: int, height: int) -> list[Content]:
-        steps, most = whole, (height or len(whole) + 2) - 2
-        if len(steps) > most:
-            steps = [(n, step) for n, step in steps if step.points or step.duration_s]
-        shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
-        rows: list[list[Text]] = []
-        for n, step in shown:
-            name = harmless(step_words(step.name, has_rail=checked.has_rail))
-            takes = duration(step.duration_s) if step.duration_s else "-"
-            rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
-        if len(shown) < len(steps):
-            rows.append([f"   {len(steps) - len(shown)} more steps", "", "", ""])
-        total = str(plan.points), duration(plan.duration_s)
-        rows.append(
-            [(f"   all {len(whole)} steps", "bold"), *((each, "bold") for each in total), ""]
-        )
-        columns = Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
-        heading = section("plan", "points    takes").lines(width)
-        return [*heading, *Grid(rows, *columns).lines(width)]
+    def check_lines(self, glyphs: Glyphs) -> Lines:
+        """Return what has been checked, or every refusal with its reason."""
+        if self.refused:
+            return Stack(section("checks", "refused"), self._refusals(glyphs))
+        if self.plan is None:
+            return Stack(section("checks"), ("  being done ...", "$label"))
+        said = ["cell file and options are sound"]
+        said += ["poses in reach, in limits, in sight"] if self.plan.points else []
+        said += ["the slide's way is clear"] if self.has_rail else []
+        done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
+        at = "" if self.at is None else f" at {self.at:%H:%M}"
+        return Stack(section("checks", f"{len(said)} of {len(said)}{at}"), *done)
 
-    return Drawing(repr(plan), draw)
+    def _refusals(self, glyphs: Glyphs) -> Lines:
+        """Return each line of a refusal whole, where there are rows enough; else its beginning."""
+        rows = [
+            ((glyphs.warned, "bold $ask"), harmless(text)) for text in self.refused_words if text
+        ]
+        whole, cut = (Grid(rows, Col(), Col(grows=True, wraps=wraps)) for wraps in (True, False))
 
+        def draw(width: int, height: int) -> list[Content]:
+            lines = whole.lines(width)
+            return lines if not height or len(lines) < height else cut.lines(width)
 
-def check_lines(checked: Checked, glyphs: Glyphs) -> Lines:
-    """Return what has been checked, or every refusal with its reason."""
-    if checked.refused:
-        return Stack(section("checks", "refused"), refusals(checked, glyphs))
-    if checked.plan is None:
-        return Stack(section("checks"), ("  being done ...", "$label"))
-    said = ["cell file and options are sound"]
-    said += ["poses in reach, in limits, in sight"] if checked.plan.points else []
-    said += ["the slide's way is clear"] if checked.has_rail else []
-    done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
-    at = "" if checked.at is None else f" at {checked.at:%H:%M}"
-    return Stack(section("checks", f"{len(said)} of {len(said)}{at}"), *done)
+        return Drawing(whole.state, draw)
 
+    @property
+    def refused_words(self) -> list[str]:
+        """Return the lines of a refusal, with procedure, steps and points in words."""
+        first, *rest = map(str.strip, self.refused.splitlines() or [""])
+        name, refused, why = first.partition(" refused before anything moves")
+        if not refused:
+            return [first, *rest]
+        lines = [f"{procedure_words(name)}{refused}{why}"]
+        for line in rest:
+            step, colon, reason = line.partition(": ")
+            words = step_words(step, has_rail=self.has_rail) if colon else step
+            lines.append(f"{words}{colon}{in_words(reason, Log())}")
+        return lines
 
-def refusals(checked: Checked, glyphs: Glyphs) -> Lines:
-    """Return each line of a refusal whole, where there are rows enough; else its beginning."""
-    rows = [
-        ((glyphs.warned, "bold $ask"), harmless(text)) for text in refused_words(checked) if text
-    ]
-    whole, cut = (Grid(rows, Col(), Col(grows=True, wraps=wraps)) for wraps in (True, False))
+    def before_lines(self, *, attended: bool) -> Lines:
+        """Return what to see to before the start."""
+        words = ["Nobody in the cell, guard closed, E-stop in reach."]
+        if self.cell is not None and self.cell.layout.by_hand:
+            words.append("One reflector, clean: you are asked when to carry it, and where.")
+        elif self.cell is not None:
+            layout = self.cell.layout
+            few: list[str] = []
+            for group in filter(None, (layout.floor, layout.bar, layout.slide)):
+                names = [nest.name for nest in group]
+                few.append(" ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}")
+            words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
+        words.append("Tracker on for two hours at least; doors closed.")
+        if not attended:
+            words.append("Unattended: nobody answers; a question waits, then ends the run.")
+        rows = ((("•", "$label"), each) for each in words)
+        return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
 
-    def draw(width: int, height: int) -> list[Content]:
-        lines = whole.lines(width)
-        return lines if not height or len(lines) < height else cut.lines(width)
+    @property
+    def start_line(self) -> Lines:
+        """Return the key that starts, grey while it would not, and what will move."""
+        if self.plan is None:
+            why = "does nothing: the plan is refused" if self.refused else "asks once it is checked"
+            grey = Content.assemble((" Enter ", "$stale on $badge"), (f" {why}", "$stale"))
+            return ends(grey, "")
+        words = "robot and rail will move" if self.has_rail else "robot will move"
+        key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
+        line = key.append(Content.styled(f" start: {words}", "bold"))
+        if not self.simulated:
+            return ends(line, "")
+        only = Content.styled(" in simulation only: ", "$sim")
+        whole = Content("").join([line, only, simulation_block()])
+        short = Content("").join([key, Content.styled(" start: ", "bold"), simulation_block()])
+        return Grid([[Fitting((whole, short))]], Col(grows=True))
 
-    return Drawing(whole.state, draw)
-
-
-def refused_words(checked: Checked) -> list[str]:
-    """Return the lines of a refusal; those of a plan name procedure, steps and points in words."""
-    first, *rest = map(str.strip, checked.refused.splitlines() or [""])
-    name, refused, why = first.partition(REFUSED)
-    if not refused:
-        return [first, *rest]
-    lines = [f"{procedure_words(name)}{refused}{why}"]
-    for line in rest:
-        step, colon, reason = line.partition(": ")
-        words = step_words(step, has_rail=checked.has_rail) if colon else step
-        lines.append(f"{words}{colon}{in_words(reason, Log())}")
-    return lines
-
-
-def before_lines(checked: Checked, *, attended: bool) -> Lines:
-    """Return what to see to before the start."""
-    words = ["Nobody in the cell, guard closed, E-stop in reach."]
-    if checked.cell is not None and checked.cell.layout.by_hand:
-        words.append("One reflector, clean: you are asked when to carry it, and where.")
-    elif checked.cell is not None:
-        layout = checked.cell.layout
-        groups = ([nest.name for nest in each] for each in (layout.floor, layout.bar, layout.slide))
-        few = (
-            " ".join(each) if len(each) <= FEW else f"{each[0]} to {each[-1]}"
-            for each in groups
-            if each
-        )
-        words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
-    words.append("Tracker on for two hours at least; doors closed.")
-    if not attended:
-        words.append("Unattended: nobody answers; a question waits, then ends the run.")
-    rows = ((("•", "$label"), each) for each in words)
-    return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
-
-
-def start_line(checked: Checked) -> Lines:
-    """Return the key that starts, grey while it would not, and what will move."""
-    if checked.plan is None:
-        why = "does nothing: the plan is refused" if checked.refused else "asks once it is checked"
-        grey = Content.assemble((" Enter ", "$stale on $badge"), (f" {why}", "$stale"))
-        return ends(grey, "")
-    words = "robot and rail will move" if checked.has_rail else "robot will move"
-    key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
-    line = key.append(Content.styled(f" start: {words}", "bold"))
-    if not checked.simulated:
-        return ends(line, "")
-    only = Content.styled(" in simulation only: ", "$sim")
-    whole = Content("").join([line, only, simulation_block()])
-    short = Content("").join([key, Content.styled(" start: ", "bold"), simulation_block()])
-    return Grid([[Fitting((whole, short))]], Col(grows=True))
-
-
-def end_line(checked: Checked, speed: str) -> Content:
-    """Return when the run will end; of a simulation that is not paced, how long it takes there."""
-    if checked.plan is None or checked.at is None:
-        return BLANK
-    duration_s = checked.plan.duration_s
-    if checked.simulated and speed != "1":
-        return Content.styled(f"takes {duration(duration_s)} of the cell's time", "$label")
-    end = checked.at + timedelta(seconds=duration_s)
-    return Content.styled(f"ends about {end:%H:%M}, if nothing has to wait", "$label")
+    def end_line(self, speed: str) -> Content:
+        """Return when the run will end; of a simulation that is not paced, how long it takes."""
+        if self.plan is None or self.at is None:
+            return BLANK
+        duration_s = self.plan.duration_s
+        if self.simulated and speed != "1":
+            return Content.styled(f"takes {duration(duration_s)} of the cell's time", "$label")
+        end = self.at + timedelta(seconds=duration_s)
+        return Content.styled(f"ends about {end:%H:%M}, if nothing has to wait", "$label")

@@ -40,7 +40,7 @@ class AlarmContext:
     refused: str = ""
     log: Log = field(default_factory=Log)
 
-    def outlook(self, latched: Latched) -> str:
+    def _outlook(self, latched: Latched) -> str:
         """Return whether the key that goes on works, and what is known of the cause."""
         key = shown(self.keymap["pause"][0])
         if self.refused:
@@ -51,7 +51,7 @@ class AlarmContext:
             return f"The cause is gone: {key} works."
         return "Nothing moves before the devices say that the cause is gone."
 
-    def go_on(self, alarm: Alarm) -> Content:
+    def _go_on(self, alarm: Alarm) -> Content:
         """Return the last step with its keys, grey while they do nothing."""
         name = "new" if alarm.ended else "pause"
         style = "$stale on $badge" if self.refused else "bold $foreground on $badge"
@@ -61,6 +61,107 @@ class AlarmContext:
         return Content.assemble(
             "Go on: ", key, " then ", (" Enter ", style), "; devices are asked first"
         )
+
+    def page(self, alarms: Sequence[Alarm], latch: Latch) -> Lines:
+        """Return every alarm of the session, newest first; older ones that still stand follow."""
+        standing = {each.alarm.code: each for each in latch.standing()}
+        parts: list[Lines | Text] = []
+        for alarm in reversed(alarms):
+            found = standing.get(alarm.code)
+            if found is None or found.alarm != alarm:  # one that stands no more is acknowledged
+                found = Latched(alarm, alarm.severity, 1, acknowledged=found is None)
+            parts += self._whole(found)
+        raised = {alarm.code for alarm in alarms}
+        for code, each in standing.items():
+            parts += [] if code in raised else self._whole(each)
+        return Stack(*parts[:-1] or ["No alarm was raised in this run."])
+
+    def _whole(self, latched: Latched) -> list[Lines | Text]:
+        return [self.title(latched), self.facts(latched), self.steps(latched), BLANK]
+
+    def title(self, latched: Latched) -> Content:
+        """Return an alarm's shape, code and title, inverse."""
+        alarm, (shape, tone) = latched.alarm, LOOKS[latched.severity]
+        times = f" ({latched.count} times)" if latched.count > 1 else ""
+        words = f" {getattr(self.glyphs, shape)} {alarm.code}  {alarm.title}{times} "
+        return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
+
+    def facts(self, latched: Latched, kept: str = "") -> Lines:
+        """Return since when an alarm stands, its cause, meaning, place and reading."""
+        alarm, ago = latched.alarm, ""
+        since = Content.styled("of the whole run", "$label")
+        if alarm.t:
+            if self.now is not None:
+                age_s = (self.now - datetime.fromisoformat(alarm.t)).total_seconds()
+                ago = f" ({duration(age_s)} ago)"
+            at = (local_words(alarm.t), "bold")
+            since = Content.assemble(("since ", "$label"), at, (ago, "$label"))
+        state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
+        facts: list[tuple[Cell, Cell]] = [
+            (("What", "$label"), alarm.means),
+            (("Where", "$label"), where_words(alarm, self.log)),
+            (("Found", "$label"), (in_words(alarm.found, self.log), "$label" if kept else "")),
+        ]
+        facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
+        return Stack(
+            Grid([(since, self._cause(latched), state)], Col(grows=True), Col(), Col(), gap=3),
+            Grid(facts, Col(6), Col(grows=True, wraps=True)),
+        )
+
+    def _cause(self, latched: Latched) -> Content:
+        """Return whether an alarm's cause is gone, as far as it is known."""
+        glyphs, found = self.glyphs, (f"{self.glyphs.stale} not watched", "bold $ask")
+        if latched.gone:
+            found = f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed"
+        elif latched.alarm.cause == "over" or latched.settled:
+            found = f"{glyphs.gone} over", "$label"
+        elif latched.alarm.cause == "watched":
+            found = f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill"
+        return Content.assemble(("cause ", "$label"), found)
+
+    def steps(self, latched: Latched, *, in_box: bool = False, low: bool = False) -> Lines:
+        """Return the steps, each with its mark and who checks it; ``low``: the present one alone.
+
+        In a box, also whether the run can go on.
+        """
+        alarm, present, glyphs = latched.alarm, present_step(latched), self.glyphs
+        rows: list[Sequence[Cell]] = []
+        for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
+            words = Content.styled(step, "bold" if index == present else "$label")
+            if alarm.goes_on and index == len(alarm.do) - 1:
+                words = self._go_on(alarm)
+            mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
+            mark = (glyphs.moving, "bold $ask") if index == present else mark
+            rows.append((mark, f"{index + 1} ", words, (by, "$label")))
+        columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
+        grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
+        if low:
+            return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
+        heading = Content.styled("What to do", "bold")
+        if rows:
+            count = f"step {present + 1} of {len(rows)}"
+            heading = Content.assemble(("What to do: ", "bold"), (count, "bold $ask"))
+        outlook = [(f"     {self._outlook(latched)}", "$label")] if in_box else []
+        return Stack(ends(heading, ("checked by", "$label")), grid, *outlook)
+
+    def line(self, standing: list[Latched], skip: int = 0) -> Lines:
+        """Return the worst alarm after the first ``skip`` in one line, and the key for all."""
+        glyphs = self.glyphs
+        if len(standing) <= skip:
+            words = "no other alarm" if skip else "no alarms"
+            return ends((f"{glyphs.stale} {words}", "$label"), "")
+        latched = standing[skip]
+        count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
+        key = Content.assemble((shown(self.keymap["alarms"][0]), "bold"), f"  {count}")
+        at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
+        acknowledged = ", acknowledged" if latched.acknowledged else ""
+        shape, tone = LOOKS[latched.severity]
+        left = Content.assemble(
+            (f"{getattr(glyphs, shape)} {latched.alarm.code} ", f"bold ${tone}"),
+            latched.alarm.title,
+            (f"  {latched.severity}{at}{acknowledged}", "$label"),
+        )
+        return ends(left, key)
 
 
 def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
@@ -80,76 +181,9 @@ class AlarmBox(Vertical, Titled):
     def show(self, standing: list[Latched], kept: str, context: AlarmContext, *, low: bool) -> None:
         """Show the worst alarm; with few rows, without what matters least."""
         latched, (facts, steps) = standing[0], self.query(TextPanel)
-        note = f"alarm 1 of {len(standing)}"
-        self.show_titles(alarm_title(latched, context.glyphs), note)
-        facts.show(alarm_facts(latched, context, kept))
-        steps.show(alarm_steps(latched, context, in_box=True, low=low))
-
-
-def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext) -> Lines:
-    """Return every alarm of the session, newest first; older ones that still stand follow."""
-    standing = {each.alarm.code: each for each in latch.standing()}
-    parts: list[Lines | Text] = []
-    for alarm in reversed(alarms):
-        found = standing.get(alarm.code)
-        if found is None or found.alarm != alarm:  # one that stands no more is acknowledged
-            found = Latched(alarm, alarm.severity, 1, acknowledged=found is None)
-        parts += _whole(found, context)
-    raised = {alarm.code for alarm in alarms}
-    for code, each in standing.items():
-        parts += [] if code in raised else _whole(each, context)
-    return Stack(*parts[:-1] or ["No alarm was raised in this run."])
-
-
-def _whole(latched: Latched, context: AlarmContext) -> list[Lines | Text]:
-    title = alarm_title(latched, context.glyphs)
-    return [title, alarm_facts(latched, context), alarm_steps(latched, context), BLANK]
-
-
-def alarm_title(latched: Latched, glyphs: Glyphs) -> Content:
-    """Return an alarm's shape, code and title, inverse."""
-    alarm, (shape, tone) = latched.alarm, LOOKS[latched.severity]
-    times = f" ({latched.count} times)" if latched.count > 1 else ""
-    words = f" {getattr(glyphs, shape)} {alarm.code}  {alarm.title}{times} "
-    return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
-
-
-def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Lines:
-    """Return since when an alarm stands, its cause, its meaning, its place and what was found."""
-    alarm = latched.alarm
-    since = Content.styled("of the whole run", "$label")
-    if alarm.t:
-        ago = ""
-        if context.now is not None:
-            age_s = (context.now - datetime.fromisoformat(alarm.t)).total_seconds()
-            ago = f" ({duration(age_s)} ago)"
-        at = (local_words(alarm.t), "bold")
-        since = Content.assemble(("since ", "$label"), at, (ago, "$label"))
-    state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
-    cause = cause_words(latched, context.glyphs)
-    facts: list[tuple[Cell, Cell]] = [
-        (("What", "$label"), alarm.means),
-        (("Where", "$label"), where_words(alarm, context.log)),
-        (("Found", "$label"), (in_words(alarm.found, context.log), "$label" if kept else "")),
-    ]
-    facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
-    return Stack(
-        Grid([(since, cause, state)], Col(grows=True), Col(), Col(), gap=3),
-        Grid(facts, Col(6), Col(grows=True, wraps=True)),
-    )
-
-
-def cause_words(latched: Latched, glyphs: Glyphs) -> Content:
-    """Return whether an alarm's cause is gone, as far as it is known."""
-    if latched.gone:
-        found = Content.styled(f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed")
-    elif latched.alarm.cause == "over" or latched.settled:
-        found = Content.styled(f"{glyphs.gone} over", "$label")
-    elif latched.alarm.cause == "watched":
-        found = Content.styled(f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill")
-    else:
-        found = Content.styled(f"{glyphs.stale} not watched", "bold $ask")
-    return Content.assemble(("cause ", "$label"), found)
+        self.show_titles(context.title(latched), f"alarm 1 of {len(standing)}")
+        facts.show(context.facts(latched, kept))
+        steps.show(context.steps(latched, in_box=True, low=low))
 
 
 def where_words(alarm: Alarm, log: Log) -> str:
@@ -188,54 +222,6 @@ def _step_done(latched: Latched, index: int) -> bool:
     if alarm.goes_on and index == len(alarm.do) - 1:
         return False
     return bool(latched.gone) and alarm.by[index] == "controller"
-
-
-def alarm_steps(
-    latched: Latched, context: AlarmContext, *, in_box: bool = False, low: bool = False
-) -> Lines:
-    """Return the steps, each with its mark and who checks it; in a box, whether the run can go on.
-
-    ``low``: the present step alone.
-    """
-    alarm, present, glyphs = latched.alarm, present_step(latched), context.glyphs
-    rows: list[Sequence[Cell]] = []
-    for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
-        words = Content.styled(step, "bold" if index == present else "$label")
-        if alarm.goes_on and index == len(alarm.do) - 1:
-            words = context.go_on(alarm)
-        mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
-        mark = (glyphs.moving, "bold $ask") if index == present else mark
-        rows.append((mark, f"{index + 1} ", words, (by, "$label")))
-    columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
-    grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
-    if low:
-        return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
-    count = f": step {present + 1} of {len(rows)}" if rows else ""
-    heading = Content.assemble(
-        ("What to do", "bold"), (count[:2], "bold"), (count[2:], "bold $ask")
-    )
-    outlook = [(f"     {context.outlook(latched)}", "$label")] if in_box else []
-    return Stack(ends(heading, ("checked by", "$label")), grid, *outlook)
-
-
-def alarm_line(standing: list[Latched], context: AlarmContext, skip: int = 0) -> Lines:
-    """Return the worst alarm after the first ``skip`` in one line, and the key for all of them."""
-    glyphs = context.glyphs
-    if len(standing) <= skip:
-        words = "no other alarm" if skip else "no alarms"
-        return ends((f"{glyphs.stale} {words}", "$label"), "")
-    latched = standing[skip]
-    count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
-    key = Content.assemble((shown(context.keymap["alarms"][0]), "bold"), f"  {count}")
-    at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
-    acknowledged = ", acknowledged" if latched.acknowledged else ""
-    shape, tone = LOOKS[latched.severity]
-    left = Content.assemble(
-        (f"{getattr(glyphs, shape)} {latched.alarm.code} ", f"bold ${tone}"),
-        latched.alarm.title,
-        (f"  {latched.severity}{at}{acknowledged}", "$label"),
-    )
-    return ends(left, key)
 
 
 def kept_words(log: Log) -> str:

@@ -28,7 +28,7 @@ from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines
-from hilcell.tui.plots import Canvas
+from hilcell.tui.plots import Canvas, step_at_most
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
@@ -85,11 +85,8 @@ def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
     def draw(width: int, height: int) -> list[Content]:
         drawn = [] if site is None or not seating else sketch(site, width, height - 2)
         if drawn:
-            return [
-                Content.styled("from above, to scale", "$label"),
-                *drawn,
-                Content.styled(rest, "$label"),
-            ]
+            above = Content.styled("from above, to scale", "$label")
+            return [above, *drawn, Content.styled(rest, "$label")]
         words = Content(prompt.text).wrap(width)
         drawn = [] if site is None else sketch(site, width, height - len(words) - 1)
         return [*words, *([BLANK] if drawn else []), *drawn]
@@ -99,9 +96,9 @@ def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
 
 def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool = False) -> Lines:
     """Return the task, how far the reflector is off, and who sees it."""
-    place = _place(prompt, view)
-    off = _off(prompt, view, glyphs, low=low) if prompt.check else []
-    seen = _seen(prompt, view, glyphs) if prompt.check else []
+    place, off, seen = _place(prompt, view), [], []
+    if prompt.check:
+        off, seen = _off(prompt, view, glyphs, low=low), _seen(prompt, view, glyphs)
     lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
     return Grid([[line] for line in lines], Col(grows=True))
 
@@ -109,11 +106,10 @@ def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: boo
 def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
     """Return where the reflector is taken from and where it belongs."""
     at, layout = BLANK, view.log.cell.layout
-    for nest in (*layout.standing, *layout.slide):
-        if nest.name == prompt.place:
-            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
-            at = Content.assemble(("at ", "$label"), xyz)
-            break
+    nests = {nest.name: nest for nest in (*layout.slide, *layout.standing)}
+    if nest := nests.get(prompt.place):
+        xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
+        at = Content.assemble(("at ", "$label"), xyz)
     if not seats(view):
         return [Content.styled(f"At {prompt.place}" if prompt.place else "", "bold"), at]
     take = view.log.seated
@@ -210,9 +206,7 @@ def site_of(view: RunView, prompt: PromptStatus) -> Site | None:
     last = [*log.points][-1:]
     rail_mm = log.points[last[0]].rail_mm if last else None
     if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
-        held = log.happened(StationHeld)
-        grid = log.cell.reference
-        rail_mm = held[-1].rail_mm if held else grid.rail_mm
+        rail_mm = [log.cell.reference, *log.happened(StationHeld)][-1].rail_mm
     T_W_B = layout.nominal_base(rail_mm)
     slide = {nest.name: _above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
     standing = {nest.name: _above(nest.xyz_mm) for nest in layout.standing}
@@ -332,18 +326,14 @@ class _Drawing:
     def _marked(self, name: str, near: tuple[int, int]) -> tuple[int, int] | None:
         """Draw a nest, a little aside where something else is drawn; return where."""
         mark = ("●", "$passed") if name in self._site.done else ("○", "$foreground")
-        column, row = near
-        most = self.ASIDE_MM / self._mm
+        (column, row), most = near, self.ASIDE_MM / self._mm
         places = ((column + aside, row) for aside in self.ASIDE if abs(aside) <= most)
         return next((at for at in places if self._put(*at, *mark)), None)
 
     def _tracker(self) -> None:
         """Draw the tracker, at the edge towards it where it is beyond."""
         column, row = self._cell(self._site.tracker_mm)
-        inside = 0 <= column < self._columns and 0 <= row < self._rows
-        if not inside:
-            column = min(max(column, 0), self._columns - 1)
-            row = min(max(row, 0), self._rows - 1)
+        column, row = min(max(column, 0), self._columns - 1), min(max(row, 0), self._rows - 1)
         self._put(column, row, "▲", "bold $foreground")
         under = column - len(" tracker ") // 2, row + 1
         if not self._put(*under, " tracker ", "$label"):
@@ -389,9 +379,7 @@ class _Drawing:
 
     def _bar(self) -> Content:
         """Return the scale: a round length, and the directions."""
-        most_mm = 10 * self._mm
-        power: float = 10.0 ** math.floor(math.log10(most_mm))
-        length_mm = max(step * power for step in (1, 2, 5) if step * power <= most_mm)
+        length_mm = step_at_most(10 * self._mm)
         across = max(round(length_mm / self._mm), 2)
         unit = f"{length_mm / 1000:g} m" if length_mm >= 1000 else f"{length_mm:g} mm"
         text = f"├{'─' * (across - 1)}┤ {unit}   x ►  y up"

@@ -66,7 +66,8 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
         return "there is no run here to act on"
     match name:
         case "retake":
-            return _retake_refusal(view, background=background)
+            waits = no_answer_reason(view) if live else ONE_AT_A_TIME if background else ""
+            return waits if view.log.points else "no point is measured yet"
         case "pause":
             return _pause_refusal(view, background=background)
         case "acknowledge":
@@ -77,12 +78,6 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
 def no_answer_reason(view: RunView) -> str:
     """Return why the engine of a live run takes no commands, or nothing where it does."""
     return "" if view.answers else NO_ANSWER_REASONS.get(view.state, NO_ANSWER_REASONS["silent"])
-
-
-def _retake_refusal(view: RunView, *, background: bool) -> str:
-    if not view.log.points:
-        return "no point is measured yet"
-    return no_answer_reason(view) if view.live else ONE_AT_A_TIME if background else ""
 
 
 def _pause_refusal(view: RunView, *, background: bool) -> str:

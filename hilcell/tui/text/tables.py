@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from contextlib import suppress
+from itertools import accumulate
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -50,15 +51,15 @@ def _local(run: RunRow) -> str:
     return ""
 
 
+def _kind(run: RunRow) -> str:
+    return ("SIM" if run.simulated else "real") if run.readable else ""
+
+
 _COLUMNS = (
     _Column(13, Shown("procedure", lambda run: run.procedure or run.name[-13:])),
     _Column(16, Shown("verdict or state", _outcome)),
     _Column(10, Shown("operator", attrgetter("operator"))),
-    _Column(
-        4,
-        Shown("kind", lambda run: ("SIM" if run.simulated else "real") if run.readable else ""),
-        1,
-    ),
+    _Column(4, Shown("kind", _kind), 1),
     _Column(10, Shown("cell", attrgetter("cell")), 2),
     _Column(6, Shown("points", lambda run: run.points or None, form="d"), 6),
     _Column(6, Shown("before", attrgetter("before_mean_mm"), form=".3f"), 4),
@@ -72,15 +73,10 @@ _COLUMNS = (
 
 def _columns_in(width: int) -> list[_Column]:
     """Return the columns that fit, in their order."""
-    free = width - _ALWAYS
-    left_out = False
-    kept = {0}
-    for each in sorted(_COLUMNS, key=attrgetter("rank")):
-        if each.rank and not left_out:
-            free -= each.width + 1
-            left_out = free < 0
-            kept |= set() if left_out else {each.rank}
-    return [each for each in _COLUMNS if each.rank in kept]
+    ranked = sorted((each for each in _COLUMNS if each.rank), key=attrgetter("rank"))
+    taken = accumulate(each.width + 1 for each in ranked)
+    most = sum(columns <= width - _ALWAYS for columns in taken)
+    return [each for each in _COLUMNS if each.rank <= most]
 
 
 def columns_for(width: int) -> tuple[Column, ...]:

@@ -15,11 +15,6 @@ from hilcell.model.point import PointId
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.alarms import (
     AlarmContext,
-    alarm_facts,
-    alarm_line,
-    alarm_page,
-    alarm_steps,
-    cause_words,
     kept_words,
     newest_line,
     panel_is_due,
@@ -51,7 +46,7 @@ NOTICE = Latched(
 
 def panel(latched: Latched, refused: str = "") -> str:
     context = replace(CONTEXT, refused=refused)
-    facts, steps = alarm_facts(latched, context, "kept"), alarm_steps(latched, context, in_box=True)
+    facts, steps = context.facts(latched, "kept"), context.steps(latched, in_box=True)
     return f"{drawn(facts)}\n{drawn(steps)}"
 
 
@@ -66,7 +61,7 @@ def panel(latched: Latched, refused: str = "") -> str:
     ],
 )
 def test_the_cause_is_gone_only_where_that_is_known(latched: Latched, words: str) -> None:
-    assert words in cause_words(latched, UNICODE).plain
+    assert words in drawn(CONTEXT.facts(latched))
 
 
 def test_the_panel_says_since_when_where_and_what() -> None:
@@ -131,7 +126,7 @@ def _style(line: Content, word: str) -> str:
 
 def test_the_key_that_goes_on_is_grey_until_it_would_work() -> None:
     for refused, style in (("", "$foreground"), ("a run is live", "$stale")):
-        lines = alarm_steps(THERE, replace(CONTEXT, refused=refused), in_box=True).lines(79)
+        lines = replace(CONTEXT, refused=refused).steps(THERE, in_box=True).lines(79)
         (line,) = [each for each in lines if "Go on:" in each.plain]
         assert style in _style(line, "space")
         assert any(refused in each.plain for each in lines)
@@ -141,12 +136,12 @@ def test_the_key_that_goes_on_is_grey_until_it_would_work() -> None:
 
 def test_one_line_names_the_next_alarm_and_the_key_of_all() -> None:
     both = [THERE, NOTICE]
-    line = drawn(alarm_line(both, CONTEXT, skip=1))
+    line = drawn(CONTEXT.line(both, skip=1))
     assert line.startswith("○ HC-V05 Point measured again  notice, 08:00:23 UTC")
     assert line.endswith("e  both alarms")
-    assert drawn(alarm_line(both, CONTEXT)).startswith("× HC-B10 ")
-    assert drawn(alarm_line([], CONTEXT)).startswith("○ no alarms")
-    assert "acknowledged" in drawn(alarm_line([replace(THERE, acknowledged=True)], CONTEXT))
+    assert drawn(CONTEXT.line(both)).startswith("× HC-B10 ")
+    assert drawn(CONTEXT.line([])).startswith("○ no alarms")
+    assert "acknowledged" in drawn(CONTEXT.line([replace(THERE, acknowledged=True)]))
 
 
 @pytest.mark.parametrize(
@@ -168,7 +163,7 @@ def test_a_place_is_where_the_last_order_sent_it(
     log = log_of(*BEGUN, ("intent", key, body))
     alarm = replace(STOP, where=where, seq=5)
     assert where_words(alarm, log) == words
-    assert f"Where  {words}" in drawn(alarm_page([alarm], Latch(), replace(CONTEXT, log=log)))
+    assert f"Where  {words}" in drawn(replace(CONTEXT, log=log).page([alarm], Latch()))
     for after, engine in (
         (point("validate/S300/chosen/050"), "between two motions"),
         (event("station held", station="S1"), "between two motions"),
@@ -181,15 +176,15 @@ def test_a_place_is_where_the_last_order_sent_it(
 
 def test_the_page_has_those_that_stand_and_those_that_are_over() -> None:
     latch = Latch()
-    assert drawn(alarm_page([], latch, CONTEXT)) == "No alarm was raised in this run."
+    assert drawn(CONTEXT.page([], latch)) == "No alarm was raised in this run."
     latch.take([STOP])
     for alarms in ([STOP], []):  # of this session, and of one before
-        page = drawn(alarm_page(alarms, latch, CONTEXT))
+        page = drawn(CONTEXT.page(alarms, latch))
         assert page.count("HC-B10") == 1
         assert "not acknowledged" in page
     latch.acknowledge()
     latch.take([], "t")
-    assert "not acknowledged" not in drawn(alarm_page([STOP], latch, CONTEXT))
+    assert "not acknowledged" not in drawn(CONTEXT.page([STOP], latch))
 
 
 def test_what_is_kept_is_what_the_journal_says() -> None:

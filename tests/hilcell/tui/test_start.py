@@ -146,37 +146,37 @@ CHECKED = text.Checked(replace(PLAN, simulated=True), "", load_cell("paper"), BE
 
 @pytest.mark.parametrize("rows", [4, 9, 20])
 def test_the_plan_fits_and_ends_with_the_sum(rows: int) -> None:
-    lines = text.plan_lines(CHECKED, UNICODE).lines(37, rows)
+    lines = CHECKED.plan_lines(UNICODE).lines(37, rows)
     assert len(lines) <= rows
     assert lines[-1].plain.split() == ["all", "7", "steps", "21", "2:42"]
     assert any("more steps" in line.plain for line in lines) == (rows < 8)  # six do something
 
 
 def test_what_to_see_to_names_the_nests() -> None:
-    said = drawn(text.before_lines(CHECKED, attended=True))
+    said = drawn(CHECKED.before_lines(attended=True))
     assert "Reflectors in F1 F2 F3, B1 B2, P1 to P8, clean; one on the tool." in said
     by_hand = replace(load_cell("paper").layout, reflectors="by_hand")
     cell = replace(load_cell("paper"), layout=by_hand)
-    said = drawn(text.before_lines(text.Checked(PLAN, "", cell, BEGAN), attended=False))
+    said = drawn(text.Checked(PLAN, "", cell, BEGAN).before_lines(attended=False))
     assert "One reflector" in said
     assert "Unattended: nobody answers" in said
 
 
 def test_the_end_is_a_time_of_day_where_time_is_real() -> None:
     end = BEGAN + timedelta(seconds=PLAN.duration_s)
-    assert f"{end:%H:%M}" in text.end_line(CHECKED, "1").plain
-    assert "takes 2:42 of the cell's time" in text.end_line(CHECKED, "100").plain
+    assert f"{end:%H:%M}" in CHECKED.end_line("1").plain
+    assert "takes 2:42 of the cell's time" in CHECKED.end_line("100").plain
     real = text.Checked(replace(PLAN, simulated=False), "", None, BEGAN)
-    assert "ends about" in text.end_line(real, "100").plain
-    assert text.end_line(text.Checked(), "1").plain == ""
+    assert "ends about" in real.end_line("100").plain
+    assert text.Checked().end_line("1").plain == ""
 
 
 def test_a_real_cell_has_no_simulation_on_its_page() -> None:
     real = text.Checked(replace(PLAN, simulated=False, rail=False), "", None, BEGAN)
-    for line in (text.banner(real, UNICODE), text.start_line(real)):
+    for line in (real.banner(UNICODE), real.start_line):
         assert "SIMULATION" not in drawn(line)
-    assert "start: robot will move" in drawn(text.start_line(real))
-    assert "SIMULATION" in drawn(text.banner(CHECKED, UNICODE))
+    assert "start: robot will move" in drawn(real.start_line)
+    assert "SIMULATION" in drawn(CHECKED.banner(UNICODE))
 
 
 def test_a_form_that_cannot_be_built_ends_its_test(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,24 +188,22 @@ def test_a_form_that_cannot_be_built_ends_its_test(monkeypatch: pytest.MonkeyPat
         async with app.run_test(size=SIZE) as pilot:
             await until(pilot, lambda: False)
 
-    monkeypatch.setattr(text, "before_lines", fail)
+    monkeypatch.setattr(text.Checked, "before_lines", fail)
     with pytest.raises((AssertionError, ZeroDivisionError)):
         asyncio.run(run())
 
 
 def test_the_mark_of_a_simulation_is_never_cut() -> None:
     for width in range(40, 100):
-        assert drawn(text.start_line(CHECKED), width).endswith("▒ SIMULATION ▒")
+        assert drawn(CHECKED.start_line, width).endswith("▒ SIMULATION ▒")
 
 
 def test_a_cell_without_a_rail_parks_its_robot() -> None:
     fixed = text.Checked(replace(PLAN, rail=False), "", load_cell("fixed"), BEGAN)
-    lines = drawn(text.plan_lines(fixed, UNICODE), 37).splitlines()
+    lines = drawn(fixed.plan_lines(UNICODE), 37).splitlines()
     assert lines[1].startswith(" 1 Park the robot")
     assert not any("rail" in line for line in lines)
-    assert (
-        drawn(text.plan_lines(CHECKED, UNICODE), 37).splitlines()[1].startswith(" 1 Home the rail")
-    )
+    assert drawn(CHECKED.plan_lines(UNICODE), 37).splitlines()[1].startswith(" 1 Home the rail")
 
 
 def test_a_refused_plan_names_steps_and_points_in_words() -> None:
@@ -214,15 +212,13 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
         "robot-grid: grid/0-0-4: out of reach\n"
         "sign-check: no target"
     )
-    said = text.refused_words(text.Checked(refused=refused))
+    said = text.Checked(refused=refused).refused_words
     assert said == [
         "Calibration refused before anything moves",
         "Robot grid: grid point 0-0-4: out of reach",
         "Sign check: no target",
     ]
-    assert text.refused_words(text.Checked(refused="plan.x: unknown key")) == [
-        "plan.x: unknown key"
-    ]
+    assert text.Checked(refused="plan.x: unknown key").refused_words == ["plan.x: unknown key"]
 
 
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from hilcell.tui.plots import Look
-from hilcell.tui.screens.start import Checked, check_lines
+from hilcell.tui.screens.start import Checked
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, to_row
 from hilcell.tui.text.side import side_lines
@@ -49,5 +49,5 @@ def test_a_refusal_is_whole_where_there_is_room() -> None:
         "Paper's campaign refused before anything moves: this cell has no rail, "
         "its robot stands still"
     )
-    lines = check_lines(Checked(refused=reason), UNICODE).lines(40, 8)
+    lines = Checked(refused=reason).check_lines(UNICODE).lines(40, 8)
     assert reason in " ".join(" ".join(line.plain for line in lines).split())
