@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, ClassVar, Unpack, cast
 
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
@@ -155,14 +155,15 @@ class Application(App[int]):
     def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
         """Ask before an act; only a yes does it; show its error as a notice."""
 
-        def replied(reply: str | None) -> None:
+        def replied(yes: bool | None) -> None:
             try:
-                if reply == "yes":
+                if yes:
                     act()
             except HilcellError as error:
                 self._show_error(error)
 
-        self.push_screen(Confirm(title, text, yes), replied)
+        question = Content.assemble((title, "bold $ask"), f"\n{text}\n")
+        self.push_screen(Confirm(question, yes), replied)
 
 
 class RunActions:
@@ -463,12 +464,25 @@ class Page(BaseScreen):
         self.app.pop_screen()
 
 
-T = TypeVar("T")
-FRAME = 2  # rows of a dialog's border
+class Confirm(ModalScreen[bool]):
+    """A question and, under it, its two answers, which stay in sight where room is short.
 
+    Returns whether it is a yes. Enter from a scanner, or a held one, is no answer.
+    """
 
-class Dialog(ModalScreen[T]):
-    """A question and, under it, the answers, which stay in sight where room is short."""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("y,enter", "reply(True)", show=False, priority=True),
+        Binding("n,q,backspace", "reply(False)", show=False, priority=True),
+    ]
+    FRAME = 2  # rows of the border
+
+    def __init__(
+        self, question: Content, yes: str, no: str = "no", remark: Content | None = None
+    ) -> None:
+        super().__init__()
+        self._question, style = question, "bold $on-label on $label-fill"
+        answers = (" Enter ", style), f" {yes}   ", (" q ", style), f" {no}"
+        self._answers = Content.assemble(*answers, *([remark] if remark is not None else []))
 
     def compose(self) -> ComposeResult:
         """Build the box."""
@@ -476,51 +490,18 @@ class Dialog(ModalScreen[T]):
             yield TextPanel("question")
             yield TextPanel("answers")
 
-    @property
-    def deliberate(self) -> bool:
-        """Whether the current key is an answer: Enter from a scanner, or a held one, is not."""
-        return cast("Application", self.app).key_is_deliberate
-
-    def show_texts(self, question: Content, answers: Content) -> None:
-        """Show both."""
-        self.query_one("#question", TextPanel).show(question)
-        self.query_one("#answers", TextPanel).show(answers)
+    def on_mount(self) -> None:
+        """Show the question."""
+        self.query_one("#question", TextPanel).show(self._question)
+        self.query_one("#answers", TextPanel).show(self._answers)
 
     def on_resize(self) -> None:
         """Shorten the question where both do not fit."""
         question, answers = self.query_one("#question"), self.query_one("#answers")
-        room = self.app.size.height - FRAME - answers.size.height
+        room = self.app.size.height - self.FRAME - answers.size.height
         question.styles.max_height = max(room, 1)
 
-
-def answer_keys(yes: str, no: str) -> Content:
-    """Return the two keys of a dialog and their meaning."""
-    return Content.assemble(
-        (" Enter ", "bold $on-label on $label-fill"),
-        f" {yes}   ",
-        (" q ", "bold $on-label on $label-fill"),
-        f" {no}",
-    )
-
-
-class Confirm(Dialog[str]):
-    """Returns the key that was pressed: ``yes``, ``no``, or one of the others offered."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("y,enter", "reply('yes')", show=False, priority=True),
-        Binding("n,q,backspace", "reply('no')", show=False, priority=True),
-    ]
-
-    def __init__(self, title: str, text: str, yes: str) -> None:
-        super().__init__()
-        self._title, self._text, self._yes = title, text, yes
-
-    def on_mount(self) -> None:
-        """Show the question."""
-        question = Content.assemble((self._title, "bold $ask"), "\n", self._text, "\n")
-        self.show_texts(question, answer_keys(self._yes, "no"))
-
-    def action_reply(self, answer: str) -> None:
+    def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
-        if answer != "yes" or self.deliberate:
-            self.dismiss(answer)
+        if not yes or cast("Application", self.app).key_is_deliberate:
+            self.dismiss(yes)

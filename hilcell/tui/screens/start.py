@@ -36,7 +36,7 @@ from hilcell.tui.engine.process import DryRun
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
-from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
+from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
@@ -326,42 +326,19 @@ def now() -> datetime:
     return datetime.now().astimezone()
 
 
-class PlanSummary(Dialog[bool]):
-    """The question before the start; Enter starts, q goes back."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("enter,y", "reply(True)", show=False, priority=True),
-        Binding("q,n,backspace", "reply(False)", show=False, priority=True),
-    ]
+class PlanSummary(Confirm):
+    """The question before the start: the plan in short."""
 
     def __init__(self, order: Order, plan: process.DryRun) -> None:
-        super().__init__()
-        self._order, self._plan = order, plan
-
-    def on_mount(self) -> None:
-        """Show the plan in short."""
-        simulated: list[Text] = [(" SIMULATION ", "bold $on-sim on $sim-fill"), " "]
-        answers = Content.assemble(
-            answer_keys("start", "back"),
-            "\n",
-            *(simulated if self._plan.simulated else []),
-            moves(has_rail=self._plan.rail),
-        )
-        self.show_texts(plan_summary(self._order, self._plan), answers)
-
-    def action_reply(self, yes: bool) -> None:
-        """Close with the answer."""
-        if self.deliberate or not yes:
-            self.dismiss(yes)
+        mark = (" SIMULATION ", "bold $on-sim on $sim-fill") if plan.simulated else ""
+        moved = Content.assemble("\n", mark, " " * plan.simulated, moves(has_rail=plan.rail))
+        super().__init__(plan_summary(order, plan), "start", "back", moved)
 
 
 def plan_summary(order: Order, plan: process.DryRun) -> Content:
     """Return what is about to be started."""
-    who = (
-        "unattended: a question is a fault"
-        if order.attendance.unattended
-        else "somebody is here to be asked"
-    )
+    unattended = order.attendance.unattended
+    who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
     notes = [
         f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
         for step in plan.steps

@@ -17,8 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 _COLOURLESS = re.compile(r"|dumb|unknown|vt52|vt[1-4]\d\d(-.*)?|.*-m(ono)?")
-_FEW_SHAPES = "linux"  # the kernel's console: 256 or 512 shapes, ours not among them
-_UTF_8 = re.compile(r"utf-?8", re.IGNORECASE)
 
 
 def has_colours(environment: Mapping[str, str]) -> bool:
@@ -28,11 +26,12 @@ def has_colours(environment: Mapping[str, str]) -> bool:
 
 def has_unicode(environment: Mapping[str, str], *, coerced: bool = False) -> bool:
     """Whether the terminal shows more than ASCII; ``coerced``: Python set LC_CTYPE."""
-    if _is_colourless(environment) or environment["TERM"] == _FEW_SHAPES:
+    # The kernel's console has 256 or 512 shapes, ours not among them.
+    if _is_colourless(environment) or environment["TERM"] == "linux":
         return False
     names = ("LC_ALL", "LANG") if coerced else ("LC_ALL", "LC_CTYPE", "LANG")
     locale = next((environment[name] for name in names if environment.get(name)), "")
-    return not locale or _UTF_8.search(locale) is not None
+    return not locale or re.search(r"utf-?8", locale, re.IGNORECASE) is not None
 
 
 def is_coerced() -> bool:

@@ -89,11 +89,9 @@ class StopDriver(LinuxDriver):
 
 _SGR = re.compile(r"\x1b\[([\d;:]+)m")
 _LONG = ("38", "48", "58")  # text, background, underline: a kind and its numbers follow
-_NUMBERS = {"5": 1, "2": 3}
 _SHORT = frozenset(
     map(str, [*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)])
 )
-FOCUS_TINT = 0.05  # of the text's colour, as in Textual's style of `Input:focus`
 BOLD, UNDERLINE, REVERSE = "1", "4", "7"
 
 
@@ -119,7 +117,8 @@ def _split_codes(codes: list[str]) -> tuple[list[str], str]:
     left = iter(codes)
     for code in left:
         if code in _LONG:
-            numbers = [next(left, "") for _ in range(_NUMBERS.get(next(left, ""), 0))]
+            count = {"5": 1, "2": 3}.get(next(left, ""), 0)
+            numbers = [next(left, "") for _ in range(count)]
             ground = ";".join(numbers) if code == "48" else ground
         elif code not in _SHORT and code.partition(":")[0] not in _LONG:
             kept.append(code)
@@ -132,7 +131,7 @@ def _backgrounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
     palette = next(each for each in PALETTES if each.name == theme)
     tones = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))
     box = Color.parse(palette.cursor)
-    focused = box.tint(Color.parse(palette.text).with_alpha(FOCUS_TINT))
+    focused = box.tint(Color.parse(palette.text).with_alpha(0.05))  # Textual's `Input:focus`
     return frozenset(map(_monochrome, tones)), frozenset(map(_monochrome, (box, focused)))
 
 

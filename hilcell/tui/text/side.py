@@ -73,9 +73,8 @@ def volume_of(log: Log, targets: Rows) -> Volume:
     shown = after or raw or targets
     last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
     newest = max(targets, key=lambda row: log.recorded(row.point))
-    title, _ = OWN.get(
-        newest.point.id.kind, ("|e| after correction" if after else "|e| as sent", 0)
-    )
+    errors = ("|e| after correction" if after else "|e| as sent",)
+    title = OWN.get(newest.point.id.kind, errors)[0]
     rail = int(np.argmax(np.abs(log.cell.layout.rail_direction[:2]))) if log.cell.has_rail else 1
     low_mm, high_mm, middles_mm = _extent(log, targets)
     return Volume(
@@ -214,9 +213,7 @@ class Volume:
 
     def heading(self, width: int) -> Content:
         """Return the heading with as many of its words as fit."""
-        count = (
-            f"{len(self.errors_mm)} of {self.planned}" if self.planned else str(len(self.errors_mm))
-        )
+        count = f"{len(self.errors_mm)}{f' of {self.planned}' if self.planned else ''}"
         for title, remark in ((f"map: {self.title}", f"{count} targets"), (f"map: {count}", "")):
             if len(title) + len(remark) + 4 * (1 + bool(remark)) <= width:  # rules beside the words
                 return section(title, remark).lines(width)[0]
@@ -282,9 +279,8 @@ class Views:
         of, across = self.of, 1 - self.of.rail
         size_m = float(of.high_mm[of.rail] - of.low_mm[of.rail]) / 1000.0
         cells = self._view((of.rail, across), self.columns, rows)
-        return self._framed(
-            cells, f"from above: {self.AXES[across]} up", f"{size_m:.2f} m, {self._rail}"
-        )
+        top = f"from above: {self.AXES[across]} up"
+        return self._framed(cells, top, f"{size_m:.2f} m, {self._rail}")
 
     def sides(self, rows: int, *, both: bool) -> tuple[Lines, Lines]:
         """Return the view from the side, and that along the rail, empty where not ``both``."""
@@ -293,9 +289,8 @@ class Views:
         if not both:
             return side, [Content("")] * len(side)
         across = 1 - self.of.rail
-        return side, self._framed(
-            self._view((across, self.UP), self.ALONG, rows), "z up", f"{self.AXES[across]} ►"
-        )
+        along = self._view((across, self.UP), self.ALONG, rows)
+        return side, self._framed(along, "z up", f"{self.AXES[across]} ►")
 
     def stations(self) -> Content:
         """Return the stations' names under their middle."""
@@ -324,14 +319,13 @@ class Views:
         column = np.floor(share[:, right] * columns).astype(int)
         row = np.floor((1.0 - 1e-9 - share[:, up]) * rows).astype(int)
         cells = np.full((rows, columns), NO_POINT)
-        np.maximum.at(cells, (row, column), self._grades.grade(of.errors_mm))
-        drawn = [[self._drawn(grade) for grade in line] for line in cells.tolist()]
+        grades = self._grades.grade(of.errors_mm).tolist()
+        np.maximum.at(cells, (row, column), grades)
+        shapes = {grade: self._grades.drawn(grade, plain=self._plain) for grade in set(grades)}
+        drawn = [[shapes.get(grade, (" ", "")) for grade in line] for line in cells.tolist()]
         if of.newest != NO_POINT:
             drawn[row[of.newest]][column[of.newest]] = self._newest
         return [Content.assemble(*line) for line in drawn]
-
-    def _drawn(self, grade: int) -> tuple[str, str]:
-        return (" ", "") if grade == NO_POINT else self._grades.drawn(grade, plain=self._plain)
 
     @staticmethod
     def _framed(cells: Lines, top: str, bottom: str) -> Lines:
@@ -339,12 +333,8 @@ class Views:
         width = cells[0].cell_length
         above, below = (f" {words} " if len(words) + 3 <= width else "" for words in (top, bottom))
         line = "─" * (width - 1)
-        return [
-            Content.assemble(
-                ("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")
-            ),
-            *(Content.assemble(("│", "$stale"), each, ("│", "$stale")) for each in cells),
-            Content.assemble(
-                (f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")
-            ),
-        ]
+        first = ("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")
+        last = (f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")
+        edge = "│", "$stale"
+        rows = (first, *((edge, each, edge) for each in cells), last)
+        return [Content.assemble(*row) for row in rows]
