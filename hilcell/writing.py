@@ -94,7 +94,10 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
                 if path in ready:
                     ready[path].replace(_place(path))
                 else:
-                    _pour(path, content)
+                    number = _descriptor(path)
+                    opened = os.open(path, os.O_WRONLY) if number is None else os.dup(number)
+                    with os.fdopen(opened, "wb") as file:
+                        file.write(content)
     finally:
         for beside in ready.values():
             beside.unlink(missing_ok=True)
@@ -122,13 +125,6 @@ def _mode(path: Path, inputs: list[Path]) -> int | None:
 
 def _place(path: Path) -> Path:
     return Path(os.path.realpath(path))
-
-
-def _pour(path: Path, content: bytes) -> None:
-    number = _descriptor(path)
-    opened = os.open(path, os.O_WRONLY) if number is None else os.dup(number)
-    with os.fdopen(opened, "wb") as file:
-        file.write(content)
 
 
 def _descriptor(path: Path) -> int | None:

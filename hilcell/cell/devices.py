@@ -12,29 +12,12 @@ from typing import Any
 
 import msgspec
 
+from hilcell import ports
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import places
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
 from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_place
-from hilcell.ports import (
-    Clock,
-    DeviceError,
-    DeviceRefused,
-    ExternalAxis,
-    Identity,
-    InProcessCell,
-    Rail,
-    RepeatsRun,
-    RidesOnRobot,
-    Robot,
-    SimulatedCell,
-    StatesAccuracy,
-    Streams,
-    Sweeps,
-    Tracker,
-    TwoFaces,
-)
 from hilcell.typed import learn
 
 
@@ -72,7 +55,7 @@ def _misfit(name: str, call: Callable[..., object], words: Iterable[str]) -> str
 
 
 TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
-PORTS: Mapping[str, type] = {"rails": Rail, "robots": Robot, "trackers": Tracker}
+PORTS: Mapping[str, type] = {"rails": ports.Rail, "robots": ports.Robot, "trackers": ports.Tracker}
 
 
 def load_entry(group: str, name: str) -> Any:
@@ -118,42 +101,42 @@ def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoints]:
 class Devices:
     """The three devices of a cell."""
 
-    rail: Rail
-    robot: Robot
-    tracker: Tracker
+    rail: ports.Rail
+    robot: ports.Robot
+    tracker: ports.Tracker
     rail_rides: bool = False  # on the robot, as its external axis
 
-    def named(self) -> dict[str, Rail | Robot | Tracker]:
+    def named(self) -> dict[str, ports.Rail | ports.Robot | ports.Tracker]:
         """Return the devices by name, in the order in which they are opened."""
         if self.rail_rides:
             return {"Robot": self.robot, "Rail": self.rail, "Tracker": self.tracker}
         return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
 
 
-def streams_of(tracker: Tracker) -> Streams:
+def streams_of(tracker: ports.Tracker) -> ports.Streams:
     """Return a tracker that streams; raises `DeviceRefused` where it does not."""
-    if isinstance(tracker, Streams):
+    if isinstance(tracker, ports.Streams):
         return tracker
     raise _unable("HC-T43", "Tracker", "stream", "stream", "at rest")
 
 
-def turning_over(tracker: Tracker) -> TwoFaces:
+def turning_over(tracker: ports.Tracker) -> ports.TwoFaces:
     """Return a tracker that turns over; raises `DeviceRefused` where it does not."""
-    if isinstance(tracker, TwoFaces):
+    if isinstance(tracker, ports.TwoFaces):
         return tracker
     raise _unable("HC-T43", "Tracker", "change face", "measure_back", "in one face")
 
 
-def sweeps_of(robot: Robot) -> Sweeps:
+def sweeps_of(robot: ports.Robot) -> ports.Sweeps:
     """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
-    if isinstance(robot, Sweeps):
+    if isinstance(robot, ports.Sweeps):
         return robot
     raise _unable("HC-B42", "Robot", "sweep", "sweep", "at rest")
 
 
-def _unable(code: str, device: str, operation: str, method: str, instead: str) -> DeviceRefused:
+def _unable(code: str, device: str, doing: str, method: str, instead: str) -> ports.DeviceRefused:
     wanted, act = f"a driver with `{method}`", f"choose a procedure that measures {instead} only"
-    return DeviceRefused(code, device, operation, f"no `{method}`", wanted=wanted, act=act)
+    return ports.DeviceRefused(code, device, doing, f"no `{method}`", wanted=wanted, act=act)
 
 
 def sights_apart_rad(cell: Cell) -> float:
@@ -161,33 +144,33 @@ def sights_apart_rad(cell: Cell) -> float:
     return float(getattr(load_entry("trackers", cell.tracker.driver), "SIGHTS_APART_RAD", 0.0))
 
 
-def tracker_class(cell: Cell) -> StatesAccuracy | None:
+def tracker_class(cell: Cell) -> ports.StatesAccuracy | None:
     """Return the tracker's accuracy class, None where its driver states none."""
     anywhere = {} if cell.simulation is None else stand_ins(cell).get("tracker", {})
     try:
         _, options = driver_options(cell, "tracker", "trackers", anywhere)
     except SettingsError:
         return None  # reported where the options are checked
-    return options if isinstance(options, StatesAccuracy) else None
+    return options if isinstance(options, ports.StatesAccuracy) else None
 
 
 def abilities(cell: Cell) -> dict[str, bool]:
     """Return the abilities of the cell's drivers beside those of every driver."""
     tracker = load_entry("trackers", cell.tracker.driver)
     return {
-        "tracker_streams": issubclass(tracker, Streams),
-        "tracker_turns_over": issubclass(tracker, TwoFaces),
-        "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), Sweeps),
+        "tracker_streams": issubclass(tracker, ports.Streams),
+        "tracker_turns_over": issubclass(tracker, ports.TwoFaces),
+        "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), ports.Sweeps),
     }
 
 
 def rides_on_robot(cell: Cell) -> bool:
     """Whether the slide is an external axis of the robot."""
-    return issubclass(load_entry("rails", cell.rail.driver), RidesOnRobot)
+    return issubclass(load_entry("rails", cell.rail.driver), ports.RidesOnRobot)
 
 
 def build_devices(
-    cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: ports.Clock
 ) -> Devices:
     """Build the drivers, unopened, ``addresses`` before their options; raises `SettingsError`."""
     built: dict[str, Any] = {}
@@ -201,7 +184,7 @@ def build_devices(
             name = getattr(cell, table).driver
             problem = f"{table}.driver: {name!r} cannot be built: {with_place(error)}"
             raise SettingsError(cell.name, [problem]) from error
-    rides = isinstance(built["rail"], RidesOnRobot)
+    rides = isinstance(built["rail"], ports.RidesOnRobot)
     if rides:
         built["rail"].ride(built["robot"])
     return Devices(**built, rail_rides=rides)
@@ -282,7 +265,7 @@ def check_options(cell: Cell) -> None:
             problems += [f"{key}: {line}" for line in error.problems]
     if not problems:
         robot = load_entry("robots", cell.robot.driver)
-        if rides_on_robot(cell) and not issubclass(robot, ExternalAxis):
+        if rides_on_robot(cell) and not issubclass(robot, ports.ExternalAxis):
             problems.append(
                 f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot "
                 f"driver {cell.robot.driver!r} moves none; name another of both"
@@ -323,7 +306,7 @@ def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
 def is_replay(cell: Cell) -> bool:
     """Whether a run of the cell only repeats a recorded one."""
     return cell.simulation is not None and issubclass(
-        load_entry("simulators", cell.simulation.simulator), RepeatsRun
+        load_entry("simulators", cell.simulation.simulator), ports.RepeatsRun
     )
 
 
@@ -335,7 +318,7 @@ def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
 
 def start_simulation(
     cell: Cell, *, seed: int | None, speed: float, session: int = 1, **more: object
-) -> SimulatedCell | None:
+) -> ports.SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one.
 
     ``seed`` is its machine's, None for one that runs already. ``session`` is the run's, which one
@@ -345,39 +328,43 @@ def start_simulation(
         return None
     more |= {"session": session} if is_replay(cell) else {}
     simulator = load_entry("simulators", cell.simulation.simulator)
-    simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
+    simulated: ports.SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated
 
 
-def in_process_cell(cell: Cell, seed: int) -> InProcessCell:
+def in_process_cell(cell: Cell, seed: int) -> ports.InProcessCell:
     """Return the simulated cell without wires; raises `SettingsError` where there is none."""
     if cell.simulation is None:
         raise SettingsError("simulation", ["missing; a cell without it has real devices only"])
-    found: InProcessCell = load_entry("in_process_cells", cell.simulation.simulator)(cell, seed)
+    found: ports.InProcessCell = load_entry("in_process_cells", cell.simulation.simulator)(
+        cell, seed
+    )
     return found
 
 
-class ConnectFailed(DeviceError):
+class ConnectFailed(ports.DeviceError):
     """Some devices could not be connected; the message lists all of them as a tree."""
 
-    def __init__(self, failures: Mapping[str, DeviceError]) -> None:
+    def __init__(self, failures: Mapping[str, ports.DeviceError]) -> None:
         found = f"{', '.join(failures)} failed"
         super().__init__("HC-C15", "Cell", "connect", found, causes=failures)
-        if all(isinstance(each, DeviceRefused) for each in failures.values()):
+        if all(isinstance(each, ports.DeviceRefused) for each in failures.values()):
             self.exit_code = EXIT_REFUSED
 
 
-def connect_all(devices: Devices, claim: Callable[[list[Identity]], None]) -> list[Identity]:
+def connect_all(
+    devices: Devices, claim: Callable[[list[ports.Identity]], None]
+) -> list[ports.Identity]:
     """Open every device and return the identities; raises `ConnectFailed` naming all failures.
 
     ``claim`` takes the identities of each device before the next is opened; its error ends it.
     """
-    identities: list[Identity] = []
-    failures: dict[str, DeviceError] = {}
+    identities: list[ports.Identity] = []
+    failures: dict[str, ports.DeviceError] = {}
     for name, device in devices.named().items():
         try:
             found = device.connect()
-        except DeviceError as error:
+        except ports.DeviceError as error:
             failures[name] = error
         else:
             claim(found)

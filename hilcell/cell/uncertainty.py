@@ -106,13 +106,11 @@ def _unit(quantity: Element) -> str:
 def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
     """Return the values of a quantity and their U (k = 2), as many."""
     values = [each for name in ("value", "valueXMLList") for each in _floats(quantity, name)]
-    forms = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
-        ("valueExpandedMU", "coverageFactor"),
-        ("valueExpandedMUXMLList", "coverageFactorXMLList"),
-        ("uncertainty", "coverageFactor"),
-        ("uncertaintyXMLList", "coverageFactorXMLList"),
+    pairs = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
+        [list(_floats(quantity, f"{name}{of}")) for name in (U, "coverageFactor")]
+        for U in ("valueExpandedMU", "uncertainty")
+        for of in ("", "XMLList")
     )
-    pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in forms)
     expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
     if not (values and expanded and min(factors) > 0 and min(expanded) >= 0):
         raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")

@@ -151,11 +151,9 @@ def _numbers(values_mm: Array) -> str:
 
 def alone(figures: Figures) -> list[str]:
     """Return what a URDF or a DH table leaves out, and what it leaves, in lines."""
-    left = (
-        f"By itself it leaves mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max "
-        f"{figures.max:.4f} mm at poses left out of its identification in turn."
-    )
+    unsaid = "It cannot state deflection by gravity, waves of the gears and the residual model."
+    misses = f"mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max {figures.max:.4f} mm"
     return [
-        "It cannot state deflection by gravity, waves of the gears and the residual model.",
-        left,
+        unsaid,
+        f"By itself it leaves {misses} at poses left out of its identification in turn.",
     ]
