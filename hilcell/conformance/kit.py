@@ -26,15 +26,7 @@ from hilcell.conformance.acts import (
     TrackerActs,
     worst_deg,
 )
-from hilcell.conformance.trial import (
-    LOOK_S,
-    Bench,
-    NotApplicable,
-    Promise,
-    Promises,
-    fails,
-    need,
-)
+from hilcell.conformance.trial import LOOK_S, Bench, NotApplicable, Promise, Promises, fails, need
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, NoReading, Rail, Robot, StreamBlock, Streams, Sweeps, Tracker
 

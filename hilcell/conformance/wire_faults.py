@@ -22,16 +22,7 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS, Driver, Port
-from hilcell.conformance.trial import (
-    LOOK_S,
-    Bench,
-    Broken,
-    Promises,
-    Riding,
-    Settings,
-    fails,
-    need,
-)
+from hilcell.conformance.trial import LOOK_S, Bench, Broken, Promises, Riding, Settings, fails, need
 from hilcell.errors import DeviceError, Stopped
 
 PROMISES = Promises()

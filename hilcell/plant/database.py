@@ -13,23 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
 
-from sqlalchemy import (
-    URL,
-    Connection,
-    Engine,
-    create_engine,
-    event,
-    inspect,
-    make_url,
-    text,
-)
-from sqlalchemy.exc import (
-    ArgumentError,
-    DBAPIError,
-    OperationalError,
-    SQLAlchemyError,
-    StatementError,
-)
+import sqlalchemy as sa
+from sqlalchemy import URL, Connection, Engine, event, exc, text
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, StoreAway
@@ -81,7 +66,7 @@ class Database:
         options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
         # Its warnings repeat the error that is raised; without a handler they reach stderr.
         logging.getLogger("psycopg").addHandler(self._UNHEARD)
-        self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
+        self.engine: Engine = sa.create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._remote:
             event.listen(self.engine, "do_connect", _connected)
         else:
@@ -101,7 +86,7 @@ class Database:
                     order_s = deadlines.MIGRATION_S if migrating else deadlines.ORDER_S
                     deadlines.limit(connection, order_s)
                 yield connection
-        except SQLAlchemyError as error:
+        except exc.SQLAlchemyError as error:
             raise self._error(error) from None  # SQLAlchemy's own says the values of all rows
 
     def check(self) -> None:
@@ -157,7 +142,7 @@ class Database:
         found = _version(connection)
         if found is None:
             raise self._none()
-        schema = inspect(connection)
+        schema = sa.inspect(connection)
         names = schema.get_columns(RUN.name) if schema.has_table(RUN.name) else []
         if not {*KNOWN} <= {each["name"] for each in names}:
             raise self._foreign(f"its schema is {clean(found)}")
@@ -169,7 +154,7 @@ class Database:
 
     def _check_empty(self, connection: Connection) -> None:
         """Refuse what holds other tables: a run's journal is such a file, too."""
-        others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
+        others = sorted({*sa.inspect(connection).get_table_names()} - {"alembic_version"})
         if others:
             raise self._foreign(f"it has {len(others)} tables, the first is {clean(others[0])}")
 
@@ -183,9 +168,9 @@ class Database:
         make = "`hilcell plant init --to URL` makes their tables"
         return self._refusal(f"it holds no plant records; {make}")
 
-    def _error(self, error: SQLAlchemyError) -> HilcellError:
+    def _error(self, error: exc.SQLAlchemyError) -> HilcellError:
         """Return an error of the database in one line, without values and without a password."""
-        cause = error.orig if isinstance(error, StatementError) and error.orig else error
+        cause = error.orig if isinstance(error, exc.StatementError) and error.orig else error
         said = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
         words = clean(" ".join((said or str(cause)).split()))
         for secret in _secrets(self._url):
@@ -220,10 +205,10 @@ def _parsed(url: str) -> URL:
     forms = "postgresql://USER@HOST/DATABASE or sqlite:///FILE is wanted"
     try:
         if b"\0" in unquote_to_bytes(url):  # libpq would read no further
-            raise ArgumentError
-        parsed = make_url(url)
+            raise exc.ArgumentError
+        parsed = sa.make_url(url)
         backend = parsed.get_backend_name()
-    except (ArgumentError, ValueError):  # both may repeat the URL, and so a password
+    except (exc.ArgumentError, ValueError):  # both may repeat the URL, and so a password
         raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
     drivers = {POSTGRESQL: "postgresql+psycopg", "sqlite": "sqlite"}
     if backend not in drivers:
@@ -269,14 +254,14 @@ def _login_refused(cause: BaseException, words: str) -> bool:
     return bool(unknown.search(words) or (asked.used_password and full not in words))
 
 
-def _away(error: SQLAlchemyError, cause: BaseException) -> bool:
+def _away(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
     """Whether the database is not to be used at all, rather than by this order."""
-    if isinstance(error, DBAPIError) and error.connection_invalidated:
+    if isinstance(error, exc.DBAPIError) and error.connection_invalidated:
         return True
     limits = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
     limited = str(getattr(cause, "sqlstate", "")).startswith(limits)
     wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
-    return isinstance(error, OperationalError) and not (limited or wrong)
+    return isinstance(error, exc.OperationalError) and not (limited or wrong)
 
 
 def _secrets(url: URL) -> list[str]:
@@ -299,7 +284,7 @@ def _checked_keys(connection: object, _: object) -> None:
 
 def _version(connection: Connection) -> str | None:
     """Return the schema's version; None where there is none."""
-    if not inspect(connection).has_table("alembic_version"):
+    if not sa.inspect(connection).has_table("alembic_version"):
         return None
     found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
     return None if found is None else str(found)

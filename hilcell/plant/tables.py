@@ -10,45 +10,23 @@ from collections import defaultdict
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import (
-    JSON,
-    Boolean,
-    Column,
-    Connection,
-    Date,
-    DateTime,
-    Dialect,
-    Double,
-    Executable,
-    ForeignKey,
-    Index,
-    Integer,
-    MetaData,
-    String,
-    Table,
-    Text,
-    TypeDecorator,
-    UniqueConstraint,
-    Uuid,
-    func,
-    text,
-)
+import sqlalchemy as sa
 
 Found = Any  # a row of an answer: its columns by their names
 HEAD = "0001"  # of the schema; raised when a table, a record or a meaning changes
 
 
-class Utc(TypeDecorator[datetime]):
+class Utc(sa.TypeDecorator[datetime]):
     """A moment; SQLite, which has no zones, keeps it in UTC."""
 
-    impl = DateTime(timezone=True)
+    impl = sa.DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         """Return what is stored."""
         return self.in_utc(value)
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         """Return what was stored, with its zone."""
         if value is None:
             return None
@@ -60,150 +38,150 @@ class Utc(TypeDecorator[datetime]):
         return None if value is None else value.astimezone(UTC)
 
 
-TABLES = MetaData()
+TABLES = sa.MetaData()
 
 
-def _part(name: str, *columns: Column[Any] | Index) -> Table:
+def _part(name: str, *columns: sa.Column[Any] | sa.Index) -> sa.Table:
     """Return a table of parts of runs."""
-    digest = Column("digest", Uuid, ForeignKey("run.digest"), primary_key=True)
-    return Table(name, TABLES, digest, *columns)
+    digest = sa.Column("digest", sa.Uuid, sa.ForeignKey("run.digest"), primary_key=True)
+    return sa.Table(name, TABLES, digest, *columns)
 
 
-def _number() -> Column[int]:
-    return Column("n", Integer, primary_key=True)
+def _number() -> sa.Column[int]:
+    return sa.Column("n", sa.Integer, primary_key=True)
 
 
-def _words(name: str) -> Column[str]:
-    return Column(name, Text, nullable=False)
+def _words(name: str) -> sa.Column[str]:
+    return sa.Column(name, sa.Text, nullable=False)
 
 
-RUN = Table(
+RUN = sa.Table(
     "run",
     TABLES,
-    Column("digest", Uuid, primary_key=True),
-    Column("run_key", Uuid, nullable=False),
-    Column("revision", Integer, nullable=False),
-    Column("head", String(64), nullable=False),
-    Column("month", Date, nullable=False),
-    Column("cell_key", Uuid, nullable=False),
+    sa.Column("digest", sa.Uuid, primary_key=True),
+    sa.Column("run_key", sa.Uuid, nullable=False),
+    sa.Column("revision", sa.Integer, nullable=False),
+    sa.Column("head", sa.String(64), nullable=False),
+    sa.Column("month", sa.Date, nullable=False),
+    sa.Column("cell_key", sa.Uuid, nullable=False),
     _words("name"),
     _words("cell"),
     _words("serial"),
-    Column("simulated", Boolean, nullable=False),
+    sa.Column("simulated", sa.Boolean, nullable=False),
     _words("machine"),
     _words("procedure"),
     _words("state"),
-    Column("exit", Integer, nullable=False),
-    Column("begun", Utc, nullable=False),
-    Column("ended", Utc, nullable=False),
-    Column("points", Integer, nullable=False),
-    Column("proven", Boolean, nullable=False),
+    sa.Column("exit", sa.Integer, nullable=False),
+    sa.Column("begun", Utc, nullable=False),
+    sa.Column("ended", Utc, nullable=False),
+    sa.Column("points", sa.Integer, nullable=False),
+    sa.Column("proven", sa.Boolean, nullable=False),
     _words("robot"),
     _words("tracker"),
     _words("version"),
-    Column("row", JSON, nullable=False),
-    Column("shipped", Utc, nullable=False, server_default=func.now()),
-    UniqueConstraint("run_key", "revision", name="run_revision"),
-    Index("run_of_cell", "cell_key", "ended", "revision"),
+    sa.Column("row", sa.JSON, nullable=False),
+    sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now()),
+    sa.UniqueConstraint("run_key", "revision", name="run_revision"),
+    sa.Index("run_of_cell", "cell_key", "ended", "revision"),
 )
-Index(
+sa.Index(
     "run_proven",
     RUN.c.cell_key,
     RUN.c.ended,
-    postgresql_where=text("proven"),
-    sqlite_where=text("proven"),
+    postgresql_where=sa.text("proven"),
+    sqlite_where=sa.text("proven"),
 )
-Index("run_of_robot", RUN.c.robot, RUN.c.ended)
-Index("run_of_head", RUN.c.head)
+sa.Index("run_of_robot", RUN.c.robot, RUN.c.ended)
+sa.Index("run_of_head", RUN.c.head)
 
 FRAME = _part(
     "frame",
-    Column("key", Text, primary_key=True),
-    Column("matrix", JSON, nullable=False),
-    Column("covariance", JSON),
+    sa.Column("key", sa.Text, primary_key=True),
+    sa.Column("matrix", sa.JSON, nullable=False),
+    sa.Column("covariance", sa.JSON),
 )
 VERDICT = _part(
     "verdict",
-    Column("key", Text, primary_key=True),
-    Column("holds", Boolean, nullable=False),
-    Column("mean_mm", Double),
-    Column("mean_U_mm", Double),
-    Column("mean_tolerance_mm", Double),
-    Column("body", JSON, nullable=False),
+    sa.Column("key", sa.Text, primary_key=True),
+    sa.Column("holds", sa.Boolean, nullable=False),
+    sa.Column("mean_mm", sa.Double),
+    sa.Column("mean_U_mm", sa.Double),
+    sa.Column("mean_tolerance_mm", sa.Double),
+    sa.Column("body", sa.JSON, nullable=False),
 )
 DEVICE = _part(
     "device",
     _number(),
     *map(_words, ("kind", "device", "maker", "model", "serial", "firmware")),
-    Column("simulated", Boolean, nullable=False),
-    Index("device_serial", "kind", "serial"),
+    sa.Column("simulated", sa.Boolean, nullable=False),
+    sa.Index("device_serial", "kind", "serial"),
 )
 ALARM = _part(
     "alarm",
     _number(),
-    Column("t", Utc, nullable=False),
+    sa.Column("t", Utc, nullable=False),
     *map(_words, ("code", "severity", "title", "place", "found")),
-    Index("alarm_code", "code", "t"),
+    sa.Index("alarm_code", "code", "t"),
 )
 LENGTH = _part(
     "length",
     _number(),
     _words("nests"),
-    Column("wanted_mm", Double, nullable=False),
-    Column("found_mm", Double, nullable=False),
-    Column("U_mm", Double, nullable=False),
+    sa.Column("wanted_mm", sa.Double, nullable=False),
+    sa.Column("found_mm", sa.Double, nullable=False),
+    sa.Column("U_mm", sa.Double, nullable=False),
 )
 GRID = _part(
     "grid",
-    Column("places_mm", JSON, nullable=False),
-    Column("errors_mm", JSON, nullable=False),
-    Column("temperature_c", Double),
+    sa.Column("places_mm", sa.JSON, nullable=False),
+    sa.Column("errors_mm", sa.JSON, nullable=False),
+    sa.Column("temperature_c", sa.Double),
 )
 STREAM = _part(
     "stream",
-    Column("key", Text, primary_key=True),
+    sa.Column("key", sa.Text, primary_key=True),
     _words("file"),
-    Column("sha256", String(64), nullable=False),
-    Column("samples", Integer, nullable=False),
-    Column("joint_samples", Integer, nullable=False),
+    sa.Column("sha256", sa.String(64), nullable=False),
+    sa.Column("samples", sa.Integer, nullable=False),
+    sa.Column("joint_samples", sa.Integer, nullable=False),
 )
 DOCUMENT = _part(
     "document",
-    Column("name", Text, primary_key=True),
-    Column("sha256", String(64), nullable=False),
+    sa.Column("name", sa.Text, primary_key=True),
+    sa.Column("sha256", sa.String(64), nullable=False),
     _words("text"),
 )
-POINT = Table(
+POINT = sa.Table(
     "point",
     TABLES,
-    Column("month", Date, primary_key=True),
-    Column("digest", Uuid, primary_key=True),
-    Column("seq", Integer, primary_key=True),
-    Column("t", Utc, nullable=False),
+    sa.Column("month", sa.Date, primary_key=True),
+    sa.Column("digest", sa.Uuid, primary_key=True),
+    sa.Column("seq", sa.Integer, primary_key=True),
+    sa.Column("t", Utc, nullable=False),
     *map(_words, ("key", "kind", "station", "frame", "reflector")),
-    *(Column(name, Double, nullable=False) for name in ("x_mm", "y_mm", "z_mm")),
-    *(Column(name, Double, nullable=False) for name in ("std_x_mm", "std_y_mm", "std_z_mm")),
-    Column("samples", Integer, nullable=False),
-    Column("session", Integer, nullable=False),
-    Column("set_up", Integer, nullable=False),
-    Column("retaken", Boolean, nullable=False),
-    Column("superseded", Boolean, nullable=False),
+    *(sa.Column(name, sa.Double, nullable=False) for name in ("x_mm", "y_mm", "z_mm")),
+    *(sa.Column(name, sa.Double, nullable=False) for name in ("std_x_mm", "std_y_mm", "std_z_mm")),
+    sa.Column("samples", sa.Integer, nullable=False),
+    sa.Column("session", sa.Integer, nullable=False),
+    sa.Column("set_up", sa.Integer, nullable=False),
+    sa.Column("retaken", sa.Boolean, nullable=False),
+    sa.Column("superseded", sa.Boolean, nullable=False),
     *(
-        Column(name, Double)
+        sa.Column(name, sa.Double)
         for name in (
             "temperature_c", "pressure_mbar", "humidity_percent", "strip_mm", "rail_mm",
             "nominal_x_mm", "nominal_y_mm", "nominal_z_mm",
         )
     ),
-    Column("commanded_deg", JSON(none_as_null=True)),
-    Column("joints_deg", JSON(none_as_null=True)),
+    sa.Column("commanded_deg", sa.JSON(none_as_null=True)),
+    sa.Column("joints_deg", sa.JSON(none_as_null=True)),
     postgresql_partition_by="RANGE (month)",
 )  # fmt: skip
 PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 
 
 def grouped(
-    connection: Connection, asked: Executable, *names: str
+    connection: sa.Connection, asked: sa.Executable, *names: str
 ) -> defaultdict[tuple[str, ...], list[Found]]:
     """Return the rows of an answer, in their order, by what they have in these columns."""
     found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 import dask
-import msgspec
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError, connect
@@ -193,7 +192,10 @@ def local_workers(count: int, say: Say) -> Iterator[Workers]:
         try:
             get_context("spawn").Lock()  # they share some: without /dev/shm there is none
             # Ctrl-C reaches all processes of a terminal; a cluster that is half started would stay.
-            with postponed(signal.SIGTERM, signal.SIGHUP), _interrupts_ignored():
+            with postponed(signal.SIGTERM, signal.SIGHUP), ExitStack() as undo:
+                # Processes that are started meanwhile ignore it for good.
+                before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+                undo.callback(signal.signal, signal.SIGINT, before)
                 cluster = stack.enter_context(
                     LocalCluster(
                         n_workers=count,
@@ -249,15 +251,10 @@ async def _asked(scheduler: str) -> None:
         found.abort()
 
 
-class _Worker(msgspec.Struct):
-    last_seen: float  # by the scheduler's clock
-
-
 def _last_heartbeats(client: Client) -> Mapping[str, float]:
     # `Client.nthreads` would wait for ever.
     found = client.sync(client.scheduler.identity, callback_timeout=SCHEDULER_S)
-    workers = typed(found["workers"], dict[str, _Worker])
-    return {address: worker.last_seen for address, worker in workers.items()}
+    return {each: typed(last["last_seen"], float) for each, last in found["workers"].items()}
 
 
 def _check_versions(client: Client, name: str) -> None:
@@ -311,26 +308,14 @@ def _quiet() -> Iterator[None]:
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
     """Set variables that processes inherit which are started meanwhile."""
-    before = {name: os.environ.get(name) for name in values}
+    before = {name: os.environ[name] for name in values if name in os.environ}
     os.environ.update(values)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ignore ctrl-C, as processes that are started meanwhile do for good."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        for name in values:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _close(client: Client) -> None:
