@@ -286,18 +286,11 @@ def answers(study: Study, rows: Rows) -> Answers:
     model = Additive(study.factor, list(all_points.values()))
     effects = _effects(study, model, done)
     steps = {(each.factor.name, each.word) for each in effects if each.is_step}
+    tried = points_of(study, rows).values()
+    gaps = _Gaps(study, model, all_points.values(), tried, steps, counts)
+    figures = np.array([_mean(own, study.accuracy) for own in _by(done, "point").values()])
     return Answers(
-        found,
-        within,
-        counts,
-        effects,
-        not_estimable(
-            study, model, all_points.values(), points_of(study, rows).values(), steps, counts
-        ),
-        model.explained(
-            np.array([_mean(own, study.accuracy) for own in _by(done, "point").values()])
-        ),
-        model.unknowns,
+        found, within, counts, effects, gaps.words(), model.explained(figures), model.unknowns
     )
 
 
@@ -410,94 +403,90 @@ def _known(values: Iterable[float]) -> Interval:
     return interval(each for each in values if np.isfinite(each))
 
 
-def not_estimable(
-    study: Study, model: Additive, done: Collection[Point], tried: Collection[Point],
-    steps: Collection[tuple[str, str]], counts: Mapping[str, int],
-) -> list[str]:  # fmt: skip
-    """Return why steps other than ``steps`` (factor, level) have no figures, and what would help.
+@dataclass(frozen=True, eq=False)
+class _Gaps:
+    """Why steps other than ``steps`` (factor, level) have no figures, and what would help.
 
     ``done`` are the points of the model; ``tried`` those of all rows, in ``counts`` by state.
     """
-    lines = [line for n in range(len(study.factor)) for line in _unseen(n, model, done)]
-    lines += _mixed(study, model, len(done))
-    helped = [_help(study, counts)] if lines else []
-    for n, factor in enumerate(study.factor):
-        lines += _extrapolated(n, factor, done, tried)
-        lines += _apart(n, factor, model, steps)
-    return [*lines, *helped]
 
+    study: Study
+    model: Additive
+    done: Collection[Point]
+    tried: Collection[Point]
+    steps: Collection[tuple[str, str]]
+    counts: Mapping[str, int]
 
-def _unseen(n: int, model: Additive, done: Collection[Point]) -> Iterator[str]:
-    """Yield that a factor did not vary, or which of its levels have no result."""
-    choices = [each.choices[n] for each in done]
-    factor, seen = choices[0].factor, {each.share for each in choices}
-    if len(seen) == 1:
-        yield (
-            f"{factor.title}: every design with a result has {choices[0].word}, so its effect is "
-            "unknown."
-        )
-    elif not factor.is_range:
-        never = [word for level, word in enumerate(factor.names) if level not in seen]
-        start = model.start(n)
-        since = f"; changes are counted from {factor.names[start]}" if start else ""
-        if never:
-            yield f"{factor.title}: no design with {_listed(never, 'or')} has a result{since}."
+    def words(self) -> list[str]:
+        factors = [*enumerate(self.study.factor)]
+        lines = [line for n, factor in factors for line in self.unseen(n, factor)]
+        lines += self.mixed()
+        helped = [self.help()] if lines else []
+        for n, factor in factors:
+            lines += [*self.extrapolated(n, factor), *self.apart(n, factor)]
+        return [*lines, *helped]
 
+    def unseen(self, n: int, factor: Factor) -> Iterator[str]:
+        """Yield that a factor did not vary, or which of its levels have no result."""
+        seen = {each.choices[n].share: each.choices[n].word for each in self.done}
+        if len(seen) == 1:
+            every = f"every design with a result has {seen.popitem()[1]}"
+            yield f"{factor.title}: {every}, so its effect is unknown."
+        elif not factor.is_range:
+            never = [word for level, word in enumerate(factor.names) if level not in seen]
+            start = self.model.start(n)
+            since = f"; changes are counted from {factor.names[start]}" if start else ""
+            if never:
+                yield f"{factor.title}: no design with {_listed(never, 'or')} has a result{since}."
 
-def _mixed(study: Study, model: Additive, designs: int) -> Iterator[str]:
-    for group in model.inseparable():
-        names = _listed([study.factor[n].title for n in group], "and")
-        few = f" (designs: {designs}, unknowns: {model.unknowns})" * (designs < model.unknowns)
-        yield (
-            f"{names} change together in the designs with results{few}: effects without a figure "
-            "cannot be separated."
-        )
-
-
-def _extrapolated(
-    n: int, factor: Factor, done: Collection[Point], tried: Collection[Point]
-) -> Iterator[str]:
-    """Yield where the results of a range end, if further cases had none."""
-    if factor.is_range:
-        found = sorted((each.choices[n] for each in done), key=lambda each: each.share)
-        wanted = [each.choices[n].share for each in tried]
-        low, high = found[0], found[-1]
-        if low.share < high.share and (min(wanted) < low.share or high.share < max(wanted)):
+    def mixed(self) -> Iterator[str]:
+        designs, unknowns = len(self.done), self.model.unknowns
+        few = f" (designs: {designs}, unknowns: {unknowns})" * (designs < unknowns)
+        for group in self.model.inseparable():
+            names = _listed([self.study.factor[n].title for n in group], "and")
             yield (
-                f"{factor.title}: results lie between {low.word} and {high.word} only; beyond "
-                "them its effect is extrapolated."
+                f"{names} change together in the designs with results{few}: effects without a "
+                "figure cannot be separated."
             )
 
+    def extrapolated(self, n: int, factor: Factor) -> Iterator[str]:
+        """Yield where the results of a range end, if further cases had none."""
+        if factor.is_range:
+            found = sorted((each.choices[n] for each in self.done), key=lambda each: each.share)
+            wanted = [each.choices[n].share for each in self.tried]
+            low, high = found[0], found[-1]
+            if low.share < high.share and (min(wanted) < low.share or high.share < max(wanted)):
+                yield (
+                    f"{factor.title}: results lie between {low.word} and {high.word} only; beyond "
+                    "them its effect is extrapolated."
+                )
 
-def _apart(
-    n: int, factor: Factor, model: Additive, steps: Collection[tuple[str, str]]
-) -> Iterator[str]:
-    """Yield the steps that only machines together would show."""
-    start = model.start(n)
-    words = [
-        word
-        for level, word in enumerate(factor.names)
-        if level != start
-        and (factor.name, word) not in steps
-        and model.estimable(model.change(n, level, start))
-    ]
-    if words:
-        yield (
-            f"{factor.title}: no machine by itself has the results that show the change to "
-            f"{_listed(words, 'or')}."
-        )
+    def apart(self, n: int, factor: Factor) -> Iterator[str]:
+        """Yield the steps that only machines together would show."""
+        start = self.model.start(n)
+        words = [
+            word
+            for level, word in enumerate(factor.names)
+            if level != start
+            and (factor.name, word) not in self.steps
+            and self.model.estimable(self.model.change(n, level, start))
+        ]
+        if words:
+            yield (
+                f"{factor.title}: no machine by itself has the results that show the change to "
+                f"{_listed(words, 'or')}."
+            )
 
-
-def _help(study: Study, counts: Mapping[str, int]) -> str:
-    if (waiting := study.most_cases - sum(counts.values())) > 0:
-        return f"Cases that are not measured yet: {waiting}."
-    if study.samples is not None:
-        unknowns = 1 + sum(1 if f.is_range else len(f.ends) - 1 for f in study.factor)
-        wanted = max(2 * study.samples, 1 << (2 * unknowns - 1).bit_length())
-        return f"More samples would help, {wanted} for example."
-    if counts.get(CANNOT_BE, 0) or counts.get(FAILED, 0):
-        return "Levels that can all be combined would help; see the cases without a result."
-    return "More levels or combinations would help."
+    def help(self) -> str:
+        if (waiting := self.study.most_cases - sum(self.counts.values())) > 0:
+            return f"Cases that are not measured yet: {waiting}."
+        if self.study.samples is not None:
+            unknowns = 1 + sum(1 if f.is_range else len(f.ends) - 1 for f in self.study.factor)
+            wanted = max(2 * self.study.samples, 1 << (2 * unknowns - 1).bit_length())
+            return f"More samples would help, {wanted} for example."
+        if self.counts.get(CANNOT_BE, 0) or self.counts.get(FAILED, 0):
+            return "Levels that can all be combined would help; see the cases without a result."
+        return "More levels or combinations would help."
 
 
 def _listed(words: Collection[str], last: str) -> str:

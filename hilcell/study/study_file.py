@@ -192,7 +192,7 @@ def read_study(path: Path) -> Study:
 
     def unlike_the_cell(found: Study) -> Iterator[str]:
         if is_read(found, lambda it: (it.cell, it.settings)):
-            yield from _unlike_the_cell(found, _place(found.cell, path.parent), stated)
+            yield from _AgainstCell(found, _place(found.cell, path.parent)).problems(stated)
 
     study = convert(stated, Study, source, unlike_the_cell)
     return msgspec.structs.replace(study, cell=_place(study.cell, path.parent))
@@ -212,113 +212,110 @@ def _cell(where: str, settings: Mapping[str, object]) -> Cell:
     return load_cell(where, {key: toml_value(value) for key, value in settings.items()})
 
 
-def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> Iterator[str]:
-    """Yield what is wrong with the base cell, and values that a factor's setting can never take.
+class _AgainstCell:
+    """A study beside its base cell: the errors of that, and values that no setting can take.
 
     A value that only goes ill with the others' is not refused: its cases cannot be, which is a
     finding of the study. Factors are tried without the settings of the base cell that are wrong.
     """
-    base, sound = list[str](), dict(study.settings)
-    accuracy = study.accuracy if is_read(study, lambda it: it.accuracy) else ""
-    while new := [line for line in _wrong_base(where, sound, accuracy) if line not in base]:
-        base += new
-        plain = [_without_line(line) for line in new]
-        for key in [*sound]:
-            if any(_is_of(line, key) or line.startswith(f"{key} ") for line in plain):
-                del sound[key]
-    yield from (f"cell {where}: {line}" for line in base)
-    known = {_without_line(line) for line in base}
-    for n, factor in enumerate(study.factor if is_read(study, lambda it: it.factor) else ()):
-        if not is_read(factor, lambda it: it.setting):
-            continue
-        place = "setting" if factor.setting else "levels"
-        whole = is_read(factor, lambda it: it.ends)
-        values = factor.ends if whole else _finite_levels(stated, n)
-        for line in dict.fromkeys(_never(where, sound, factor, values, accuracy)):
-            if line not in known:
-                yield f"factor[{n}].{place}: {line}"
 
+    def __init__(self, study: Study, where: str) -> None:
+        self.study, self.where = study, where
+        self.sound = dict(study.settings)
+        self.accuracy = study.accuracy if is_read(study, lambda it: it.accuracy) else ""
 
-def _wrong_base(where: str, settings: Mapping[str, object], accuracy: str) -> Iterator[str]:
-    try:
-        cell = _cell(where, settings)
-    except SettingsError as error:
-        yield from error.problems
-        return
-    if cell.simulation is None:
-        yield "it has real devices only; a study simulates"
-    else:
-        yield from _no_machine(cell)
-    yield from _never_run(cell, accuracy)
+    def problems(self, stated: Mapping[str, object]) -> Iterator[str]:
+        base: list[str] = []
+        while new := [line for line in self.wrong_base() if line not in base]:
+            base += new
+            plain = [self.without_line(line) for line in new]
+            for key in [*self.sound]:
+                if any(self.is_of(line, key) or line.startswith(f"{key} ") for line in plain):
+                    del self.sound[key]
+        yield from (f"cell {self.where}: {line}" for line in base)
+        known = {self.without_line(line) for line in base}
+        factors = self.study.factor if is_read(self.study, lambda it: it.factor) else ()
+        for n, factor in enumerate(factors):
+            if not is_read(factor, lambda it: it.setting):
+                continue
+            place = "setting" if factor.setting else "levels"
+            whole = is_read(factor, lambda it: it.ends)
+            values = factor.ends if whole else self.finite_levels(stated, n)
+            for line in dict.fromkeys(self.never(factor, values)):
+                if line not in known:
+                    yield f"factor[{n}].{place}: {line}"
 
-
-def _finite_levels(stated: Mapping[str, object], n: int) -> Sequence[object]:
-    """Return the levels of the factor of a number whose others are not finite."""
-    factor = typed(stated["factor"], list[object])[n]
-    levels = factor.get("levels") if isinstance(factor, Mapping) else None
-    some = levels if isinstance(levels, list) else []
-    return [each for each in some if not (isinstance(each, float) and not math.isfinite(each))]
-
-
-def _never(
-    where: str,
-    sound: Mapping[str, object],
-    factor: Factor,
-    some: Sequence[object],
-    accuracy: str,
-) -> Iterator[str]:
-    """Yield why values of a factor, as far as they could be read, can never be."""
-    values = [value for value in some if value is not None]
-    if not factor.setting:  # each is a table of settings, where it is sound
-        values = [value for value in values if isinstance(value, Mapping)]
-    for given in map(factor.settings, values):
+    def wrong_base(self) -> Iterator[str]:
         try:
-            cell = _cell(where, {**sound, **given})
+            cell = _cell(self.where, self.sound)
         except SettingsError as error:
-            lines = [_without_line(line) for line in error.problems]
-            yield from (line for line in lines for key in given if _is_of(line, key))
-            continue
-        if any(key.startswith(MACHINE) for key in given):
-            yield from _no_machine(cell)
-        yield from _never_run(cell, accuracy)
+            yield from error.problems
+            return
+        if cell.simulation is None:
+            yield "it has real devices only; a study simulates"
+        else:
+            yield from self.no_machine(cell)
+        yield from self.never_run(cell)
 
+    def never(self, factor: Factor, values: Sequence[object]) -> Iterator[str]:
+        """Yield why values of a factor, as far as they could be read, can never be."""
+        values = [value for value in values if value is not None]
+        if not factor.setting:  # each is a table of settings, where it is sound
+            values = [value for value in values if isinstance(value, Mapping)]
+        for given in map(factor.settings, values):
+            try:
+                cell = _cell(self.where, {**self.sound, **given})
+            except SettingsError as error:
+                lines = [self.without_line(line) for line in error.problems]
+                yield from (line for line in lines for key in given if self.is_of(line, key))
+                continue
+            if any(key.startswith(MACHINE) for key in given):
+                yield from self.no_machine(cell)
+            yield from self.never_run(cell)
 
-def _is_of(problem: str, key: str) -> bool:
-    """Whether a problem of a cell is one of this setting's, whatever others are."""
-    unknown = ": unknown key" in problem and problem.startswith(key.partition(".")[0])
-    return unknown or problem.startswith((f"{key}:", f"{key}["))
+    def never_run(self, cell: Cell) -> Iterator[str]:
+        """Yield why no run of this cell has the study's accuracy, or nobody can measure it."""
+        if cell.plan.quick and self.accuracy == IDW:
+            yield (
+                "plan.quick: a quick plan sends no targets by the paper's method, so it has no "
+                f'{IDW}; leave plan.quick out, or state another accuracy, such as "mean_mm"'
+            )
+        if cell.layout.by_hand:
+            yield (
+                "layout.reflectors: by_hand: somebody must be there to carry the reflector, and "
+                'cases run unattended; set layout.reflectors = "mounted"'
+            )
 
+    @staticmethod
+    def no_machine(cell: Cell) -> Iterator[str]:
+        """Yield why there is no such machine; one that only goes ill with its cell is a finding."""
+        try:
+            in_process_cell(cell, seed=1)
+        except SettingsError as error:
+            if error.source == "in_process_cells":
+                yield from (f"simulation.simulator: {line}" for line in error.problems)
+            elif error.source.startswith(MACHINE):
+                yield from (f"{error.source}: {line}" for line in error.problems)
 
-def _no_machine(cell: Cell) -> Iterator[str]:
-    """Yield why there is no such machine; one that only goes ill with its cell is a finding."""
-    try:
-        in_process_cell(cell, seed=1)
-    except SettingsError as error:
-        if error.source == "in_process_cells":
-            yield from (f"simulation.simulator: {line}" for line in error.problems)
-        elif error.source.startswith(MACHINE):
-            yield from (f"{error.source}: {line}" for line in error.problems)
+    @staticmethod
+    def finite_levels(stated: Mapping[str, object], n: int) -> Sequence[object]:
+        """Return the levels of the factor of a number whose others are not finite."""
+        factor = typed(stated["factor"], list[object])[n]
+        levels = factor.get("levels") if isinstance(factor, Mapping) else None
+        some = levels if isinstance(levels, list) else []
+        return [each for each in some if not (isinstance(each, float) and not math.isfinite(each))]
 
+    @staticmethod
+    def is_of(problem: str, key: str) -> bool:
+        """Whether a problem of a cell is one of this setting's, whatever others are."""
+        unknown = ": unknown key" in problem and problem.startswith(key.partition(".")[0])
+        return unknown or problem.startswith((f"{key}:", f"{key}["))
 
-def _never_run(cell: Cell, accuracy: str) -> Iterator[str]:
-    """Yield why no run of this cell has the study's accuracy, or nobody can measure it."""
-    if cell.plan.quick and accuracy == IDW:
-        yield (
-            f"plan.quick: a quick plan sends no targets by the paper's method, so it has no {IDW}; "
-            'leave plan.quick out, or state another accuracy, such as "mean_mm"'
-        )
-
-    if cell.layout.by_hand:
-        yield (
-            "layout.reflectors: by_hand: somebody must be there to carry the reflector, and cases "
-            'run unattended; set layout.reflectors = "mounted"'
-        )
-
-
-def _without_line(problem: str) -> str:
-    """Return a problem of a cell file without the number of its line, where it has one."""
-    first, _, rest = problem.partition(": ")
-    return rest if first.rpartition(":")[2].isdecimal() else problem
+    @staticmethod
+    def without_line(problem: str) -> str:
+        """Return a problem of a cell file without the number of its line, where it has one."""
+        first, _, rest = problem.partition(": ")
+        return rest if first.rpartition(":")[2].isdecimal() else problem
 
 
 def _twice(kind: str, words: Sequence[str]) -> Iterator[str]:
