@@ -329,8 +329,7 @@ def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> In
 
 def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
     """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
-    mean_mm2: Array = covariances_mm2(points, R).mean(axis=0)
-    return mean_mm2
+    return np.asarray(covariances_mm2(points, R).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,8 +47,7 @@ class Pattern(NamedTuple):
 def zero_columns(arm: Arm, joints_rad: Array) -> Array:
     """Return the reflector's motion (N, 3, 6) in {B} by lost zeros at joints (N, 6), mm / rad."""
     offsets = slice(18, 24)  # of the links' parameters
-    columns: Array = parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign
-    return columns
+    return np.asarray(parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign)
 
 
 def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:

@@ -92,8 +92,7 @@ def tracker_drift(log: Log) -> Suspicion | None:
 def _shares(log: Log, points: list[Point]) -> Array:
     """Return which share (N,) of the run's records was over at each point."""
     seen = np.array([log.recorded(point) for point in points], dtype=float)
-    shares: Array = (seen - seen.min()) / (seen.max() - seen.min())
-    return shares
+    return np.asarray((seen - seen.min()) / (seen.max() - seen.min()))
 
 
 def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Array]:
@@ -173,8 +172,7 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
 
 
 def _whitened(whitening: Array, columns: Array) -> Array:
-    found: Array = (whitening @ columns).reshape(-1, columns.shape[-1])
-    return found
+    return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
 
 
 def _nuisances(series: Series, arm: Arm) -> tuple[Array, Array]:
@@ -204,8 +202,7 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
     found = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
     sizes = np.sqrt(np.square(found).sum(axis=1).mean(axis=0))
     model_mm = 0.05  # root mean square over the poses
-    columns: Array = model_mm * found / sizes
-    return columns
+    return np.asarray(model_mm * found / sizes)
 
 
 def series_of(log: Log) -> Series | None:
@@ -227,8 +224,7 @@ def series_of(log: Log) -> Series | None:
     except HilcellError:  # a model that knows nothing of a pose beside its grid
         return None
     off_mm, covariance_mm2, priors = zip(*rows, strict=True)
-    seen = np.array([log.recorded(point) for point in points], dtype=float)
-    share = (seen - seen[0]) / (seen[-1] - seen[0])
+    share = _shares(log, points)
     scatter_mm2, visits, places = visit_scatter(log, np.eye(3))
     stated = log.cell.uncertainty
     return Series(
@@ -294,5 +290,4 @@ def _placed(log: Log, T_W_B: Array, point: Point) -> Array:
     found[:3, :3] += hold_covariance(cell)
     found += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
     turn = np.kron(np.eye(2), T_W_B[:3, :3].T)
-    placed: Array = turn @ found @ turn.T
-    return placed
+    return np.asarray(turn @ found @ turn.T)

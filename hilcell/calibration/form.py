@@ -43,8 +43,7 @@ class Validity(msgspec.Struct, frozen=True):
         """Return by how much poses (N, 4, 4) in {B} are turned from the nearest of all (N,)."""
         known = (self.orientation, *self.orientations)
         angles_deg = [turned_deg(np.array(R), poses) for R in known]
-        nearest: Array = np.min(angles_deg, axis=0)
-        return nearest
+        return np.asarray(np.min(angles_deg, axis=0))
 
     def points_back(self, poses: Array) -> Bools:
         """Return which poses (N, 4, 4) in {B} have z against every calibrated one's, (N,).
@@ -53,8 +52,7 @@ class Validity(msgspec.Struct, frozen=True):
         """
         axes = np.array([self.orientation, *self.orientations])[:, :, 2]
         against = np.clip(-(poses[:, :3, 2] @ axes.T), -1.0, 1.0).max(axis=1)
-        found: Bools = np.degrees(np.arccos(against)) <= self.orientation_tolerance_deg
-        return found
+        return np.asarray(np.degrees(np.arccos(against)) <= self.orientation_tolerance_deg)
 
 
 class LostMotion(msgspec.Struct, frozen=True):

@@ -175,8 +175,7 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     """
     std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
     moved = _world_motions(log, at_mm, np.diag(std_mm.ravel()).reshape(-1, FLOOR_NESTS, 3))
-    covariance: Array = moved.T @ moved
-    return covariance
+    return np.asarray(moved.T @ moved)
 
 
 def world_as_framed(log: Log) -> Array | None:
@@ -191,8 +190,7 @@ def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
     """Return the motion (6,) in {W} at ``at_mm`` of a nest's ``step_mm`` (3,), tracker's frame."""
     steps_mm = np.zeros((1, FLOOR_NESTS, 3))
     steps_mm[0, nest] = step_mm
-    moved: Array = _world_motions(log, at_mm, steps_mm)[0]
-    return moved
+    return np.asarray(_world_motions(log, at_mm, steps_mm)[0])
 
 
 def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
@@ -216,8 +214,7 @@ def base_covariance(log: Log, station: Station) -> Array:
     lever_mm = Frames(log.cell, log).base_in_world(station)[:3, 3] - log.matrix(key)[:3, 3]
     shift = np.eye(6)
     shift[:3, 3:] = -cross_matrix(lever_mm)
-    covariance: Array = shift @ log.frames[key].C @ shift.T
-    return covariance
+    return np.asarray(shift @ log.frames[key].C @ shift.T)
 
 
 def hold_covariance(cell: Cell) -> Array:

@@ -140,8 +140,7 @@ def _studentized_mm(A: Array, values: Array) -> Array:
     Q = np.linalg.qr(A)[0]
     residuals = values - Q @ (Q.T @ values)
     left = np.maximum(1.0 - np.sum(Q**2, axis=1), 1e-9)
-    norms: Array = np.linalg.norm(residuals, axis=1) / np.sqrt(left)
-    return norms
+    return np.asarray(np.linalg.norm(residuals, axis=1) / np.sqrt(left))
 
 
 def _quantile(share: float) -> float:

@@ -61,8 +61,7 @@ class Influence(msgspec.Struct, frozen=True):
         R = T[:, :3, :3]
         levers = np.einsum("nji,nj->ni", R, targets_mm - T[:, :3, 3]) - np.array(self.origin_mm)
         J = R @ motion_levers(levers)
-        found: Array = J @ covariance @ np.swapaxes(J, -1, -2)
-        return found
+        return np.asarray(J @ covariance @ np.swapaxes(J, -1, -2))
 
     def about(self, own: Array, T: Array) -> Array:
         """Return the covariance (7, 7) about the origin of ``T``; ``own`` is its frame in {W}."""
@@ -72,8 +71,7 @@ class Influence(msgspec.Struct, frozen=True):
         M[:3, :3] = M[3:6, 3:6] = R
         M[:3, 3:6] = cross_matrix(origin_mm) @ R
         M[:3, 6] = -origin_mm
-        found: Array = M @ np.array(self.covariance) @ M.T
-        return found
+        return np.asarray(M @ np.array(self.covariance) @ M.T)
 
 
 def motion(
@@ -147,8 +145,7 @@ class Bounds:
     @property
     def covariance_mm2(self) -> Array:
         """Return the combined covariances (N, 3, 3) in {W} (GUM 5.1.2)."""
-        total: Array = np.sum([part.covariance_mm2 for part in self.parts], axis=0)
-        return total
+        return np.asarray(np.sum([part.covariance_mm2 for part in self.parts], axis=0))
 
     @property
     def radii_mm(self) -> Array:
@@ -197,5 +194,4 @@ def bounds_of(
 def no_less_than_nought(covariances: Array) -> Array:
     """Return the nearest covariances (..., 3, 3) without negative variances."""
     values, axes = np.linalg.eigh(covariances)
-    found: Array = (axes * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    return found
+    return np.asarray((axes * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2))

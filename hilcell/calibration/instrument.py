@@ -189,8 +189,7 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
     first = log.matrix("world")
     own = [inverse(log.matrix(world_key(point.set_up))) @ first for point in points]
     rows = zip(own, positions_mm(points), strict=True)
-    found: Array = np.array([apply(T, at_mm[None])[0] for T, at_mm in rows])
-    return found
+    return np.array([apply(T, at_mm[None])[0] for T, at_mm in rows])
 
 
 # -- reflectors: each in the same nest -------------------------------------------------------------

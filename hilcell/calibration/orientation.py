@@ -223,8 +223,7 @@ def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
     if not len(seen_mm) or not pairs:
         return np.zeros((0, len(pairs)))
     one, other = np.array(pairs).T
-    apart_mm: Array = np.linalg.norm(seen_mm[:, one] - seen_mm[:, other], axis=-1)
-    return apart_mm
+    return np.asarray(np.linalg.norm(seen_mm[:, one] - seen_mm[:, other], axis=-1))
 
 
 def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:

@@ -347,12 +347,20 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
     def _redo(self, worst: int) -> str:
         if self.tests.rest.holds:
             return "Calibrate again: the errors are as predicted, but out of tolerance."
-        pose = self.poses[worst]
+        pose, causes = self.poses[worst], self.suspicions
+        hint = "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
+        if causes:
+            hint = f"It would be explained by: {'; or '.join(each.words for each in causes[:3])}."
+            if causes[0].cause is Cause.MOUNT_SLIPPED:
+                hint += (
+                    " Seat the reflector again, take this re-check back with `hilcell revoke`, and "
+                    "re-check."
+                )
         at = ", ".join(f"{value:.0f}" for value in pose.at_mm)
         return (
             f"Calibrate again: no motion of the base explains the errors; worst is {pose.pose} at "
             f"({at}) mm: {pose.error_mm:.3f} mm, predicted {pose.bound_mm:.3f} mm (95 %), and "
-            f"{pose.left_mm:.3f} mm after the best motion. {_hint(self.suspicions)}"
+            f"{pose.left_mm:.3f} mm after the best motion. {hint}"
         )
 
 
@@ -414,16 +422,4 @@ def _instead(causes: list[Suspicion]) -> str:
     return (
         "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. See "
         "first that the mastering is right."
-    )
-
-
-def _hint(causes: list[Suspicion]) -> str:
-    if not causes:
-        return "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
-    explained = f"It would be explained by: {'; or '.join(cause.words for cause in causes[:3])}."
-    if causes[0].cause is not Cause.MOUNT_SLIPPED:
-        return explained
-    return (
-        f"{explained} Seat the reflector again, take this re-check back with `hilcell revoke`, and "
-        "re-check."
     )

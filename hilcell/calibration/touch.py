@@ -58,14 +58,12 @@ def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     nests_mm = np.vstack([floor_mm, apply(T_W_B, slide_mm)])
     places, nests = (_directions(cell, each) for each in (apply(T_W_B, points_mm), nests_mm))
     chords = np.linalg.norm(places[:, None] - nests[None], axis=-1)
-    found: Bools = ~(chords.min(axis=1) > 2.0 * np.sin(apart_rad / 2.0))
-    return found
+    return np.asarray(~(chords.min(axis=1) > 2.0 * np.sin(apart_rad / 2.0)))
 
 
 def _directions(cell: Cell, world_mm: Array) -> Array:
     seen_mm = apply(inverse(cell.tracker.pose.matrix()), world_mm)
-    directions: Array = seen_mm / np.linalg.norm(seen_mm, axis=1, keepdims=True)
-    return directions
+    return np.asarray(seen_mm / np.linalg.norm(seen_mm, axis=1, keepdims=True))
 
 
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
@@ -145,29 +143,26 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     a shift of the base does, and widens the cube. A run that uses a calibration of before has
     found {W} again, so its error counts twice.
     """
-    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(log, points)
+    used = calibration_in(log)
+    now_c = [p.temperature_c for p in points if p.temperature_c is not None]
+    then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
+    if used is not None and used.validity.temperature_c is not None:
+        then_c = list(used.validity.temperature_c)
+    warmer_k = float(np.mean(now_c) - np.mean(then_c)) if now_c and then_c else 0.0
+    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * warmer_k
     R = Frames(log.cell, log).base_in_world(station)[:3, :3]
     outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
     known = rectangular_variance(growth) * np.outer(outwards, outwards)
     known[:6, :6] += base_covariance(log, station)
     holds = 2  # the strip's slip is that of the visit less that of the stop when it was framed
     known[:3, :3] += holds * hold_covariance(log.cell)
-    if calibration_in(log) is None:
+    if used is None:
         return known
     centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
     at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
     set_ups = 2  # of the tracker: the calibration's and this run's
     known[:6, :6] += set_ups * world_covariance(log, at_mm, centring_mm2)
     return known
-
-
-def _warmer_k(log: Log, points: list[Point]) -> float:
-    now_c = [p.temperature_c for p in points if p.temperature_c is not None]
-    then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
-    used = calibration_in(log)
-    if used is not None and used.validity.temperature_c is not None:
-        then_c = list(used.validity.temperature_c)
-    return float(np.mean(now_c) - np.mean(then_c)) if now_c and then_c else 0.0
 
 
 def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:

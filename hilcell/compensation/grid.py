@@ -80,8 +80,7 @@ class Grid:
 
     def clamped(self, targets_mm: ArrayLike) -> Array:
         """Return targets (N, 3), those outside moved to the nearest point of the faces."""
-        inside: Array = np.clip(np.asarray(targets_mm, dtype=float), self.origin_mm, self.far_mm)
-        return inside
+        return np.asarray(np.clip(np.asarray(targets_mm, dtype=float), self.origin_mm, self.far_mm))
 
     def check_inside(self, targets_mm: ArrayLike, names: Sequence[str] | None = None) -> None:
         """Raise `OutsideGrid` naming targets (N, 3) that lie outside, and by how much."""

@@ -149,8 +149,7 @@ class Trilinear(Interpolation):
     def weights(place: Array, pitch_mm: float | Array) -> Array:
         """Return the trilinear weights (N, 8) at places (N, 3)."""
         share = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
-        weight: Array = share.prod(axis=-1)
-        return weight
+        return np.asarray(share.prod(axis=-1))
 
 
 NEIGHBOURS = 8  # poses that one prediction is interpolated from
@@ -196,8 +195,7 @@ def _blended(points_mm: Array, errors_mm: Array, targets_mm: Array) -> Array:
     distance = np.linalg.norm(targets_mm[:, None] - points_mm, axis=-1)
     nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
     weights = inverse_distance_weights(np.take_along_axis(distance, nearest, axis=1))
-    blended: Array = np.einsum("nk,nkx->nx", weights, errors_mm[nearest])
-    return blended
+    return np.asarray(np.einsum("nk,nkx->nx", weights, errors_mm[nearest]))
 
 
 def inverse_distance_weights(distance: Array) -> Array:
@@ -205,20 +203,17 @@ def inverse_distance_weights(distance: Array) -> Array:
     nearest = distance.min(axis=1, keepdims=True)
     # nearest / distance instead of 1 / distance: the same weights, finite at distance 0.
     weight = np.divide(nearest, distance, out=np.ones_like(distance), where=distance > nearest)
-    normal: Array = weight / weight.sum(axis=1, keepdims=True)
-    return normal
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
 def _unshared(weights: Array) -> Array:
     """Return 1 - sum w^2 (N,) of weights (N, K): 0 on a vertex, most in the middle."""
-    unshared: Array = np.maximum(1.0 - np.sum(weights**2, axis=1), 0.0)
-    return unshared
+    return np.asarray(np.maximum(1.0 - np.sum(weights**2, axis=1), 0.0))
 
 
 def _span(grid: Grid) -> Ints:
     """Return over how many pitches (3,) a cell reaches whose vertices predict those left out."""
-    span: Ints = np.minimum(np.array(grid.shape) - 1, 2)
-    return span
+    return np.asarray(np.minimum(np.array(grid.shape) - 1, 2))
 
 
 def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
@@ -256,8 +251,7 @@ def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     values, axes = np.linalg.eigh(missed.T @ missed - readings)
     share: float = len(lows) * float(_unshared(weights).sum())
     half = axes * np.sqrt(np.maximum(values, 0.0))
-    residual: Array = half @ half.T / share
-    return residual
+    return np.asarray(half @ half.T / share)
 
 
 def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:

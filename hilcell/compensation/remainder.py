@@ -56,7 +56,17 @@ class Remainder:
     @classmethod
     def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> Remainder:
         """Return it by its most probable variance; ``stated_mm2`` is that of the model."""
-        return cls(passes, _most_probable(passes, stated_mm2))
+        factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
+        if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
+            raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
+        enough = 200  # targets from which the variance is found
+        step = -(-sum(len(each.poses) for each in passes) // enough)
+        known = _Known.of([each.every(step) for each in passes])
+        variances = factors * stated_mm2
+        likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
+        spread = 1.5  # standard deviation of their logarithm, before any target says so
+        likelihood -= 0.5 * np.square(np.log(factors) / spread)
+        return cls(passes, float(variances[int(np.argmax(likelihood))]))
 
     @property
     def poses(self) -> Array:
@@ -241,17 +251,3 @@ def _alike(first: Array, second: Array) -> Array:
     squares = np.square(first[:, None] - second).sum(axis=-1)
     close_mm = 5.0  # within it the model's error is the same; a command is far closer to its target
     return np.asarray(np.kron(np.exp(-squares / (2 * close_mm**2)), np.eye(3)))
-
-
-def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:
-    factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
-    if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
-        raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
-    enough = 200  # targets from which the variance is found
-    step = -(-sum(len(each.poses) for each in passes) // enough)
-    known = _Known.of([each.every(step) for each in passes])
-    variances = factors * stated_mm2
-    likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
-    spread = 1.5  # standard deviation of their logarithm, before any target says so
-    likelihood -= 0.5 * np.square(np.log(factors) / spread)
-    return float(variances[int(np.argmax(likelihood))])

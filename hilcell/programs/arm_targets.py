@@ -356,8 +356,7 @@ class Controller:
     @property
     def tool_mm(self) -> Array:
         """Return the reflector (3,) in the robot's tool frame."""
-        point: Array = apply(inverse(self.robot.tool), self.smr_mm[None])[0]
-        return point
+        return np.asarray(apply(inverse(self.robot.tool), self.smr_mm[None])[0])
 
     def errors(self, method: Method, joints_rad: Array) -> Prediction:
         """Return e = actual - nominal of the reflector in the root frame at joints (N, 6)."""

@@ -285,8 +285,7 @@ class Separation:
         degree = np.pad((table.sum(axis=0) + table.sum(axis=1)).cumsum(), (1, 0))
         corner = sums.diagonal()
         inside = corner[None, 1:] - sums[:-1, 1:] - sums.T[:-1, 1:] + corner[:-1, None]
-        leaving: Array = degree[None, 1:] - degree[:-1, None] - 2.0 * inside
-        return leaving
+        return np.asarray(degree[None, 1:] - degree[:-1, None] - 2.0 * inside)
 
     def _worst(self, first: Ints, last: Ints, broken: Array) -> Iterator[Bools]:
         """Yield the nodes of the most broken stretches, no two of nearly the same ends."""
@@ -360,8 +359,7 @@ class _Shares:
     def _teeth(self, handle: Bools) -> Ints:
         """Return the edges (T, 2) that mostly leave the handle."""
         leaves = handle[self.edges[:, 0]] != handle[self.edges[:, 1]]
-        teeth: Ints = self.edges[leaves & (self.share > 0.5)]
-        return teeth
+        return np.asarray(self.edges[leaves & (self.share > 0.5)])
 
 
 def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:

@@ -212,7 +212,9 @@ class Released:
 
     def refuse_corrected(self, source: Path, names: list[str], *targets_mm: Array) -> None:
         """Raise `CorrectedBefore` where targets, in each frame (N, 3), are corrected ones."""
-        folders = memories(self.release.runs, self.path)
+        folder = self.path.resolve().parent
+        runs = [self.release.runs.resolve(), *([folder.parent] if is_run(folder) else [])]
+        folders = [each for place in dict.fromkeys(runs) for each in (place, *run_folders(place))]
         refuse_known(folders, source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
@@ -237,13 +239,6 @@ def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
     if cell is None or not any(cell.uncertainty.drill_offset_mm):
         return None
     return cell.uncertainty.drill_offset_mm
-
-
-def memories(runs: Path, calibration: Path) -> list[Path]:
-    """Return all folders that may keep corrected points; raises `StorageError`."""
-    folder = calibration.resolve().parent
-    places = dict.fromkeys([runs.resolve(), *([folder.parent] if is_run(folder) else [])])
-    return [each for place in places for each in (place, *run_folders(place))]
 
 
 def note_corrected(folder: Path, stamp: str, nominal_mm: Array, command_mm: Array) -> None:

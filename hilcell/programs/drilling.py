@@ -338,5 +338,4 @@ class _Box:
         if self.table.frame == "slide":
             frame = self.cell.layout.nominal_base(self.station.rail_mm) @ frame
         beyond_mm = np.abs(apply(inverse(frame), places_mm)) - np.array(self.table.size_mm) / 2
-        found: Array = np.linalg.norm(np.maximum(beyond_mm, 0.0), axis=-1)
-        return found
+        return np.asarray(np.linalg.norm(np.maximum(beyond_mm, 0.0), axis=-1))

@@ -40,8 +40,7 @@ class Holes:
     @property
     def outward(self) -> Array:
         """Return the part's outward normals (N, 3): the tool points against them."""
-        against: Array = -self.tools[:, 0, :, 2]
-        return against
+        return np.asarray(-self.tools[:, 0, :, 2])
 
     def one(self, number: int) -> Holes:
         """Return one of the holes."""
@@ -126,8 +125,7 @@ def tools_against(normals: Array) -> Array:
     first = np.stack([x, np.cross(z, x), z], axis=-1)
     angles_rad = np.arange(TURNS) * 2 * np.pi / TURNS
     turns = from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0])
-    tools: Array = np.einsum("nij,kjl->nkil", first, turns)
-    return tools
+    return np.asarray(np.einsum("nij,kjl->nkil", first, turns))
 
 
 def _fault_of(header: list[str], values: list[float]) -> str:

@@ -133,8 +133,7 @@ def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
     from_start = holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]
     along_mm = from_start @ np.array(cell.layout.rail_direction)
     rail_mm = np.array([station.rail_mm for station in stations])
-    off_mm: Array = np.abs(along_mm[:, None] - rail_mm)
-    return off_mm
+    return np.asarray(np.abs(along_mm[:, None] - rail_mm))
 
 
 def _remoteness(off_mm: Array, ok: Bools) -> Array:
@@ -228,8 +227,7 @@ def _room_rad(cell: Cell, poses: Array) -> Array:
 
 
 def _range_mm(cell: Cell, holes: Holes) -> Array:
-    range_mm: Array = np.linalg.norm(holes.points_mm - cell.tracker.pose.matrix()[:3, 3], axis=1)
-    return range_mm
+    return np.asarray(np.linalg.norm(holes.points_mm - cell.tracker.pose.matrix()[:3, 3], axis=1))
 
 
 def _range_limits_mm(cell: Cell) -> tuple[float, float]:
@@ -336,8 +334,7 @@ class Volume:
 
     def orientation(self, station: str) -> Array:
         """Return the calibrated orientation (3, 3) in {W} at a station."""
-        turned: Array = self._bases[station][:3, :3] @ np.array(self._validity.orientation)
-        return turned
+        return np.asarray(self._bases[station][:3, :3] @ np.array(self._validity.orientation))
 
     def takes(self, station: str, poses: Array) -> Bools:
         """Return which poses (..., 4, 4) in {W} are corrected at a station."""
