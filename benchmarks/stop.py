@@ -39,7 +39,9 @@ from hilcell.ports import SimulatedCell
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import Control
+from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
+from hilcell.run.run_plan import RunPlan
 from hilcell.run.runner import Runner
 
 STOPS = 500
@@ -122,14 +124,14 @@ def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phas
     clock = simulated.clock(stop)
     journal = RunJournal(folder / JOURNAL, folder.name, create=True)
     journal.append("plan", "", msgspec.to_builtins(plan_of(cell, phase)))
+    procedure = Procedure(phase, "", (Phase(phase),), lambda result: Table((), ()))
     runner = Runner(
-        cell,
-        Procedure(phase, "", (Phase(phase),), lambda result: Table((), ())),
+        RunPlan(folder=folder, cell=cell, procedure=procedure, points=0),
+        Attendance(),
         journal,
         devices=build_devices(cell, place.addresses, clock),
         clock=clock,
         stop=stop,
-        unattended=False,
     )
     control = Control(folder, runner)
     try:

@@ -33,7 +33,9 @@ from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
+from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
+from hilcell.run.run_plan import RunPlan
 from hilcell.run.runner import Runner
 
 COUNT = 5000
@@ -102,14 +104,14 @@ def engine(points: int) -> int:
     with tempfile.TemporaryDirectory(prefix="days-") as folder:
         journal = RunJournal(Path(folder, JOURNAL), "month", create=True)
         journal.append("plan", "", msgspec.to_builtins(plan_of(cell, "month")))
+        month = Procedure("month", "", (Month(points),), lambda result: Table((), ()))
         runner = Runner(
-            cell,
-            Procedure("month", "", (Month(points),), lambda result: Table((), ())),
+            RunPlan(folder=Path(folder), cell=cell, procedure=month, points=points),
+            Attendance(unattended=True),
             journal,
             devices=build_devices(cell, simulated.options, clock),
             clock=clock,
             stop=stop,
-            unattended=True,
         )
         try:
             return runner.run()

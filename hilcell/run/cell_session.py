@@ -8,22 +8,20 @@ run resumable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hilcell.cell.devices import Devices
-from hilcell.cell.file import Cell, Nest, Station
+from hilcell.cell.file import Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.log import Records
 from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
-from hilcell.ports import Array, Clock
+from hilcell.ports import Array
 from hilcell.run.meter import Meter
 from hilcell.run.mover import Mover, Straight, SweepOrder
 from hilcell.run.prompts import FLANGE
-from hilcell.run.run_context import Ask, RunContext
+from hilcell.run.run_context import RunContext
 from hilcell.run.states import still_refused
 from hilcell.run.watch import Watch
 
@@ -31,27 +29,19 @@ from hilcell.run.watch import Watch
 class CellSession:
     """A cell with its devices open, as one run sees it. Used by the worker thread alone."""
 
-    def __init__(
-        self,
-        cell: Cell,
-        devices: Devices,
-        clock: Clock,
-        journal: Records,
-        *,
-        checkpoint: Callable[[], None],
-        ask: Ask,
-        pause: Callable[[str], None] = lambda reason: None,
-    ) -> None:
-        self._run = run = RunContext(cell, devices, clock, journal, checkpoint, pause, ask)
+    def __init__(self, run: RunContext) -> None:
+        self._run = run
         self._mover = mover = Mover(run)
         self._meter = meter = Meter(run, mover)
         self._watch = watch = Watch(run, mover, meter)
-        self._parked_mm = forward(cell.robot.arm(), np.radians(cell.robot.safe_deg))[:3, 3]  # {B}
+        self._parked_mm: Array = forward(run.cell.robot.arm(), np.radians(run.cell.robot.safe_deg))[
+            :3, 3
+        ]
 
         # The layers' own, as far as procedures use it.
-        self.cell, self.devices, self.clock = cell, devices, clock
+        self.cell, self.devices, self.clock = run.cell, run.devices, run.clock
         self.log, self.frames, self.folder = run.log, run.frames, run.folder
-        self.checkpoint, self.pause = checkpoint, pause
+        self.checkpoint, self.pause = run.checkpoint, run.pause
         self.add, self.event = run.add, run.event
         self.frame, self.verdict, self.judge = run.frame, run.verdict, run.judge
         self.reach, self.reached = run.reach, run.reached

@@ -21,6 +21,7 @@ from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.prompts import Look, Prompt, unanswered
+from hilcell.run.run_context import RunContext
 
 
 class MemoryJournal:
@@ -78,10 +79,8 @@ def direct_run(
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
     identities = connect_all(devices, lambda _: None)
     journal.append("event", "", Connected.of(identities, ""))
-    session = CellSession(
-        cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
-    )
-    procedure.perform(session)
+    run = RunContext(cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody)
+    procedure.perform(CellSession(run))
     return journal.log
 
 

@@ -167,16 +167,9 @@ class Engine:
             recording = self._recording(addresses)
             stack.callback(lambda: recording.close(None if log.end is None else log.end.exit))
             addresses, clock = recording.addresses, recording.clock(clock, stop)
+        devices = build_devices(cell, addresses, clock)
         runner = Runner(
-            cell,
-            self.plan.procedure,
-            journal,
-            devices=build_devices(cell, addresses, clock),
-            clock=clock,
-            stop=stop,
-            unattended=self._attendance.unattended,
-            ordered=self._attendance.screen,
-            changes=self.plan.changes,
+            self.plan, self._attendance, journal, devices=devices, clock=clock, stop=stop
         )
         try:
             stack.callback(Control(folder, runner).close)

@@ -35,9 +35,10 @@ class RunContext:
         devices: Devices,
         clock: Clock,
         journal: Records,
+        *,
         checkpoint: Callable[[], None],
-        pause: Callable[[str], None],
         ask: Ask,
+        pause: Callable[[str], None] = lambda reason: None,
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames = journal.log, Frames(cell, journal.log)

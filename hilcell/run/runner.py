@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from hilcell.cell.devices import Devices
-from hilcell.cell.file import Cell
 from hilcell.errors import (
     EXIT_FAULT,
     EXIT_OK,
@@ -47,8 +46,9 @@ from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status
 from hilcell.run.interlocks import overview
+from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
-from hilcell.run.run_plan import NONE, Changes
+from hilcell.run.run_plan import RunPlan
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine, retake_refusal
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
@@ -66,41 +66,29 @@ class Runner:
 
     def __init__(
         self,
-        cell: Cell,
-        procedure: Procedure,
+        plan: RunPlan,
+        attendance: Attendance,
         journal: RunJournal,
         *,
         devices: Devices,
         clock: Clock,
         stop: threading.Event,
-        unattended: bool,
-        ordered: bool = False,
-        changes: Changes = NONE,
     ) -> None:
-        """``ordered``: by a screen; an attended run begins to move only after it attends."""
-        self.log = journal.log
-        self._cell, self._procedure, self._journal = cell, procedure, journal
-        self._stop, self._unattended = stop, unattended
+        """Where a screen has ordered it, an attended run begins to move only after it attends."""
+        self.log, self._unattended = journal.log, attendance.unattended
+        self._plan, self._journal, self._clock, self._stop = plan, journal, clock, stop
         self._safe_stop = SafeStop(devices)
         self._messages: queue.SimpleQueue[Message | AlarmsAcknowledged | str] = queue.SimpleQueue()
         self._worker = Worker(
-            cell,
-            procedure,
-            journal,
-            devices,
-            clock,
-            self._messages.put,
-            unattended=unattended,
-            changes=changes,
+            plan, journal, devices, clock, self._messages.put, unattended=self._unattended
         )
         self._gate, self._asking = self._worker.gate, self._worker.asking
         self._why_paused = ""
         self._screens, self._screens_lock = 0, threading.Lock()
         self._unwatched = False
-        if unattended or not ordered:
+        if attendance.unattended or not attendance.screen:
             self._worker.screen_known.set()
         self.fault: Exception | None = None
-        self._clock = clock
         self._unclosed: dict[str, Exception] | None = None  # None: the devices are still open
         self._life = StateMachine(RUN, journal)
 
@@ -200,7 +188,7 @@ class Runner:
             devices=monitor.status(),
             link=asdict(self._worker.devices.rail.statistics()),
             interlocks=overview(
-                self._cell,
+                self._plan.cell,
                 monitor.rail_reading,
                 monitor.robot_reading,
                 rail_moves=monitor.rail.moving,
@@ -395,9 +383,9 @@ class Runner:
         return self._unclosed
 
     def _finish(self) -> int:
-        result = self._procedure.result(self.log)  # what cannot be computed is a fault
+        result = self._plan.procedure.result(self.log)  # what cannot be computed is a fault
         self._life.fire("finish")
-        return finish(self._procedure, self._journal, result)
+        return finish(self._plan.procedure, self._journal, result)
 
     def _fail(self, error: Exception) -> None:
         """Enter the state that the error means."""

@@ -14,7 +14,6 @@ import msgspec
 
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
-from hilcell.cell.file import Cell
 from hilcell.journal.log import RunJournal
 from hilcell.model.events import AnswerRefused, ChangesAccepted, Connected, DeviceBack, DeviceLost
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
@@ -22,9 +21,9 @@ from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
-from hilcell.run.run_plan import NONE, Changes, changed_assets
+from hilcell.run.run_context import RunContext
+from hilcell.run.run_plan import RunPlan, changed_assets
 
 REST_S = 0.02
 
@@ -176,27 +175,25 @@ class Worker:
 
     def __init__(
         self,
-        cell: Cell,
-        procedure: Procedure,
+        plan: RunPlan,
         journal: RunJournal,
         devices: Devices,
         clock: Clock,
         send: Callable[[Message | str], None],
         *,
         unattended: bool,
-        changes: Changes = NONE,
     ) -> None:
-        self.monitor = CellMonitor(devices, clock, has_rail=cell.has_rail)
+        self.monitor = CellMonitor(devices, clock, has_rail=plan.cell.has_rail)
         self.devices = self.monitor.devices
         self.gate = PauseGate(lambda: send(AtRest()))
         self.asking = Asking(clock)
         self.leave, self.screen_known = threading.Event(), threading.Event()
         self.session: CellSession | None = None
-        self._cell, self._procedure = cell, procedure
-        self._journal, self._clock = journal, clock
+        self._plan, self._journal, self._clock = plan, journal, clock
         self._send, self._unattended = send, unattended
-        self._wait = UnattendedWait(clock, cell.plan.unattended_wait_s)
-        self._changes = replace(changes, askable=changes.askable and not unattended)
+        self._wait = UnattendedWait(clock, plan.cell.plan.unattended_wait_s)
+        askable = plan.changes.askable and not unattended
+        self._changes = replace(plan.changes, askable=askable)
         self._lost: dict[str, DeviceError] = {}  # as the journal has it
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
@@ -248,8 +245,8 @@ class Worker:
             self._journal.append("event", "", ChangesAccepted(changes=changes, by=by))
             self._journal.append("event", "", connected)  # only now the next resume's measure
         self._checkpoint()
-        self.session = CellSession(
-            self._cell,
+        run = RunContext(
+            self._plan.cell,
             self.devices,
             self._clock,
             self._journal,
@@ -257,7 +254,8 @@ class Worker:
             ask=self._ask,
             pause=self._pause,
         )
-        self._procedure.perform(self.session)
+        self.session = CellSession(run)
+        self._plan.procedure.perform(self.session)
 
     def _claim(self, identities: list[Identity]) -> None:
         """Lock each device by its serial number: another run may reach it by another address.

@@ -16,8 +16,9 @@ from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, RunJournal
 from hilcell.journal.runs import EngineFile
 from hilcell.ports import NoReading
+from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
-from hilcell.run.run_plan import NONE, Changes
+from hilcell.run.run_plan import NONE, Changes, RunPlan
 from hilcell.run.runner import Runner
 from tests.hilcell.run.rig import DeskClock, DeskRail, DeskRobot, DeskTracker, desk
 
@@ -73,16 +74,14 @@ class Bed:
     def runner(self, what: Procedure, changes: Changes = NONE) -> Runner:
         self.open_journal()
         self.clock.stop = threading.Event()
+        folder = self.path.parent
         return Runner(
-            self.cell,
-            what,
+            RunPlan(folder=folder, cell=self.cell, procedure=what, points=0, changes=changes),
+            Attendance(unattended=self.unattended, screen=self.ordered),
             self.journal,
             devices=self.devices,
             clock=self.clock,
             stop=self.clock.stop,
-            unattended=self.unattended,
-            ordered=self.ordered,
-            changes=changes,
         )
 
     def run(self, what: Procedure, changes: Changes = NONE) -> int:
