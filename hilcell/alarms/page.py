@@ -44,22 +44,19 @@ A stop on the screen is a software stop, not the E-stop.
 
 def page() -> str:
     """Return the page as Markdown."""
+    entries = sorted(catalogue().values(), key=lambda each: each.code)
     parts = [HEAD]
     for letter, title in CHAPTERS.items():
-        entries = [entry for entry in catalogue().values() if entry.code.startswith(f"HC-{letter}")]
-        parts += _chapter(title, entries)
-    others = [entry for entry in catalogue().values() if not entry.code.startswith("HC-")]
-    return "\n".join(parts + (_chapter("Other makes", others) if others else []))
-
-
-def _chapter(title: str, entries: list[Entry]) -> list[str]:
-    return [f"## {title}\n", *map(_section, sorted(entries, key=lambda each: each.code))]
+        of_chapter = [each for each in entries if each.code.startswith(f"HC-{letter}")]
+        parts += [f"## {title}\n", *map(_section, of_chapter)]
+    others = [_section(each) for each in entries if not each.code.startswith("HC-")]
+    return "\n".join(parts + (["## Other makes\n", *others] if others else []))
 
 
 def _section(entry: Entry) -> str:
-    marks = ("" if by == "you" else f" *({by})*" for by in entry.checked_by)
-    checked = (f"{step}{mark}" for step, mark in zip(entry.do, marks, strict=True))
-    steps = [*checked, THEN[entry.then]]
+    pairs = zip(entry.do, entry.checked_by, strict=True)
+    steps = [step if by == "you" else f"{step} *({by})*" for step, by in pairs]
+    steps.append(THEN[entry.then])
     numbered = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
     head = f"### {entry.code} {entry.title}\n\n{entry.severity.capitalize()}. {entry.means}"
     return f"{head}\n\n{numbered}\n"

@@ -47,13 +47,10 @@ from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 from hilcell.typed import typed
 
-SIGMAS = 4.0
-TEARDOWN_S = 15.0
 GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
     "paused": ("command",),
     "suspended": ("command", "answer", "look"),
 }
-SAFE_POSE_DEG = 0.1
 FUTURE_S = -0.001  # two readings of one clock
 NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
@@ -395,7 +392,7 @@ def _not_parked(seen: SeenBefore, scene: Scene) -> str:
     safe_deg = scene.cell.robot.safe_deg
     pairs = zip(seen.joints_deg, safe_deg, strict=False)
     off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
-    if len(seen.joints_deg) != len(safe_deg) or not off_deg <= SAFE_POSE_DEG:
+    if len(seen.joints_deg) != len(safe_deg) or not off_deg <= 0.1:
         return f"the robot was {off_deg:.2f} deg off its safe pose"
     return _before_end(seen) if seen.still else "the robot was moving"
 
@@ -537,7 +534,7 @@ class _TrackerSetUps(Rules):
         at_mm, _, samples = _columns(points)
         noise_mm2 = float(np.trace(noise.at(at_mm, samples), axis1=-2, axis2=-1).sum())
         drift_mm = math.sqrt(3.0) * self._scene.cell.uncertainty.drift_limit_mm
-        return drift_mm + coverage_factor(SIGMAS, noise.freedom) * math.sqrt(noise_mm2)
+        return drift_mm + coverage_factor(4.0, noise.freedom) * math.sqrt(noise_mm2)
 
 
 def _stated(point: Point) -> bool:
@@ -577,8 +574,8 @@ class _LifeRules(Rules):
                 self._end(record, end)
             case Closed(took_s=took_s) as closed:
                 self._closings.append(closed)
-                what = f"the teardown took {took_s:.1f} s, at most {TEARDOWN_S:g} s"
-                self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
+                what = f"the teardown took {took_s:.1f} s, at most 15 s"
+                self._check("I7", record, 0.0 <= took_s <= 15.0, what)
             case SafeStopSent(cause=cause):
                 self._reason = self._reason or cause
             case AlarmsAcknowledged(until=until):

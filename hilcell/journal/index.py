@@ -146,18 +146,14 @@ def find_run(runs: Path, name: str) -> Path:
     """
     if name and is_run(Path(name)):
         return Path(name)
-    folders = run_folders(runs)
-    if name == "last" and folders:
+    names = [folder.name for folder in run_folders(runs)]
+    if name == "last" and names:
         return runs / read_index(runs)[0].name
-    meant = [folder for folder in folders if folder.name == name]
-    meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
+    meant = [name] if name in names else [each for each in names if name and each.startswith(name)]
     if len(meant) == 1:
-        return meant[0]
+        return runs / meant[0]
     if meant:
-        raise HilcellError(
-            f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
-            code="HC-J09",
-        )
+        raise HilcellError(f"run {name!r} is one of {', '.join(meant)}; say which", code="HC-J09")
     if Path(name).parts:  # neither "" nor "."
         _check_journal(runs / name)
     if not _is_folder(runs):
@@ -167,10 +163,7 @@ def find_run(runs: Path, name: str) -> Path:
             code="HC-J09",
         )
     newest = ", ".join(row.name for row in read_index(runs)[2::-1]) or "none"
-    raise HilcellError(
-        f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
-        code="HC-J09",
-    )
+    raise HilcellError(f"run {name[:80]!r} is not in {runs}; newest there: {newest}", code="HC-J09")
 
 
 def _check_journal(folder: Path) -> None:

@@ -44,6 +44,7 @@ from hilcell.model.events import (
     Seated,
     StationHeld,
     StreamRecorded,
+    Three,
     TrackerMoved,
     TrackerProven,
     WorldFramedAgain,
@@ -68,7 +69,6 @@ Args = TypeVarTuple("Args")
 # A tracker that was moved is at a new set-up, with a {W} of its own: its frame is ``world.1``,
 # ``world.2``, that of the first ``world``.
 
-Three = tuple[float, float, float]
 PROOFS = ("world", "control")  # kinds of points
 INTERRUPTED = ("paused", "suspended", "checking")  # states in which nobody sees a bump
 

@@ -34,9 +34,6 @@ class CellSession:
         self._mover = mover = Mover(run)
         self._meter = meter = Meter(run, mover)
         self._watch = watch = Watch(run, mover, meter)
-        self._parked_mm: Array = forward(run.cell.robot.arm(), np.radians(run.cell.robot.safe_deg))[
-            :3, 3
-        ]
 
         # The layers' own, as far as procedures use it.
         self.cell, self.devices, self.clock = run.cell, run.devices, run.clock
@@ -225,5 +222,7 @@ class CellSession:
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""
-        at_mm: Array = apply(T_W_B, self._parked_mm[None])[0]
+        robot = self.cell.robot
+        T_B_T = forward(robot.arm(), np.radians(robot.safe_deg))
+        at_mm: Array = apply(T_W_B, T_B_T[:3, 3][None])[0]
         return at_mm
