@@ -36,13 +36,9 @@ from procedures.plan import (
     step,
 )
 
-COST = "the ripple of the gears stays in the error after correction"
 WAYS = ("up", "down")
-LATTICE = 7  # places along each edge of the cube, whose joints are swept
-SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker's range
 TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
 STREAM_S = 1.5  # begin and end of a stream
-QUICK_AXES, QUICK_SHARE = (1, 2, 3), 0.5  # of a quick plan: the middle of each range
 
 
 class Swept(ActResult, frozen=True, kw_only=True):
@@ -94,14 +90,14 @@ class AxisSweeps:
         """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""
         if reason := left_out(cell):
             return Step(self.name, 0, 0.0, note=reason)
-        station = cell.reference
+        station, seen_at = cell.reference, 20  # places that must be in the tracker's range
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         cube = cube_joints(cell)
         for axis in axes_of(cell):
             for way in WAYS:
                 start_rad, end_rad = ends_rad(cell, cube, axis, way)
                 check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {way}")
-                path_rad = np.linspace(start_rad, end_rad, SEEN_AT)
+                path_rad = np.linspace(start_rad, end_rad, seen_at)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
                 world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
                 check_range(cell, world_mm, f"A{axis} swept {way}")
@@ -142,30 +138,24 @@ class AxisSweeps:
     ) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"
-        cell, key = session.cell, f"sweep/A{axis}/{way}{again}"
-        station = cell.reference
+        cell, key, station = session.cell, f"sweep/A{axis}/{way}{again}", session.cell.reference
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:
             session.flange_at(station)
             start_rad, end_rad = ends_rad(cell, cube, axis, way)
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
-            order = SweepOrder(
-                key,
-                start_rad,
-                axis - 1,
-                float(end_rad[axis - 1]),
-                float(np.radians(cell.sweeps.speed_deg_s)),
-                session.frames.tracker_from_world(start_mm)[0],
-                cell.sweeps.rate_hz,
-            )
-            self._record(session, order)
+            at_mm = session.frames.tracker_from_world(start_mm)[0]
+            speed_rad_s, end = float(np.radians(cell.sweeps.speed_deg_s)), float(end_rad[axis - 1])
+            self._record(session, SweepOrder(
+                key, start_rad, axis - 1, end, speed_rad_s, at_mm, cell.sweeps.rate_hz,
+            ))  # fmt: skip
         record = session.log.streams[key]
         data = read_stream(session.folder, record)
         T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world(record.set_up)
-        xyz_mm = apply(T_B_L, data.xyz_mm)
         return SweepStream(
-            data.device_s, xyz_mm, data.window_s, data.joints_rad, data.asked_s, data.stamped_s
-        )
+            data.device_s, apply(T_B_L, data.xyz_mm), data.window_s, data.joints_rad, data.asked_s,
+            data.stamped_s,
+        )  # fmt: skip
 
     def _record(self, session: CellSession, order: SweepOrder) -> None:
         """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""
@@ -182,35 +172,30 @@ class AxisSweeps:
 
     def result(self, log: Log) -> Result:
         """Return the figures of each axis, or why none was swept."""
-        said = [each.reason for each in log.happened(AxesNotSwept)]
-        axes = [swept(record) for record in log.curves.values()]
-        return {"sweeps": Sweeps(left_out=said[-1] if said else "", axes=axes)}
+        said = ["", *(each.reason for each in log.happened(AxesNotSwept))]
+        axes = [_swept(record) for record in log.curves.values()]
+        return {"sweeps": Sweeps(left_out=said[-1], axes=axes)}
 
 
 def left_out(cell: Cell) -> str:
     """Return why no axis of the cell is swept, and what that costs; "" where some are."""
-    reason = _hindrance(cell)
-    return f"{reason}; {COST}" if reason else ""
-
-
-def _hindrance(cell: Cell) -> str:
-    if not cell.sweeps.enabled:
-        return "sweeps.enabled is false in the cell file"
-    if not axes_of(cell):
-        return f"sweeps.axes names none of {'axes 1 to 3' if cell.plan.quick else 'the axes'}"
-    if cell.surroundings is None:
-        return "they leave the grid's cube, and the cell file states no robot.envelope"
-    able = abilities(cell)
-    if not able["tracker_streams"]:
-        return f"tracker driver {cell.tracker.driver!r} does not stream"
-    if not able["robot_sweeps"]:
-        return f"robot driver {cell.robot.driver!r} does not sweep an axis"
-    return ""
+    able, wanted = abilities(cell), "axes 1 to 3" if cell.plan.quick else "the axes"
+    hindrances = {
+        "sweeps.enabled is false in the cell file": not cell.sweeps.enabled,
+        f"sweeps.axes names none of {wanted}": not axes_of(cell),
+        "they leave the grid's cube, and the cell file states no robot.envelope": (
+            cell.surroundings is None
+        ),
+        f"tracker driver {cell.tracker.driver!r} does not stream": not able["tracker_streams"],
+        f"robot driver {cell.robot.driver!r} does not sweep an axis": not able["robot_sweeps"],
+    }
+    reason = next((words for words, holds in hindrances.items() if holds), "")
+    return f"{reason}; the ripple of the gears stays in the error after correction" * bool(reason)
 
 
 def axes_of(cell: Cell) -> list[int]:
     """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most."""
-    return [axis for axis in cell.sweeps.axes if axis in QUICK_AXES or not cell.plan.quick]
+    return [axis for axis in cell.sweeps.axes if axis <= 3 or not cell.plan.quick]
 
 
 class CubeJoints(NamedTuple):
@@ -226,7 +211,7 @@ def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, 
     low_rad, high_rad, middle_rad = cube
     centre_rad = (low_rad[axis - 1] + high_rad[axis - 1]) / 2
     half_rad = (high_rad[axis - 1] - low_rad[axis - 1]) / 2 + np.radians(cell.sweeps.margin_deg)
-    half_rad *= QUICK_SHARE if cell.plan.quick else 1.0
+    half_rad *= 0.5 if cell.plan.quick else 1.0  # the middle of each range
     start_rad, end_rad = middle_rad.copy(), middle_rad.copy()
     start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
     return (start_rad, end_rad) if way == "up" else (end_rad, start_rad)
@@ -234,16 +219,15 @@ def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, 
 
 def cube_joints(cell: Cell) -> CubeJoints:
     """Return the joints that the grid's cube takes."""
-    grid = grid_of(cell)
-    edges = np.linspace(grid.origin_mm, grid.far_mm, LATTICE).T
+    grid, along_edge = grid_of(cell), 7  # places
+    edges = np.linspace(grid.origin_mm, grid.far_mm, along_edge).T
     places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
     joints_rad = check_reach(cell, poses_at(cell, places_mm), "cube")
     middle_rad = joints_rad[len(joints_rad) // 2]
     return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 
 
-def swept(record: CurveMeasured) -> Swept:
-    """Return an axis's figures."""
+def _swept(record: CurveMeasured) -> Swept:
     return Swept(
         axis=record.axis,
         used=record.holds,

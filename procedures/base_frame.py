@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from hilcell.calibration.diagnosis import misplaced_base
-from hilcell.calibration.frames import (
-    axis_6_height_mm,
-    circle_of,
-    frame_of_sweeps,
-    sweep_of,
-)
+from hilcell.calibration.frames import axis_6_height_mm, circle_of, frame_of_sweeps, sweep_of
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
@@ -25,14 +22,7 @@ from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Result
 from procedures.plan import closing, flange_points, step
 
-ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
-QUICK_ON_ARC = 12
-ACT = (
-    "put the nest or its reflector right and start a new run, or correct the cell file, or revoke "
-    "that run's calibration"
-)
-WHICH = "which of both is right? Put what has changed right, or go on and then revoke the wrong one"
 
 
 class Arc(ActResult, frozen=True, kw_only=True):
@@ -76,9 +66,15 @@ class BaseFrame:
             self._construct(session)
             found = misplaced_base(session.log) or risen_nest(session.log)
             if found is not None:
-                session.pause(f"suspected: {found.text}; {ACT}")
+                session.pause(
+                    f"suspected: {found.text}; put the nest or its reflector right and start a new "
+                    "run, or correct the cell file, or revoke that run's calibration"
+                )
             elif (since := since_before(session.log)) is not None:
-                session.pause(f"suspected: {since.text}; {WHICH}")
+                session.pause(
+                    f"suspected: {since.text}; which of both is right? Put what has changed right, "
+                    "or go on and then revoke the wrong one"
+                )
         session.reach("frame_base")
 
     def _construct(self, session: CellSession) -> None:
@@ -94,18 +90,15 @@ class BaseFrame:
         ]
         session.close_step()
         T_W_B, axis_1, axis_6 = frame_of_sweeps(session.cell, session.log, *swept)
-        session.frame(
-            "base",
-            MeasuredBase(
-                matrix=T_W_B.tolist(),
-                points=[point.key for point in (*swept[0], *swept[1])],
-                covariance=base_frame_covariance(
-                    axis_1, axis_6, axis_6_height_mm(session.cell)
-                ).tolist(),
-                circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
-                radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
-            ),
+        covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(session.cell))
+        base = MeasuredBase(
+            matrix=T_W_B.tolist(),
+            points=[point.key for point in (*swept[0], *swept[1])],
+            covariance=covariance.tolist(),
+            circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
+            radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
         )
+        session.frame("base", base)
 
     def result(self, log: Log) -> Result:
         """Return the base."""
@@ -117,35 +110,31 @@ class BaseFrame:
             angle_u_mrad=(u[3:] * 1e3).tolist(),
             circle_rms_mm=frame.circle_rms_mm,
             radius_mm=frame.radius_mm,
-            arcs=[each for axis in (1, 6) for each in shorter_arcs(log, axis)],
+            arcs=[each for axis in (1, 6) for each in _shorter_arcs(log, axis)],
         )
         return {"base": found}
 
 
-def shorter_arcs(log: Log, axis: int) -> list[Arc]:
-    """Return the circle's uncertainties, the shortest arc first."""
-    cell = log.cell
+def _shorter_arcs(log: Log, axis: int) -> Iterator[Arc]:
+    """Yield the circle's uncertainties, the shortest arc first."""
     points = log.select("base", axis=axis)
-    begin_deg, end_deg = sweep_of(cell, axis)[1]
-    found = []
+    begin_deg, end_deg = sweep_of(log.cell, axis)[1]
     for arc in arcs(len(points)):
-        circle = circle_of(cell, log, axis, [points[n] for n in arc])
+        circle = circle_of(log.cell, log, axis, [points[n] for n in arc])
         u = np.sqrt(np.diag(circle.covariance))
-        found.append(
-            Arc(
-                axis=axis,
-                arc_deg=abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
-                points=len(arc),
-                centre_u_mm=float(np.linalg.norm(u[:3])),
-                axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
-            )
+        yield Arc(
+            axis=axis,
+            arc_deg=abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
+            points=len(arc),
+            centre_u_mm=float(np.linalg.norm(u[:3])),
+            axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
         )
-    return found
 
 
 def arcs(points: int) -> list[range]:
     """Return which points the middle of a sweep has, and wider, up to the whole."""
-    counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in ARC_SHARES]
+    shares = (0.25, 0.5, 0.75, 1.0)
+    counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in shares]
     return [range((points - count) // 2, (points + count) // 2) for count in counts]
 
 
@@ -155,7 +144,7 @@ def points_on_arc(cell: Cell) -> int:
     Targets, grid and correction are all in {B} as measured: its error does not reach the tool.
     """
     points = cell.base_frame.points
-    return min(points, QUICK_ON_ARC) if cell.plan.quick else points
+    return min(points, 12) if cell.plan.quick else points
 
 
 def sweep(cell: Cell, axis: int) -> Array:

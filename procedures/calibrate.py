@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from operator import itemgetter
-from typing import TypeAlias
 
 from hilcell.geometry.statistics import Figures
 from hilcell.model.point import Sent
-from hilcell.model.results import (
-    Floor,
-    FramedStation,
-    Place,
-    SentErrors,
-)
-from hilcell.present.table import Column, Named, Table
+from hilcell.model.results import FramedStation, Place
+from hilcell.present.table import Column, Named, Table, Value
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
@@ -34,46 +27,37 @@ from procedures.station_frames import FrameRepeatability, StationFrames, frame_r
 from procedures.validate import Validate
 from procedures.world_frame import Home, TwoFaces, WorldFrame
 
-# A station, how many targets, how they were sent, their errors; or those that are left.
-_Row: TypeAlias = tuple[str, int | None, Named, SentErrors | Floor]
-
 
 def validation_table(result: Result) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
     places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
-    rows: list[_Row] = []
+    rows = list[tuple[Value, ...]]()
     for where, place in places.items():
         judged = "" if place.decision is None else f", {place.decision.outcome.words}"
         named = {way: Named(way, way.text) for way in Sent}
         named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
         for way, errors in place.sent.items():
+            figures = [getattr(errors, name) for name in Figures._fields]
+            figures += [
+                getattr(errors.orientation, f"{name}_deg", None) for name in Figures._fields
+            ]
             first = where if way is Sent.BEFORE else ""
-            rows.append((first, place.points_sent.get(way), named[way], errors))
-        if place.floor is not None:
-            rows.append(("", None, Named("floor", "floor"), place.floor))
+            rows.append((first, place.points_sent.get(way), named[way], *figures))
+        if place.floor is not None:  # the errors that are left
+            left = place.floor.mean, place.floor.p95, None
+            rows.append(("", None, Named("floor", "floor"), *left, None, None, None))
     oriented = any(place.before.orientation is not None for place in places.values())
+    turns = Figures._fields if oriented else ()
     return Table(
         [
             Column("station", itemgetter(0)),
             Column("points", itemgetter(1), form="d"),
             Column("error of", itemgetter(2)),
-            *(Column(name, partial(_error, name), "mm", ".4f") for name in Figures._fields),
-            *(
-                Column(f"turn {name}", partial(_turn, f"{name}_deg"), "°", ".4f")
-                for name in Figures._fields
-                if oriented
-            ),
+            *(Column(n, itemgetter(at), "mm", ".4f") for at, n in enumerate(Figures._fields, 3)),
+            *(Column(f"turn {n}", itemgetter(at), "°", ".4f") for at, n in enumerate(turns, 6)),
         ],
         rows,
     )
-
-
-def _error(name: str, row: _Row) -> float | None:
-    return getattr(row[3], name, None)
-
-
-def _turn(name: str, row: _Row) -> float | None:
-    return getattr(getattr(row[3], "orientation", None), name, None)
 
 
 def words(result: Result) -> str:

@@ -42,8 +42,7 @@ class Campaign:
         """Refuse poses of another robot or outside the joint limits, and reflectors by hand."""
         if cell.layout.by_hand:
             raise HilcellError(
-                "reflectors are by_hand: those of a campaign must be mounted",
-                code="HC-C16",
+                "reflectors are by_hand: those of a campaign must be mounted", code="HC-C16"
             )
         rows = poses_of(cell)
         check_robot(cell, rows)
@@ -72,8 +71,7 @@ def poses_of(cell: Cell) -> Measurements:
     """Return the file's poses; raises `HilcellError` where the cell names none."""
     if cell.campaign is None:
         raise HilcellError(
-            "campaign.poses is missing: give a CSV with --set campaign.poses=FILE",
-            code="HC-C13",
+            "campaign.poses is missing: give a CSV with --set campaign.poses=FILE", code="HC-C13"
         )
     return read_measurements(Path(cell.campaign.poses))
 
@@ -98,16 +96,7 @@ def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
 
 def robot_of(cell: Cell) -> RobotModel:
     """Return the cell's nominal robot; where its reflectors sit, the fit finds out."""
-    rows = [
-        Row(
-            a_mm=joint.a_mm,
-            alpha_deg=joint.alpha_deg,
-            d_mm=joint.d_mm,
-            offset_deg=joint.offset_deg,
-            sign=joint.sign,
-        )
-        for joint in cell.robot.joint
-    ]
+    rows = [typed(joint, Row, from_attributes=True) for joint in cell.robot.joint]
     return RobotModel(name=cell.robot.name, convention="standard-dh", joint=rows)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from operator import itemgetter
 
 import numpy as np
@@ -39,12 +40,7 @@ from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.world_frame import Home
 
-STANDS_DEG = 0.05  # an axis that turns by less is not announced
 NAME = "conformance"
-SLOW_PERCENT, SLOW_MM_S = 10.0, 25.0
-TRIAL_S = 120.0  # of one driver, in real time
-
-Judged = Callable[[Promise], Outcome]
 
 
 # -- real devices on trial: the run's own, moved by its guarded motions, each after a word ---------
@@ -106,11 +102,10 @@ class GuardedRobot:
         cell = self._session.cell
         percent = min(speed_percent, cell.robot.speed_percent)
         turns = _turns(self.read().joints_rad, joints_rad)
-        back_deg = cell.robot.approach_deg
         _agreed(
             self._session,
             f"robot ({cell.robot.driver}): {turns} at {percent:g} % or less, every axis from "
-            f"{back_deg:g} deg below",
+            f"{cell.robot.approach_deg:g} deg below",
         )
         return self._session.robot_to(joints_rad, "conformance")
 
@@ -150,27 +145,24 @@ class GuardedHome(Home):
         cell = session.cell
         if cell.simulation is None and not session.log.inputs.unattended:
             safe = _turns(session.devices.robot.read().joints_rad, np.radians(cell.robot.safe_deg))
-            to_reference = (
-                f"; then rail ({cell.rail.driver}): the slide moves from "
-                f"{session.devices.rail.read().position_mm:.2f} mm to its reference switch"
-                if cell.has_rail
-                else ""
-            )
-            _agreed(
-                session,
-                f"robot ({cell.robot.driver}): to its safe pose, {safe}, at "
-                f"{cell.robot.speed_percent:g} % or less{to_reference}",
-            )
+            what = f"robot ({cell.robot.driver}): to its safe pose, {safe}, at "
+            what += f"{cell.robot.speed_percent:g} % or less"
+            if cell.has_rail:
+                now_mm = session.devices.rail.read().position_mm
+                what += f"; then rail ({cell.rail.driver}): the slide moves from {now_mm:.2f} mm "
+                what += "to its reference switch"
+            _agreed(session, what)
         super().home_rail(session)
 
 
 def _turns(now_rad: Array, to_rad: Array) -> str:
     """Return which axes turn, from where to where."""
     now_deg, to_deg = np.degrees(now_rad), np.degrees(to_rad)
+    stands_deg = 0.05  # an axis that turns by less is not announced
     turns = [
         f"A{axis} from {now:.2f} to {to:.2f} deg"
         for axis, (now, to) in enumerate(zip(now_deg, to_deg, strict=True), start=1)
-        if not abs(to - now) <= STANDS_DEG
+        if not abs(to - now) <= stands_deg
     ]
     return ", ".join(turns) or "all axes turn to where they stand"
 
@@ -205,19 +197,27 @@ class Conformance:
         """Refuse a real cell that would move fast."""
         if cell.simulation is None:
             _check_slow(cell)
-        return Step(self.name, 0, len(_ports(cell)) * TRIAL_S)
+        trial_s = 120.0  # of one driver, in real time
+        return Step(self.name, 0, len(_ports(cell)) * trial_s)
 
     def perform(self, session: CellSession) -> None:
         """Journal what each promise has found, then a verdict on each driver."""
         for port in _ports(session.cell):
             if session.cell.simulation is None:
-                self._try(session, port, _on_real(GuardedBench(session, port)))
+                bench = GuardedBench(session, port)
+                self._try(session, port, partial(self._on_real, bench))
             else:
                 with Trial(session.cell, port, outer=session.clock.check) as trial:
                     trial.begin(_waiting(session.log, port))
                     self._try(session, port, trial.judge)
 
-    def _try(self, session: CellSession, port: Port, judged: Judged) -> None:
+    @staticmethod
+    def _on_real(bench: Bench, promise: Promise) -> Outcome:
+        if promise.real:
+            return judge(promise, bench)
+        return Outcome(promise.name, "not applicable", SIMULATED_ONLY)
+
+    def _try(self, session: CellSession, port: Port, judged: Callable[[Promise], Outcome]) -> None:
         for promise in _waiting(session.log, port):
             session.checkpoint()
             session.add(PromiseJudged(port=port, **judged(promise).facts()))
@@ -229,15 +229,6 @@ class Conformance:
     def result(self, log: Log) -> Result:
         """Return what each promise has found, by port."""
         return {NAME: {port: _found(log, port) for port in _ports(log.cell)}}
-
-
-def _on_real(bench: Bench) -> Judged:
-    def judged(promise: Promise) -> Outcome:
-        if promise.real:
-            return judge(promise, bench)
-        return Outcome(promise.name, "not applicable", SIMULATED_ONLY)
-
-    return judged
 
 
 def _ports(cell: Cell) -> list[Port]:
@@ -258,8 +249,8 @@ def _found(log: Log, port: str) -> list[Outcome]:
 
 def _check_slow(cell: Cell) -> None:
     wanted = {
-        f"robot.speed_percent={SLOW_PERCENT:g}": cell.robot.speed_percent <= SLOW_PERCENT,
-        f"rail.speed_mm_s={SLOW_MM_S:g}": not cell.has_rail or cell.rail.speed_mm_s <= SLOW_MM_S,
+        "robot.speed_percent=10": cell.robot.speed_percent <= 10.0,
+        "rail.speed_mm_s=25": not cell.has_rail or cell.rail.speed_mm_s <= 25.0,
     }
     if fast := [setting for setting, slow in wanted.items() if not slow]:
         raise HilcellError(

@@ -41,7 +41,6 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
 )
 BLOCK = len(OCTANTS)
-LEAST_MM = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
 
 
 def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
@@ -50,9 +49,10 @@ def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
     Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision`.
     """
     within = limits_within(limits_of(cell), guard)
+    least_mm = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
     return SequentialRule(
-        mean_limit_mm=max(within.mean_mm, LEAST_MM),
-        max_limit_mm=max(within.max_mm, LEAST_MM),
+        mean_limit_mm=max(within.mean_mm, least_mm),
+        max_limit_mm=max(within.max_mm, least_mm),
         share=cell.plan.share_above_max,
         accept_risk=cell.plan.accept_risk,
         reject_risk=cell.plan.reject_risk,
@@ -131,7 +131,7 @@ def judgement(log: Log, stations: list[str]) -> Decided:
     only by the rule of all results: where a figure less U is above the tolerance, too.
     """
     decisions = [decision_at(log, station) for station in stations]
-    counts = [each.targets for each in decisions]
+    counts, plan = [each.targets for each in decisions], log.cell.plan
     chosen, limits = validation(log, stations)[Sent.CHOSEN], limits_of(log.cell)
     guard, figures = guard_of(log, len(chosen)), chosen.figures
     by_station: list[Outcome] = [
@@ -143,19 +143,15 @@ def judgement(log: Log, stations: list[str]) -> Decided:
         outcome_of(figures.mean, limits.mean_mm, guard.mean_mm),
         outcome_of(figures.max, limits.max_mm, guard.max_mm),
     ])  # fmt: skip
-    enough = all(
-        each.outcome is Outcome.REJECTED
-        for each in decisions
-        if each.outcome is not Outcome.ACCEPTED
-    )
+    enough = all(each.outcome is not Outcome.UNDECIDED for each in decisions)
     text = meaning(log.cell, outcome, guard, enough=enough)
     return Decided(
         outcome=outcome,
         targets=counts,
         text=f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
-        accept_risk=log.cell.plan.accept_risk,
-        reject_risk=log.cell.plan.reject_risk,
-        share_above_max=log.cell.plan.share_above_max,
+        accept_risk=plan.accept_risk,
+        reject_risk=plan.reject_risk,
+        share_above_max=plan.share_above_max,
     )
 
 
@@ -184,9 +180,6 @@ def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
         f"{limits.mean_mm:g}, of a single error {guard.max_mm:.3f} mm of {limits.max_mm:g}; more "
         "targets do not help, a smaller U does"
     )
-
-
-STAKES = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +238,7 @@ class SequentialRule:
 
 def _won(gains: Array, risk: float) -> Bools:
     """Return after each gain (N,), >= -1, whether the bets' mean has reached 1 / risk."""
-    logs = np.cumsum(np.log1p(STAKES * gains[:, None]), axis=0)
-    won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(STAKES)) >= -np.log(risk)
+    stakes = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
+    logs = np.cumsum(np.log1p(stakes * gains[:, None]), axis=0)
+    won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)) >= -np.log(risk)
     return won

@@ -121,8 +121,6 @@ def _orients(cell: Cell, name: str, measured: Measured) -> bool:
     return MODELS[name].learn(measured).predict(vertex).turn is not None
 
 
-CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
-SIGMAS, MOST = 2.0, 1.0  # of the readings' noise beyond that; no further than the middle of 0 and 2
 IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
 
 
@@ -146,8 +144,7 @@ class SignCheck:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
-        cells = list(product(*(range(count - 1) for count in grid.shape)))
-        there, middles_mm = cell.reference, middle_mm(grid, np.array(cells))
+        there, middles_mm = cell.reference, _middle_mm(grid, np.array(_cells(grid)))
         joints_rad = check_targets(cell, there, poses_at(cell, middles_mm), "middle of a grid cell")
         last = there if cell.plan.quick else stations_in_order(cell)[-1]
         back = leg(cell, last, there)
@@ -167,7 +164,7 @@ class SignCheck:
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
         found = sign_errors(session.log)
-        limit = clearly(session.log, found.before_mm)
+        limit = _limit(session.log, found.before_mm)
         judged = SignChecked(
             holds=found.ratio < limit,
             limit=limit,
@@ -195,24 +192,32 @@ def sign_errors(log: Log) -> SignErrors:
     return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
 
 
-def clearly(log: Log, before_mm: float) -> float:
-    """Return the limit of the ratio: wider by the readings' noise, 1 at most."""
+def _limit(log: Log, before_mm: float) -> float:
+    """Return the limit of the ratio: wider by twice the readings' noise, 1 at most.
+
+    The wrong sign gives about 2, a right correction less than the middle.
+    """
+    clearly = 0.5  # the corrected error over the one before
     noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
     before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
-    noise_mm = float(np.sqrt(corrected_mm2 + CLEARLY**2 * before_mm2))
-    return min(MOST, CLEARLY + SIGMAS * noise_mm / before_mm)
+    noise_mm = float(np.sqrt(corrected_mm2 + clearly**2 * before_mm2))
+    return min(1.0, clearly + 2.0 * noise_mm / before_mm)
 
 
 def worst_mm(log: Log) -> Array:
     """Return the middle (1, 3) in {B} of the cell whose vertices' mean error is the largest."""
     grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
-    cells = list(product(*(range(count - 1) for count in grid.shape)))
+    cells = _cells(grid)
     mean_mm = [errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells]
     worst = int(np.argmax(lengths_mm(mean_mm)))
-    return middle_mm(grid, np.array([cells[worst]]))
+    return _middle_mm(grid, np.array([cells[worst]]))
 
 
-def middle_mm(grid: Grid, cells: Array) -> Array:
+def _cells(grid: Grid) -> list[tuple[int, ...]]:
+    return list(product(*(range(count - 1) for count in grid.shape)))
+
+
+def _middle_mm(grid: Grid, cells: Array) -> Array:
     """Return the middles (N, 3) in {B} of cells given by their lowest vertices (N, 3)."""
     return grid.origin_mm + grid.pitch_mm * (cells + 0.5)
 

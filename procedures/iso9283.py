@@ -7,7 +7,7 @@ visit that is missing after a stop is approached in the same way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -48,8 +48,6 @@ from procedures.rail import HoldStation
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
 
-WHAT = "ISO 9283 pose"
-
 
 class BaseOfTest:
     """{B} by circles of axes 1 and 6, or that of the calibration which is tested."""
@@ -89,7 +87,13 @@ class PoseCycle:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""
-        _check_load(cell)
+        load_kg, rated_kg = cell.iso9283.load_kg, cell.iso9283.rated_load_kg
+        if load_kg is not None and rated_kg is not None and not load_kg <= rated_kg:
+            raise HilcellError(
+                f"iso9283.load_kg is {load_kg:g} kg, the robot is rated for {rated_kg:g} kg "
+                "(iso9283.rated_load_kg): take load off, or correct the figure that is wrong",
+                code="HC-C10",
+            )
         joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
         station = cell.reference
         before_rad = np.roll(joints_rad, 1, axis=0)
@@ -112,11 +116,11 @@ class PoseCycle:
         nominal_mm = apply(T_W_B, at_mm)
         nominal_deg = angles_deg(T_W_B, poses_at(session.cell, at_mm))
         percent = velocity_percent(session.cell)
-        for id, n in visits(session.cell):
-            straight = Straight(joints_rad[n - 1], percent)
+        for cycle, (n, name) in product(range(session.cell.iso9283.cycles), enumerate(CYCLE)):
             session.flange_point(
-                id, station, joints_rad[n], nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n],
-                seats=True, straight=straight,
+                PointId(ISO, pose=name, number=cycle), station, joints_rad[n],
+                nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n], seats=True,
+                straight=Straight(joints_rad[n - 1], percent),
             )  # fmt: skip
         session.close_step(carried=True)
         if (judged := evaluated(session.log).judgement()) is not None:
@@ -125,24 +129,6 @@ class PoseCycle:
     def result(self, log: Log) -> Result:
         """Return the characteristics of every pose and of the distance."""
         return {ISO: evaluated(log)}
-
-
-def _check_load(cell: Cell) -> None:
-    """Raise `HilcellError` for a load that the robot is not rated for."""
-    load_kg, rated_kg = cell.iso9283.load_kg, cell.iso9283.rated_load_kg
-    if load_kg is not None and rated_kg is not None and not load_kg <= rated_kg:
-        raise HilcellError(
-            f"iso9283.load_kg is {load_kg:g} kg, the robot is rated for {rated_kg:g} kg "
-            "(iso9283.rated_load_kg): take load off, or correct the figure that is wrong",
-            code="HC-C10",
-        )
-
-
-def visits(cell: Cell) -> Iterator[tuple[PointId, int]]:
-    """Yield the visits in their order: the point's identity, and the pose's place in the cycle."""
-    for cycle in range(cell.iso9283.cycles):
-        for n, name in enumerate(CYCLE):
-            yield PointId(ISO, pose=name, number=cycle), n
 
 
 def commands_rad(cell: Cell, calibrated: bool) -> Array:
@@ -154,7 +140,7 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
     if calibrated:
         calibration = calibration_named(cell, ISO)
         poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
-    return check_targets(cell, cell.reference, poses, WHAT)
+    return check_targets(cell, cell.reference, poses, "ISO 9283 pose")
 
 
 COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (

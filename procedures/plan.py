@@ -74,10 +74,7 @@ def check_reach(cell: Cell, poses: Array, what: str) -> Array:
     try:
         return cell.robot.nominal().joints_for(poses)
     except ReachError as error:
-        raise HilcellError(
-            f"{what}: {error}",
-            code="HC-C10",
-        ) from error
+        raise HilcellError(f"{what}: {error}", code="HC-C10") from error
 
 
 def check_targets(cell: Cell, station: Station, poses: Array, what: str) -> Array:
@@ -92,7 +89,7 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
     range_mm = np.linalg.norm(apply(inverse(cell.tracker.pose.matrix()), points_mm), axis=1)
     low, high = cell.tracker.min_range_mm, cell.tracker.max_range_mm
     seen = (range_mm >= low) & (range_mm <= high)
-    if not bool(np.all(seen)):
+    if not np.all(seen):
         worst = int(np.argmin(seen))
         raise HilcellError(
             f"{what}: {int(np.sum(~seen))} of {len(seen)} out of the tracker's range; the first at "
@@ -105,7 +102,6 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
 
 
 SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
-APPROACHES = 2  # first by the drive, then by the strip's reading
 
 
 def measure_s(cell: Cell, samples: int) -> float:
@@ -202,9 +198,9 @@ def rail_move_s(cell: Cell, distance_mm: float) -> float:
 
 def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
     """Return how long it takes to hold ``station`` by the strip, the robot parked."""
-    back_off_mm = cell.rail.back_off_mm
+    back_off_mm, approaches = cell.rail.back_off_mm, 2  # by the drive, then by the strip's reading
     there_s = rail_travel_s(cell, station.rail_mm - back_off_mm - from_mm)
-    again_s = (2 * APPROACHES - 1) * rail_travel_s(cell, back_off_mm)
+    again_s = (2 * approaches - 1) * rail_travel_s(cell, back_off_mm)
     return there_s + again_s + cell.settle.rail_s
 
 

@@ -11,6 +11,7 @@ from operator import itemgetter
 import numpy as np
 
 from hilcell.cell.file import Cell
+from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.geometry.frames import apply, rigid_fit, to_rotvec, unit
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
@@ -29,7 +30,6 @@ from procedures.plan import approach_s, closing, first_hold, measure_s, rail_mov
 # -- the survey -----------------------------------------------------------------------------------
 
 FORTH, BACK = "forth", "back"
-COVERAGE = 2.0  # k
 
 
 class RailSurvey:
@@ -62,7 +62,7 @@ class RailSurvey:
             return
         found = surveyed(session.log).backlash_mm
         found_mm, limit_mm = abs(found.value), session.cell.rail.max_backlash_mm
-        holds = found_mm - COVERAGE * found.u <= limit_mm
+        holds = found_mm - COVERAGE_FACTOR * found.u <= limit_mm
         session.judge("backlash", Backlash(holds=holds, found_mm=found_mm, limit_mm=limit_mm))
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
@@ -91,13 +91,15 @@ def surveyed(log: Log) -> SurveyedRail:
     nominal_mm = steps_mm(log.cell)
     forth_mm = path_mm(log, FORTH, FLANGE)
     back_mm = path_mm(log, BACK, FLANGE)[::-1]
-    along = rail_axis(log, forth_mm)
+    axis: Array = np.linalg.svd(forth_mm - forth_mm.mean(axis=0))[2][0]
+    along = axis * np.sign(axis @ np.array(log.cell.layout.rail_direction))  # of the best line
     origin_mm = forth_mm[0] - nominal_mm[0] * along
     error_forth = (forth_mm - origin_mm) @ along - nominal_mm
     error_back = (back_mm - origin_mm) @ along - nominal_mm
     # At both ends the slide was not reached from its way's side.
     lost_mm = (error_back - error_forth)[1:-1]
     scale, u_scale = slope(nominal_mm, error_forth)
+    off_mm, (level, upright) = forth_mm - forth_mm.mean(axis=0), across_axes(along)
     return SurveyedRail(
         curve={
             FORTH: np.column_stack([nominal_mm, error_forth]).tolist(),
@@ -106,7 +108,10 @@ def surveyed(log: Log) -> SurveyedRail:
         max_error_mm=float(np.abs([error_forth, error_back]).max()),
         backlash_mm=WithU(value=float(lost_mm.mean()), u=float(np.sqrt(variance_of_mean(lost_mm)))),
         scale_ppm=WithU(value=scale * 1e6, u=u_scale * 1e6),
-        straightness_mm=straightness_mm(forth_mm, along),
+        straightness_mm={
+            "horizontal": float(np.ptp(off_mm @ level)),
+            "vertical": float(np.ptp(off_mm @ upright)),
+        },
         angles_mrad=angles_mrad(log, along),
     )
 
@@ -117,27 +122,10 @@ def path_mm(log: Log, way: str, name: str) -> Array:
     return apply(log.matrix("world"), positions_mm(points))
 
 
-def rail_axis(log: Log, points_mm: Array) -> Array:
-    """Return the direction (3,) of the best line through points (N, 3), along the rail's sense."""
-    axis: Array = np.linalg.svd(points_mm - points_mm.mean(axis=0))[2][0]
-    along: Array = axis * np.sign(axis @ np.array(log.cell.layout.rail_direction))
-    return along
-
-
 def across_axes(along: Array) -> tuple[Array, Array]:
     """Return the horizontal and the vertical direction (3,) across the rail."""
     level = unit(np.cross(along, [0.0, 0.0, 1.0]))
     return level, np.cross(level, along)
-
-
-def straightness_mm(points_mm: Array, along: Array) -> dict[str, float]:
-    """Return peak to peak of the path (N, 3) across its best line."""
-    off_mm = points_mm - points_mm.mean(axis=0)
-    level, upright = across_axes(along)
-    return {
-        "horizontal": float(np.ptp(off_mm @ level)),
-        "vertical": float(np.ptp(off_mm @ upright)),
-    }
 
 
 def angles_mrad(log: Log, along: Array) -> dict[str, list[float]]:
@@ -178,7 +166,6 @@ def survey_table(result: Result) -> Table:
 # -- stations -------------------------------------------------------------------------------------
 
 APPROACH_MM = 150.0
-STRIP_LIMIT_MM = 0.035
 HOWS = ("plain", "strip")
 
 
@@ -193,8 +180,7 @@ class HoldStation:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        station = cell.reference
-        return step(self.name, 0, first_hold(cell, station))
+        return step(self.name, 0, first_hold(cell, cell.reference))
 
     def perform(self, session: CellSession) -> None:
         """Hold the station once; a later act that needs it holds it itself."""
@@ -264,10 +250,8 @@ class StationRepeatability:
                 for number, side in enumerate(sides):
                     self._visit(session, how, way, number, side)
         session.close_step()
-        found_mm = approaches(session.log, "strip", "random").range_mm
-        limit_mm = STRIP_LIMIT_MM
-        holds = found_mm <= limit_mm
-        judged = StripRepeats(holds=holds, found_mm=found_mm, limit_mm=limit_mm)
+        found_mm, limit_mm = approaches(session.log, "strip", "random").range_mm, 0.035
+        judged = StripRepeats(holds=found_mm <= limit_mm, found_mm=found_mm, limit_mm=limit_mm)
         session.judge("station-repeatability", judged)
 
     def _visit(self, session: CellSession, how: str, way: str, number: int, side: int) -> None:
@@ -284,14 +268,11 @@ class StationRepeatability:
 
     def result(self, log: Log) -> Result:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""
+        below, random = (
+            {how: approaches(log, how, way) for how in HOWS} for way in ("one_side", "random")
+        )
         found = StationRepeated(
-            repeats=log.cell.survey.repeats,
-            plain=approaches(log, "plain", "random"),
-            strip=approaches(log, "strip", "random"),
-            one_side=OneSide(
-                plain=approaches(log, "plain", "one_side"),
-                strip=approaches(log, "strip", "one_side"),
-            ),
+            repeats=log.cell.survey.repeats, **random, one_side=OneSide(**below)
         )
         return {"station_repeatability": found}
 
@@ -305,8 +286,7 @@ def random_sides(seed: int, repeats: int) -> list[int]:
 def approaches(log: Log, how: str, way: str) -> Approaches:
     """Return the figures of one kind of approach."""
     points = log.select("repeat", how=how, way=way)
-    points_mm = positions_mm(points)
-    R = log.matrix("world")[:3, :3]
+    points_mm, R = positions_mm(points), log.matrix("world")[:3, :3]
     along_mm = points_mm @ R.T @ np.array(log.cell.layout.rail_direction)
     above = np.array([point.id.side > 0 for point in points])
     lost_mm = float(along_mm[above].mean() - along_mm[~above].mean()) if above.any() else None
@@ -320,12 +300,11 @@ def approaches(log: Log, how: str, way: str) -> Approaches:
 def approach_table(result: Result) -> Table:
     """Return range, RP and backlash of the slide without and with the strip."""
     found = typed(result["station_repeatability"], StationRepeated)
-    below, random = "from below", "from random sides"
     rows = [
-        (f"plain, {below}", found.one_side.plain),
-        (f"plain, {random}", found.plain),
-        (f"strip, {below}", found.one_side.strip),
-        (f"strip, {random}", found.strip),
+        ("plain, from below", found.one_side.plain),
+        ("plain, from random sides", found.plain),
+        ("strip, from below", found.one_side.strip),
+        ("strip, from random sides", found.strip),
     ]
     return Table(
         [

@@ -7,6 +7,8 @@ correction at its own station.
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import numpy as np
 
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
@@ -30,7 +32,7 @@ from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import Array, HilcellError
-from hilcell.present.table import Column, Table
+from hilcell.present.table import Column, Table, vector
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
@@ -157,13 +159,11 @@ def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
 
 
 COLUMNS: tuple[Column[CheckedPose], ...] = (
-    Column("pose", lambda row: row.pose),
-    Column("x", lambda row: row.at_mm[0], "mm", ".0f"),
-    Column("y", lambda row: row.at_mm[1], "mm", ".0f"),
-    Column("z", lambda row: row.at_mm[2], "mm", ".0f"),
-    Column("error", lambda row: row.error_mm, "mm", ".4f"),
-    Column("predicted mm (95 %)", lambda row: row.bound_mm, form=".4f"),
-    Column("left after best motion", lambda row: row.left_mm, "mm", ".4f"),
+    Column("pose", attrgetter("pose")),
+    *vector("", "xyz", "mm", "at_mm", ".0f"),
+    Column("error", attrgetter("error_mm"), "mm", ".4f"),
+    Column("predicted mm (95 %)", attrgetter("bound_mm"), form=".4f"),
+    Column("left after best motion", attrgetter("left_mm"), "mm", ".4f"),
 )
 
 

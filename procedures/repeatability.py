@@ -7,12 +7,7 @@ import math
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.geometry.statistics import (
-    figures_of,
-    from_mean_mm,
-    repeatability_mm,
-    rms,
-)
+from hilcell.geometry.statistics import figures_of, from_mean_mm, repeatability_mm, rms
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.plan import Step
 from hilcell.model.point import Point, PointId
@@ -22,7 +17,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures.plan import check_targets, closing, flange_points, joints_for, poses_at, step
 
-VISITS, QUICK_VISITS = 10, 5
+VISITS = 10
 
 
 class Repeatability:
@@ -61,7 +56,7 @@ class Repeatability:
 
 def visits_of(cell: Cell) -> int:
     """Return how often each place is visited."""
-    return QUICK_VISITS if cell.plan.quick else VISITS
+    return 5 if cell.plan.quick else VISITS
 
 
 def places_mm(cell: Cell) -> Array:
@@ -71,7 +66,7 @@ def places_mm(cell: Cell) -> Array:
     return np.array([centre, centre - half, centre + half])
 
 
-def visits(log: Log) -> list[list[Point]]:
+def _visits(log: Log) -> list[list[Point]]:
     """Return the points of each place."""
     return [log.select("repeatability", place=n) for n in range(len(places_mm(log.cell)))]
 
@@ -81,7 +76,7 @@ def distances_mm(log: Log) -> Array:
 
     The mean of n visits scatters too, so distances are grown by sqrt(n / (n - 1)).
     """
-    clouds_mm = [positions_mm(place) for place in visits(log)]
+    clouds_mm = [positions_mm(place) for place in _visits(log)]
     return np.concatenate(
         [from_mean_mm(cloud) * np.sqrt(len(cloud) / (len(cloud) - 1)) for cloud in clouds_mm]
     )
@@ -102,7 +97,7 @@ def rp_robot_mm(log: Log) -> float:
     Mean squares subtract: that of the distances less that of the readings, which the tracker
     states as standard deviations. Distances are taken to keep the shape of their distribution.
     """
-    points = [point for place in visits(log) for point in place]
+    points = [point for place in _visits(log) for point in place]
     share = 1.0 - float(variances_mm2(points).sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
     return rp_mm(log) * math.sqrt(max(0.0, share))
 

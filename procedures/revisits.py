@@ -39,9 +39,6 @@ from procedures.base_frame import points_on_arc, sweep
 from procedures.plan import closing, flange_points, joints_for, leg, stations_in_order, step
 from procedures.validate import judge_suspicions
 
-COUNT, QUICK_COUNT = 12, 3
-REVERSED = 4
-
 
 class Visit(NamedTuple):
     """A pose that is visited again, by joints (6,) in rad: a vertex (3,) in {B}, or of a circle."""
@@ -100,17 +97,14 @@ class Revisits:
         if turned is not None:
             session.judge("reversal", turned.verdict)
         suspicion = established(session.log, self._kind) or found.suspicion
-        holds = found.holds and suspicion is None
-        session.judge(
-            self._verdict,
-            Revisited(
-                holds=holds,
-                ratio=found.ratio,
-                limit=found.limit,
-                suspicion=suspicion,
-                suspected=[] if suspicion is None else [suspicion.text],
-            ),
+        judged = Revisited(
+            holds=found.holds and suspicion is None,
+            ratio=found.ratio,
+            limit=found.limit,
+            suspicion=suspicion,
+            suspected=[] if suspicion is None else [suspicion.text],
         )
+        session.judge(self._verdict, judged)
         if self._kind == CLOSING:
             judge_suspicions(session)
         elif found.suspicion is not None:
@@ -134,10 +128,10 @@ def _waits(log: Log, id: PointId) -> bool:
     return point is None or overtaken(log, point)
 
 
-def chosen(cell: Cell) -> list[int]:
+def _chosen(cell: Cell) -> list[int]:
     """Return the numbers of the vertices in their order of visit: the first, and evenly on."""
     count = len(grid_of(cell).serpentine_mm())
-    wanted = min(QUICK_COUNT if cell.plan.quick else COUNT, count)
+    wanted = min(3 if cell.plan.quick else 12, count)
     return [n * count // wanted for n in range(wanted)]
 
 
@@ -151,8 +145,8 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     joints_rad = joints_for(cell, vertices_mm)
     beyond_rad = joints_rad + np.radians(cell.robot.approach_deg)
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
-    numbers, ids = chosen(cell), vertex_ids(grid_of(cell))
-    sides = [n for n in numbers if free[n] and kind == REVISIT][:REVERSED]
+    numbers, ids = _chosen(cell), vertex_ids(grid_of(cell))
+    sides = [n for n in numbers if free[n] and kind == REVISIT][:4]
     found = _on_circles(cell) if kind == REVISIT else []
     for n in numbers:
         below = PointId(kind, vertex=ids[n].vertex)
