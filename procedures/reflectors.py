@@ -21,13 +21,11 @@ from hilcell.typed import typed
 from procedures.plan import closing, readings, step
 from procedures.world_frame import Home, WorldFrame
 
-VERDICT = "reflectors"
-
 
 class Reflectors:
     """Somebody carries one after the other to the first floor nest."""
 
-    name = VERDICT
+    name = "reflectors"
     needs = "the world frame, somebody who carries the reflectors"
     moves = "nothing"
     measures = "every reflector of floor, bars and flange in the first floor nest"
@@ -41,21 +39,21 @@ class Reflectors:
                 "is none to compare it with",
                 code="HC-C10",
             )
-        count = len(places_of(cell))
-        return step(self.name, 0, [readings(cell, count, cell.nest_samples), *closing(cell)])
+        measured = readings(cell, len(_places_of(cell)), cell.nest_samples)
+        return step(self.name, 0, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Have each reflector carried to the nest, measure it, and judge them all."""
         cell, nest = session.cell, session.cell.layout.floor[0]
-        for place in places_of(cell):
+        for place in _places_of(cell):
             session.borrowed_point(PointId(REFLECTOR, nest=place), place, nest)
         session.restored(nest)
         session.frame_world()
-        if VERDICT not in session.log.verdicts:
+        if self.name not in session.log.verdicts:
             found = compared_reflectors(session.log)
             wrong = [each.text for each in found if not each.holds]
             judged = ReflectorsCompared(holds=not wrong, reflectors=found, wrong=wrong)
-            session.judge(VERDICT, judged)
+            session.judge(self.name, judged)
 
     def result(self, log: Log) -> Result:
         """Return each reflector against the others."""
@@ -65,7 +63,7 @@ class Reflectors:
         return {"reflectors": rows}
 
 
-def places_of(cell: Cell) -> list[str]:
+def _places_of(cell: Cell) -> list[str]:
     """Return the places whose reflectors are compared: floor, bars, flange."""
     seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
     return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]

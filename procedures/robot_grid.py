@@ -48,7 +48,6 @@ from procedures.plan import (
     turned,
 )
 
-SAME_RAD = 1e-4  # nearer orientations are one
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
 
@@ -84,12 +83,9 @@ class RobotGrid:
 
     def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
-        cell = session.cell
-        station = cell.reference
-        grid = grid_of(cell)
-        vertices_mm = grid.serpentine_mm()
+        cell, station = session.cell, session.cell.reference
+        vertices_mm, ids = grid_of(cell).serpentine_mm(), vertex_ids(grid_of(cell))
         T_W_B = session.frames.base_in_world(station)
-        ids = vertex_ids(grid)
         vertices = _sent(cell, T_W_B, ids, poses_at(cell, vertices_mm))
         self._measure_all(session, station, vertices)
         for each in self._doubtful(session, vertices):
@@ -133,8 +129,8 @@ def _check_orientations(cell: Cell) -> None:
     found = np.concatenate([of, more_orientations(cell)])
     names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
     for n, m in combinations(range(len(found)), 2):
-        apart_rad = float(np.linalg.norm(to_rotvec(found[n].T @ found[m])))
-        if not apart_rad > SAME_RAD:
+        same_rad = 1e-4  # nearer orientations are one
+        if not float(np.linalg.norm(to_rotvec(found[n].T @ found[m]))) > same_rad:
             raise HilcellError(
                 f"plan.grid_orientations: {names[m]} is the same orientation as {names[n]}: the "
                 "vertices would be measured twice in it; leave one out",
@@ -154,7 +150,7 @@ def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Ve
     return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))
 
 
-CANDIDATES, PLACES = 128, 64
+CANDIDATES = 128
 
 
 class ChosenPoses:
@@ -180,7 +176,8 @@ class ChosenPoses:
         """Choose once, then measure."""
         if not any(session.cell.plan.pose_counts):
             return
-        event = _chosen(session.log) or self._choose(session)
+        known = [*session.log.happened(PosesChosen)]
+        event = known[0] if known else self._choose(session)
         station = session.cell.reference
         joints_rad = np.radians(event.joints_deg).reshape(-1, 6)
         nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
@@ -206,8 +203,8 @@ class ChosenPoses:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
         if not any(log.cell.plan.pose_counts):
             return {}
-        event = _chosen(log)
-        return {"chosen_poses": {"bounds_mm": event.bounds_mm if event else []}}
+        bounds_mm = [each.bounds_mm for each in log.happened(PosesChosen)]
+        return {"chosen_poses": {"bounds_mm": bounds_mm[0] if bounds_mm else []}}
 
 
 def choice(log: Log, joints_rad: Array) -> Design:
@@ -217,15 +214,15 @@ def choice(log: Log, joints_rad: Array) -> Design:
     model = Kinematic.learn(measured)
     reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
     return design(
-        rows_of(model, joints_rad, reading_mm2),
-        rows_of(model, judged_rad(cell), np.zeros((3, 3))),
+        _rows_of(model, joints_rad, reading_mm2),
+        _rows_of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
         bound_mm=plan.bound_mm,
         counts=plan.pose_counts,
     )
 
 
-def rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
+def _rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
     """Return the reflector's positions at joints (N, 6) as rows, read with a covariance (3, 3)."""
     found = model.kinematics.linearised(model.state, joints_rad)
     one = (len(joints_rad), 1)
@@ -244,25 +241,20 @@ def candidates_rad(cell: Cell) -> Array:
 def judged_rad(cell: Cell) -> Array:
     """Return joints (N, 6) of poses like the targets', over which predictions are to be certain."""
     if not cell.plan.tilt_deg:
-        return joints_for(cell, _places_mm(cell, _spread(PLACES, 3)))
-    return _driven_rad(cell, _spread(PLACES, 6), cell.plan.tilt_deg)
+        return joints_for(cell, _places_mm(cell, _spread(64, 3)))
+    return _driven_rad(cell, _spread(64, 6), cell.plan.tilt_deg)
 
 
 def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
     """Return joints (M, 6) of drawn poses (N, 6) that can be driven to: place and turn, 0..1."""
     turns_rad = (2.0 * drawn[:, 3:] - 1.0) * np.radians(turn_deg) / np.sqrt(3.0)
     poses = turned(poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
-    station = cell.reference
-    return cell.robot.nominal().joints_for(poses[drivable(cell, station, poses)])
+    return cell.robot.nominal().joints_for(poses[drivable(cell, cell.reference, poses)])
 
 
 def _places_mm(cell: Cell, shares: Array) -> Array:
     grid = grid_of(cell)
     return grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
-
-
-def _chosen(log: Log) -> PosesChosen | None:
-    return next(iter(log.happened(PosesChosen)), None)
 
 
 def _spread(count: int, dimensions: int) -> Array:
@@ -311,12 +303,7 @@ class Design:
 
 
 def design(
-    candidates: Rows,
-    volume: Rows,
-    covariance: Array,
-    *,
-    bound_mm: float,
-    counts: tuple[int, int],
+    candidates: Rows, volume: Rows, covariance: Array, *, bound_mm: float, counts: tuple[int, int]
 ) -> Design:
     """Return the poses to measure until the mean bound over the volume is at most ``bound_mm``.
 

@@ -30,7 +30,7 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
-from hilcell.geometry.statistics import coverage_factor, f_quantile, lengths_mm, rms
+from hilcell.geometry.statistics import CONFIDENCE, coverage_factor, f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, noise_at, positions_mm, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
 from hilcell.model.plan import Span, Step
@@ -41,12 +41,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
-from procedures.base_frame import (
-    check_circles,
-    points_on_arc,
-    sweep,
-    sweeps,
-)
+from procedures.base_frame import check_circles, points_on_arc, sweep, sweeps
 from procedures.plan import (
     check_range,
     closing,
@@ -60,7 +55,6 @@ from procedures.plan import (
 
 THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
-LEAST_NESTS = 4  # of three, nobody can say which has moved
 
 
 class StationFrames:
@@ -158,19 +152,17 @@ def frame_station(session: CellSession, station: Station) -> None:
     points = session.log.select("slide", station.name)
     if (strip_mm := points[-1].strip_mm) is None:
         raise LookupError(f"{points[-1].key} has no reading of the strip")
-    session.frame(
-        f"station.{station.name}",
-        MeasuredStation(
-            matrix=fit.T.tolist(),
-            points=[point.key for point in points],
-            covariance=fit.covariance.tolist(),
-            rms_mm=fit.rms_mm,
-            strip_mm=strip_mm,
-            tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
-            cube_uncertainty_mm=cube_mm,
-            left_out=left_out,
-        ),
+    framed = MeasuredStation(
+        matrix=fit.T.tolist(),
+        points=[point.key for point in points],
+        covariance=fit.covariance.tolist(),
+        rms_mm=fit.rms_mm,
+        strip_mm=strip_mm,
+        tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
+        cube_uncertainty_mm=cube_mm,
+        left_out=left_out,
     )
+    session.frame(f"station.{station.name}", framed)
 
 
 def _frame_fixed(session: CellSession, station: Station) -> None:
@@ -178,19 +170,17 @@ def _frame_fixed(session: CellSession, station: Station) -> None:
     base = session.log.frames["base"]
     three = Frame(matrix=base.matrix, points=base.points)
     session.frame(f"{THREE}.{station.name}", three)
-    session.frame(
-        f"station.{station.name}",
-        MeasuredStation(
-            matrix=base.matrix,
-            points=base.points,
-            covariance=np.zeros((6, 6)).tolist(),
-            rms_mm=0.0,
-            strip_mm=station.strip_mm,
-            tool_uncertainty_mm=0.0,
-            cube_uncertainty_mm=0.0,
-            left_out=[],
-        ),
+    framed = MeasuredStation(
+        matrix=base.matrix,
+        points=base.points,
+        covariance=np.zeros((6, 6)).tolist(),
+        rms_mm=0.0,
+        strip_mm=station.strip_mm,
+        tool_uncertainty_mm=0.0,
+        cube_uncertainty_mm=0.0,
+        left_out=[],
     )
+    session.frame(f"station.{station.name}", framed)
 
 
 def three_point(session: CellSession, station: Station, nest: Nest) -> Point:
@@ -243,14 +233,15 @@ def moved_nests(log: Log, station: Station) -> Moved:
 def check_nests(cell: Cell, station: Station, moved: Moved) -> list[str]:
     """Return the names of nests to be left out; refuse a station where too few remain."""
     names = [cell.layout.slide[n].name for n in moved.moved]
-    if names and len(moved.kept) < LEAST_NESTS:
+    least = 4  # of three, nobody can say which has moved
+    if names and len(moved.kept) < least:
         raise DeviceError(
             "HC-T61",
             "Tracker",
             f"station frame {station.name}",
             f"slide nests {', '.join(names)} have moved against the others: a distance changed "
             f"by {moved.worst_mm:.3f} mm",
-            wanted=f"<= {moved.limit_mm:.3f} mm, or {LEAST_NESTS} nests that agree",
+            wanted=f"<= {moved.limit_mm:.3f} mm, or {least} nests that agree",
             act="see that every reflector sits in its own nest and is clean, that no nest is "
             "loose; then start a new run",
             fields={
@@ -324,8 +315,6 @@ def _in_slide_mm(cell: Cell, points_mm: Array) -> Array:
 
 SIX = 6
 MORE_READINGS = 4  # than for a frame, so that the points' own noise does not hide the frames'
-FREEDOMS = 6  # of one frame: its errors move all six points together
-CONFIDENCE = 0.95
 
 
 class FrameRepeatability:
@@ -341,8 +330,7 @@ class FrameRepeatability:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
             raise HilcellError(
-                "one station, wanted two or more: frames are compared between them",
-                code="HC-C10",
+                "one station, wanted two or more: frames are compared between them", code="HC-C10"
             )
         here, spans = other_stations(cell)[-1], []  # where the last step left the slide
         six = readings(cell, SIX, MORE_READINGS * cell.nest_samples)
@@ -377,11 +365,11 @@ class FrameRepeatability:
         """Return the distances in both frames, and the ratio of their root mean squares.
 
         Its interval is that of an F distribution with six degrees of freedom for every station
-        compared.
+        compared: the errors of one frame move all six points together.
         """
-        base, station = moved_mm(log, "base"), moved_mm(log, "station")
+        base, station = _moved_mm(log, "base"), _moved_mm(log, "station")
         rms_mm = {"base": rms([*base.values()]), "station": rms([*station.values()])}
-        ratio, freedoms = rms_mm["base"] / rms_mm["station"], FREEDOMS * len(base)
+        ratio, freedoms = rms_mm["base"] / rms_mm["station"], 6 * len(base)
         spread = float(np.sqrt(f_quantile(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
         found = FramesRepeated(
             base=base,
@@ -393,18 +381,18 @@ class FrameRepeatability:
         return {"frame_repeatability": found}
 
 
-def moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
+def _moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
     """Return by station how far the six points are from their places at the reference (mm), seen
     in its ``kind`` of frame: "base" or "station".
     """
-    reference_mm = seen_from(log, kind, log.cell.reference)
+    reference_mm = _seen_from(log, kind, log.cell.reference)
     return {
-        station.name: lengths_mm(seen_from(log, kind, station) - reference_mm).tolist()
+        station.name: lengths_mm(_seen_from(log, kind, station) - reference_mm).tolist()
         for station in other_stations(log.cell)
     }
 
 
-def seen_from(log: Log, kind: str, station: Station) -> Array:
+def _seen_from(log: Log, kind: str, station: Station) -> Array:
     """Return the six points (6, 3) in the base or station frame of ``station``."""
     world_mm = apply(log.matrix("world"), positions_mm(log.select("six", station.name)))
     return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
@@ -414,11 +402,9 @@ def frame_repeatability_table(result: Result) -> Table:
     """Return the distances in both frames, point by point, and the ratio."""
     found = typed(result["frame_repeatability"], FramesRepeated)
     rows: list[tuple[str, float | None, float | None]] = [
-        (f"{station}, point {n + 1}", base_mm, station_mm)
-        for station, in_base_mm in found.base.items()
-        for n, (base_mm, station_mm) in enumerate(
-            zip(in_base_mm, found.station[station], strict=True)
-        )
+        (f"{name}, point {n}", *both)
+        for name, in_base_mm in found.base.items()
+        for n, both in enumerate(zip(in_base_mm, found.station[name], strict=True), 1)
     ]
     low, high = found.ratio_interval
     rows.append(("rms", found.rms_mm["base"], found.rms_mm["station"]))
@@ -453,7 +439,9 @@ def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float
     estimates, ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the
     most excess in its distances to the others is taken away until all distances agree.
     """
-    change_mm = _distances(b_mm) - _distances(a_mm)
+    change_mm = np.subtract(*(
+        np.linalg.norm(each[:, None] - each[None], axis=-1) for each in (b_mm, a_mm)
+    ))  # fmt: skip
     # by which each pair may differ besides: a reflector taken out and put back
     by_seating_mm = 0.005
     limit_mm = sigmas * np.sqrt(_variances(b_mm, covariances_mm2) + by_seating_mm**2)
@@ -476,11 +464,6 @@ def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float
         float(np.abs(change_mm[first, second])),
         float(limit_mm[first, second]),
     )
-
-
-def _distances(points_mm: Array) -> Array:
-    distances: Array = np.linalg.norm(points_mm[:, None] - points_mm[None], axis=-1)
-    return distances
 
 
 def _variances(points_mm: Array, covariances_mm2: Array) -> Array:

@@ -40,8 +40,6 @@ from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
 
 TABLE = "targets"
-MOST_TARGETS = 1000
-ROWS = 20  # of the table, the worst first
 
 
 class TargetPass:
@@ -68,31 +66,24 @@ class TargetPass:
         cell, calibration = session.cell, use(session, TABLE)
         if listed(session.log) is None:
             names, values = targets_of(cell)
-            session.add(
-                TargetsListed(file=str(table_of(cell)), names=names, values=values.tolist())
-            )
+            file = str(_table_of(cell))
+            session.add(TargetsListed(file=file, names=names, values=values.tolist()))
         names, values = listed(session.log) or ([], np.zeros((0, 6)))
         joints_rad = commands_rad(cell, calibration, names, values)
         for name, joints, nominal_mm in zip(names, joints_rad, values[:, :3], strict=True):
             id = PointId(KIND, target=name)
             session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
-        self._measure_again(session, names, joints_rad, values)
-        session.close_step(carried=True)
-        found = judged_pass(session.log)
-        holds = found.holds and moved_together(session.log) is None
-        session.judge("targets", replace(found, holds=holds))
-
-    def _measure_again(
-        self, session: CellSession, names: list[str], joints_rad: Array, values: Array
-    ) -> None:
         for name in gross_targets(session.log):
             n, id = names.index(name), PointId(KIND, target=name)
             if not session.log.point(id).retaken:
                 session.add(OutlierMeasuredAgain(key=id.key))
                 session.flange_point(
-                    id, station_of(session.cell), joints_rad[n],
-                    nominal_mm=values[n, :3], retake=True,
-                )  # fmt: skip
+                    id, station_of(cell), joints_rad[n], nominal_mm=values[n, :3], retake=True
+                )
+        session.close_step(carried=True)
+        found = judged_pass(session.log)
+        holds = found.holds and moved_together(session.log) is None
+        session.judge("targets", replace(found, holds=holds))
 
     def result(self, log: Log) -> Result:
         """Return errors as found, and how far they are folded in."""
@@ -100,7 +91,7 @@ class TargetPass:
         return {KIND: msgspec.to_builtins(found) | {"text": found.text}}
 
 
-def table_of(cell: Cell) -> Path:
+def _table_of(cell: Cell) -> Path:
     """Return the file of targets; raises `HilcellError` where the cell names none."""
     if cell.targets is None:
         raise HilcellError(
@@ -111,10 +102,10 @@ def table_of(cell: Cell) -> Path:
 
 def targets_of(cell: Cell) -> tuple[list[str], Array]:
     """Return names and values (N, 6) in {W} of the file's targets."""
-    names, values = read_targets(table_of(cell))
-    if not len(names) <= MOST_TARGETS:
+    names, values = read_targets(_table_of(cell))
+    if not len(names) <= (most := 1000):
         raise HilcellError(
-            f"{len(names)} targets, at most {MOST_TARGETS} are measured in one pass", code="HC-C10"
+            f"{len(names)} targets, at most {most} are measured in one pass", code="HC-C10"
         )
     return names, values
 
@@ -138,13 +129,13 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
 
 def targets_table(result: Result) -> Table:
     """Return the worst targets' errors as found."""
-    found = typed(result[KIND], TargetsResult).targets
+    found, most = typed(result[KIND], TargetsResult).targets, 20
     return Table(
         [
             Column("target", attrgetter("name")),
             Column("error", attrgetter("error_mm"), "mm", ".4f"),
         ],
-        sorted(found, key=lambda each: -each.error_mm)[:ROWS],
+        sorted(found, key=lambda each: -each.error_mm)[:most],
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -36,11 +35,7 @@ from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import Step
 from hilcell.model.point import BOTH, PointId, Sent
-from hilcell.model.results import (
-    Place,
-    SentErrors,
-    TargetBounds,
-)
+from hilcell.model.results import Place, SentErrors, TargetBounds
 from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
@@ -94,12 +89,12 @@ class Validate:
                 points += nest_points(cell)
             else:
                 spans += leg(cell, here, station)
-            for how in ways(cell):
+            for how in BOTH if cell.plan.quick else Sent:
                 measured = touch_spans(cell, station) if how == Sent.CHOSEN else []
-                sent_rad = joints_rad[: planned(cell, how)]
+                sent_rad = joints_rad[: _planned(cell, how)]
                 measured.append(flange_points(cell, sent_rad, seats=how in BOTH))
                 count = sum(span.measured for span in measured)
-                proofs = closing(cell, carried=True, points=count) if how in closed(cell) else []
+                proofs = closing(cell, carried=True, points=count) if how in _closed(cell) else []
                 spans += [*measured, *proofs]
                 points += count
             here = station
@@ -108,19 +103,20 @@ class Validate:
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        measured = measured_of(session.log)
+        cell, measured = session.cell, measured_of(session.log)
         paper = Idw.learn(measured)
         chosen = MODELS[session.log.method].learn(measured)
         models = {Sent.IDW: paper, Sent.CHOSEN: chosen}
-        for name, poses in target_poses(session.cell, session.seed).items():
-            station = session.cell.station_named(name)
+        for name, poses in target_poses(cell, session.seed).items():
+            station = cell.station_named(name)
             frame_station(session, station)
-            for how in ways(session.cell):
-                for numbers in rounds(session.log, name, how, len(poses)):
+            for how in BOTH if cell.plan.quick else Sent:
+                every, quick = [range(len(poses))], cell.plan.quick
+                for numbers in enough_targets.rounds(session.log, name, how) if quick else every:
                     self._send(session, station, how, numbers, poses, models.get(how))
-                if session.cell.plan.quick and how == Sent.CHOSEN:
+                if quick and how == Sent.CHOSEN:
                     enough_targets.keep_guard(session, name)
-                if how in closed(session.cell):
+                if how in _closed(cell):
                     session.close_step(carried=True)
         self._judge(session)
         judge_suspicions(session)
@@ -148,7 +144,7 @@ class Validate:
             session.retake_waiting()  # at another station, it ends the visit
             session.hold_station(station)
             if visit != session.log.visit:
-                sent = command(session, station, how, wanted, model)
+                sent = _command(session, station, how, wanted, model)
                 joints_rad = session.cell.robot.nominal().joints_for(sent)
                 session.expect(station, joints_rad[n:])
                 visit = session.log.visit
@@ -160,7 +156,7 @@ class Validate:
     def _judge(self, session: CellSession) -> None:
         limits = limits_of(session.cell)
         for where, stations in _places(session.cell).items():
-            place = place_of(session.log, where, stations)
+            place = _place_of(session.log, where, stations)
             turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
             found = judged(
                 place.chosen.mean,
@@ -190,7 +186,7 @@ class Validate:
     def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
         places, touched = _places(log.cell), touches(log)
-        found = {where: place_of(log, where, stations) for where, stations in places.items()}
+        found = {where: _place_of(log, where, stations) for where, stations in places.items()}
         for where, bounds in _bounds(log, places).items():
             place = found[where]
             chosen = replace(place.chosen, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
@@ -242,7 +238,7 @@ def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
     }
 
 
-def command(
+def _command(
     session: CellSession, station: Station, how: Sent, poses: Array, model: ErrorModel | None
 ) -> Array:
     """Return the poses (N, 4, 4) in {B} to send the robot to, for those of the station frame's {B}.
@@ -263,7 +259,7 @@ def command(
     return corrected_poses(grid_of(session.cell), at, model)
 
 
-def place_of(log: Log, where: str, stations: list[str]) -> Place:
+def _place_of(log: Log, where: str, stations: list[str]) -> Place:
     """Return the errors before, by the paper's method and by the chosen one, without bounds.
 
     With several reflectors on the flange, those of the orientation as well.
@@ -288,12 +284,7 @@ def place_of(log: Log, where: str, stations: list[str]) -> Place:
     )
 
 
-def ways(cell: Cell) -> tuple[Sent, ...]:
-    """Return the ways in which each target is sent."""
-    return BOTH if cell.plan.quick else tuple(Sent)
-
-
-def closed(cell: Cell) -> tuple[Sent, ...]:
+def _closed(cell: Cell) -> tuple[Sent, ...]:
     """Return the ways after which the tracker is proven; at each station after the last at least.
 
     Once a station in a quick plan, and where the reflector is carried by hand.
@@ -301,16 +292,11 @@ def closed(cell: Cell) -> tuple[Sent, ...]:
     return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
 
 
-def planned(cell: Cell, how: Sent) -> int | None:
+def _planned(cell: Cell, how: Sent) -> int | None:
     """Return how many targets a quick plan sends where all is well; None is all of them."""
     if not cell.plan.quick:
         return None
     return enough_targets.least_targets(cell) if how == Sent.CHOSEN else enough_targets.BLOCK
-
-
-def rounds(log: Log, station: str, how: Sent, count: int) -> Iterator[range]:
-    """Yield the numbers of the targets to send next, of ``count``."""
-    return enough_targets.rounds(log, station, how) if log.cell.plan.quick else iter([range(count)])
 
 
 def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
@@ -372,8 +358,8 @@ def targets(cell: Cell, seed: int) -> dict[str, Array]:
     """Return random targets (N, 3) in {B} by station, the grid's first, stratified by grid cell."""
     rng, grid = np.random.default_rng([seed, 2014]), grid_of(cell)
     if cell.plan.quick:
-        box = (grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM)
-        return enough_targets.octant_targets(cell, seed, *box)
+        low_mm, high_mm = grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM
+        return enough_targets.octant_targets(cell, seed, low_mm, high_mm)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
     reference, *others = (station.name for station in stations_in_order(cell))
     drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}

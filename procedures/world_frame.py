@@ -64,13 +64,7 @@ class Home:
         return {}
 
 
-def length_spans(cell: Cell) -> list[Span]:
-    """Return the span of the bars' nests; those on the floor are measured anyway."""
-    count = len(cell.layout.bar)
-    return [readings(cell, count, cell.nest_samples)] if count else []
-
-
-def check_lengths(session: CellSession) -> None:
+def _check_lengths(session: CellSession) -> None:
     """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
     layout = session.cell.layout
     if not layout.length or session.log.verdict(LengthsChecked) is not None:
@@ -109,15 +103,17 @@ class WorldFrame:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
         check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
-        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.bar]).reshape(-1, 3)
-        check_range(cell, nests_mm, "bar's nests")
-        spans = [floor_points(cell), *length_spans(cell), *(closing(cell) if self.proves else [])]
+        bar = cell.layout.bar  # nests on the floor are measured anyway
+        check_range(cell, np.array([nest.xyz_mm for nest in bar]).reshape(-1, 3), "bar's nests")
+        spans = [floor_points(cell)]
+        spans += [readings(cell, len(bar), cell.nest_samples)] if bar else []
+        spans += closing(cell) if self.proves else []
         return step(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
-        check_lengths(session)
+        _check_lengths(session)
         if self.proves and not session.cell.layout.by_hand:
             session.frame_world()
         session.reach("frame_world")
@@ -134,9 +130,7 @@ class WorldFrame:
         return {"tracker": tracker} | ({"known_lengths": lengths} if lengths else {})
 
 
-FACE_S = 4.0  # until a tracker has turned over and looks where it looked before
 SAMPLES = 5
-UNSEEN = "what its axes are off (collimation, transit tilt, index) is not seen"
 
 
 class TwoFaces:
@@ -155,8 +149,8 @@ class TwoFaces:
         """Return the step; leave it out where it cannot be, or where time is short."""
         if reason := left_out(cell):
             return Step(self.name, 0, 0.0, note=reason)
-        count = len(self._nests(cell))
-        each_s = 2.0 * FACE_S + measure_s(cell, SAMPLES)
+        count, face_s = len(self._nests(cell)), 4.0  # until it has turned over and looks back
+        each_s = 2.0 * face_s + measure_s(cell, SAMPLES)
         return step(self.name, 0, [Span("second face", count, count * each_s)])
 
     def perform(self, session: CellSession) -> None:
@@ -188,9 +182,11 @@ class TwoFaces:
 def left_out(cell: Cell) -> str:
     """Return why the tracker is not turned over; "" where it is."""
     if not abilities(cell)["tracker_turns_over"]:
-        return f"this tracker's driver does not turn it over: {UNSEEN}"
-    if cell.layout.by_hand:
-        return f"the reflector is carried by hand: {UNSEEN}"
-    if cell.plan.quick:
-        return f"a quick plan has no time for it: {UNSEEN}"
-    return ""
+        reason = "this tracker's driver does not turn it over"
+    elif cell.layout.by_hand:
+        reason = "the reflector is carried by hand"
+    elif cell.plan.quick:
+        reason = "a quick plan has no time for it"
+    else:
+        return ""
+    return f"{reason}: errors of its axes (collimation, transit tilt, index) are not seen"

@@ -178,17 +178,14 @@ class _Certificate:
             "air pressure": ("basic_pressure", HECTOPASCAL),
             "relative humidity": ("basic_humidityRelative", PERCENT),
         }
-        for each in Tables(self.facts).air():
-            ref, unit = air[each.name]
-            ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
-            yield (
-                each.name,
-                ref,
-                [
-                    quantity(f"{words} at the tracker", float(value), unit, ref + end)
-                    for end, words, value in ends
-                ],
-            )
+        for name, (_, values) in Tables(self.facts).air().items():
+            ref, unit = air[name]
+            ends = (("Min", "smallest", values.min()), ("Max", "largest", values.max()))
+            figures = [
+                quantity(f"{words} at the tracker", float(value), unit, ref + end)
+                for end, words, value in ends
+            ]
+            yield name, ref, figures
 
     def errors(self) -> Iterator[Series]:
         page = FirstPage(self.facts)

@@ -77,12 +77,6 @@ class Tables:
 
     facts: Facts
 
-    CONDITIONS = (
-        ("air temperature", "temperature_c", "°C", 1),
-        ("air pressure", "pressure_mbar", "mbar", 1),
-        ("relative humidity", "humidity_percent", "%", 1),
-    )
-
     def validated_rows(self) -> list[Validated]:
         """Return each series of targets with its place."""
         return [
@@ -174,24 +168,36 @@ class Tables:
         )
         return Table(columns, rows, "Base frame: circles")
 
-    def air(self) -> list[Condition]:
-        """Return the air at the tracker over all points; nothing where not measured."""
+    def air(self) -> dict[str, tuple[str, Array]]:
+        """Return the air at the tracker over all points by its name; empty where not measured.
+
+        Each has its unit and its values (N,).
+        """
         measured = [point.air for point in self.facts.log.points.values() if point.air]
-        return [
-            Condition(name, unit, np.array([getattr(each, field) for each in measured]), digits)
-            for name, field, unit, digits in self.CONDITIONS
-            if measured
-        ]
+        quantities = {
+            "air temperature": ("°C", "temperature_c"),
+            "air pressure": ("mbar", "pressure_mbar"),
+            "relative humidity": ("%", "humidity_percent"),
+        }
+        return {
+            name: (unit, np.array([getattr(each, field) for each in measured]))
+            for name, (unit, field) in quantities.items() if measured
+        }  # fmt: skip
 
     def conditions(self) -> Table:
         """Return the air at the tracker, smallest, largest and mean."""
-        columns: tuple[Column[Condition], ...] = (
-            Column("quantity", lambda row: f"{row.name} {row.unit}"),
-            Column("least", lambda row: row.shown(row.values.min()), form="s"),
-            Column("most", lambda row: row.shown(row.values.max()), form="s"),
-            Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
+        columns: tuple[Column[tuple[str | float, ...]], ...] = (
+            Column("quantity", itemgetter(0)),
+            *(
+                Column(n, itemgetter(at), form=".1f")
+                for at, n in enumerate(("least", "most", "mean"), 1)
+            ),
         )
-        return Table(columns, self.air(), "Air at the tracker")
+        rows = [
+            (f"{name} {unit}", values.min(), values.max(), values.mean())
+            for name, (unit, values) in self.air().items()
+        ]
+        return Table(columns, rows, "Air at the tracker")
 
     def devices(self) -> Table:
         """Return the devices that answered."""
@@ -397,20 +403,6 @@ FRAMES: tuple[Column[Posed], ...] = (
     *vector("", "xyz", "mm", "zyx", ".3f"),
     *vector("", "ABC", "°", "zyx", ".4f", first=3),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """One quantity of the air over all points (N,), shown with ``digits`` decimals."""
-
-    name: str
-    unit: str
-    values: Array
-    digits: int
-
-    def shown(self, value: float) -> str:
-        """Return a value of this quantity as text."""
-        return f"{value:.{self.digits}f}"
 
 
 # -- the ten worst corrected targets, of re-measured ones both values ------------------------------

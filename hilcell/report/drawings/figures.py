@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, MUTED, GRID = "#1d2733", "#5d6975", "#e4e8ec"
+INK, MUTED = "#1d2733", "#5d6975"
 COLOURS = {Sent.BEFORE: "#c26a2e", Sent.IDW: "#8796a5", Sent.CHOSEN: "#12507b"}
 MARKERS = {Sent.BEFORE: "o", Sent.IDW: "^", Sent.CHOSEN: "o"}
 POSE_TEST = ("pose-test", "attained")  # figures of ISO 9283
@@ -72,8 +73,7 @@ def drawings(facts: Facts) -> list[Drawing]:
     drawn = []
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # not the user's
-        settings: Any = matplotlib.rcParams  # typed key by key, which a table of ours is not
-        settings.update(_STYLE)
+        matplotlib.rc_file(Path(__file__).with_suffix(".mplstyle"), use_default_template=False)
         for name, title, in_paper, draw in found:
             if (made := draw(facts)) is None:
                 continue
@@ -364,37 +364,6 @@ def fig_attained(facts: Facts) -> Drawn | None:
 
 
 # -- sheets of axes, and their SVG -----------------------------------------------------------------
-
-_STYLE: dict[str, object] = {
-    "svg.fonttype": "none",  # text stays text: readable by search and by screen readers
-    "svg.hashsalt": "hilcell",
-    "text.parse_math": False,  # a dollar sign is a dollar sign
-    "font.family": "DejaVu Sans",
-    "font.size": 8.0,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 8.0,
-    "axes.titlesize": 8.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-    "lines.linewidth": 1.2,
-}
 
 
 def axes_sheet(
