@@ -111,9 +111,8 @@ def counts(bench: Bench) -> None:
 
 
 STEP_DEG = 5.0
-NEAR_MM, NEAR_SHARE = 1.0, 0.02  # a controller's model is the nominal one, rounded
+NEAR_MM = 1.0  # a controller's model is the nominal one, rounded
 SWEEP_DEG, SWEEP_RAD_S = 4.0, 0.05
-OTHERS_DEG = 0.01
 
 
 def _steps(bench: Bench) -> list[tuple[int, Array, Array]]:
@@ -135,7 +134,7 @@ def robot_units(bench: Bench) -> None:
     """A step of each axis moves the tool point as far as the nominal arm says."""
     for axis, stated_mm, nominal_mm in _steps(bench):
         wanted_mm, found_mm = (float(np.linalg.norm(each)) for each in (nominal_mm, stated_mm))
-        limit_mm = NEAR_MM + NEAR_SHARE * wanted_mm
+        limit_mm = NEAR_MM + 0.02 * wanted_mm
         need(
             abs(found_mm - wanted_mm) <= limit_mm,
             f"axis {axis} by {STEP_DEG:g} deg: tool point {found_mm:.2f} mm, nominally "
@@ -192,9 +191,9 @@ def sweep(bench: Bench) -> None:
     target_rad = start.joints_rad.copy()
     target_rad[0] = end_rad
     off_deg = worst_deg(last.joints_rad, target_rad)
-    need(off_deg <= OTHERS_DEG, f"the sweep ends {off_deg:.4f} deg off")
+    need(off_deg <= 0.01, f"the sweep ends {off_deg:.4f} deg off")
     others_deg = max(worst_deg(each.joints_rad[1:], start.joints_rad[1:]) for each in samples)
-    need(others_deg <= OTHERS_DEG, f"another axis turns by {others_deg:.4f} deg")
+    need(others_deg <= 0.01, f"another axis turns by {others_deg:.4f} deg")
     times = [time_s for each in samples for time_s in (each.before_s, each.after_s)]
     need(times == sorted(times), "times of samples run back")
 

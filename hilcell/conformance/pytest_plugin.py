@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pytest
 
-KEPT = Path(__file__).with_name("kept.py")
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options."""
@@ -49,4 +47,4 @@ def pytest_configure(config: pytest.Config) -> None:
     options_of(config)
     if config.args_source is not config.ArgsSource.ARGS:
         config.args.clear()
-    config.args.append(str(KEPT))
+    config.args.append(str(Path(__file__).with_name("kept.py")))

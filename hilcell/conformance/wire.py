@@ -21,10 +21,6 @@ from hilcell.wire.channel import BAUD, SerialLine, Socket, addressed, wires_of
 
 HOST = "127.0.0.1"
 PIECE = 65536
-LOOK_S = 0.05
-LEAVES_S = 1.0  # a device that has something under way may hold its end open
-BEHIND_S = 0.3
-AHEAD_S = 0.05  # of an old answer to the right one
 
 
 class End(Protocol):
@@ -50,6 +46,7 @@ class _SocketEnd:
     """One end of a TCP connection."""
 
     RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
+    LEAVES_S = 1.0  # a device that has something under way may hold its end open
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
@@ -74,7 +71,7 @@ class _SocketEnd:
 
     def leave(self) -> None:
         """Close it when the other end has been closed, too, `LEAVES_S` later at the latest."""
-        end_s = time.monotonic() + LEAVES_S
+        end_s = time.monotonic() + self.LEAVES_S
         with self._link, suppress(OSError):
             self._link.shutdown(socket.SHUT_WR)
             while (left_s := end_s - time.monotonic()) > 0:
@@ -123,6 +120,8 @@ class Wire:
     ``rewrite``: bytes of answers to replace. ``asked`` is called before a request is handed on.
     """
 
+    BEHIND_S = 0.3
+    AHEAD_S = 0.05  # of an old answer to the right one
     NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
 
     def __init__(self) -> None:
@@ -160,11 +159,11 @@ class Wire:
         kept, copy, due_s = b"", b"", math.inf
         with suppress(OSError, ValueError):
             while not self._ended:
-                ready, _, _ = select.select([near, far], [], [], LOOK_S)
+                ready, _, _ = select.select([near, far], [], [], 0.05)
                 if self.mode == "flood":
                     near.send(self.NOISE)
                 now_s = time.monotonic()
-                due_s = min(due_s, now_s + BEHIND_S) if self.mode == "behind" else math.inf
+                due_s = min(due_s, now_s + self.BEHIND_S) if self.mode == "behind" else math.inf
                 asked = near in ready and (data := self._received(near))
                 if asked:
                     self.asked()
@@ -172,13 +171,13 @@ class Wire:
                 if asked and copy and self.mode == "again":
                     near.send(copy)
                     copy = b""
-                    time.sleep(AHEAD_S)
+                    time.sleep(self.AHEAD_S)
                 late = self.mode == "behind" and not asked and now_s < due_s
                 if kept and not late and self.mode not in ("hold", "mute"):
                     near.send(kept)
                     kept = b""
                     if self.mode == "behind":
-                        time.sleep(AHEAD_S)
+                        time.sleep(self.AHEAD_S)
                 if far in ready and (data := self._received(far)):
                     if self.mode == "hold" or (kept and self.mode == "behind"):
                         kept += data

@@ -77,7 +77,7 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Swept
         )
     half_gap_rad = 1e-4  # 1 sigma of the lost motion that is taken for lag
     found = search(records, Shift(shift_rad, half_gap_rad))
-    return _judged(axis, records, found, rising, falling)
+    return _judged(axis, found, rising, falling)
 
 
 def records_of(rising: Motion, falling: Motion) -> Records:
@@ -129,11 +129,9 @@ def _offset(records: Records) -> float:
     return (means[0] - means[1]) / 2.0
 
 
-def _judged(
-    axis: int, records: Records, found: Found, rising: Motion, falling: Motion
-) -> SweptAxis:
-    lines, speed_rad_s = found.lines, _speed(rising, falling)
-    curve = _curve(axis, records, found, speed_rad_s * max(rising.clock_s, falling.clock_s))
+def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> SweptAxis:
+    records, lines, speed_rad_s = found.records, found.lines, _speed(rising, falling)
+    curve = found.curve(axis, speed_rad_s * max(rising.clock_s, falling.clock_s))
     curve_rad = curve.evaluate(records.joint_rad + lines.shift.rad * records.side)
     left, signal = float(np.mean(np.square(lines.left_rad))), rms(curve_rad) ** 2
     largest_rad = float(np.linalg.norm(lines.amplitude_rad, axis=1).max(initial=0.0))
@@ -154,54 +152,9 @@ def _judged(
         share=signal / (signal + left),
         differ_rad=found.differ_rad,
         lost=rising.lost + falling.lost,
-        shown_rad=_shown(records, found, curve),
-        spectrum=_spectrum(records, found),
+        shown_rad=found.shown(curve),
+        spectrum=found.spectrum(),
     )
-
-
-def _curve(axis: int, records: Records, found: Found, clocks_rad: float) -> TransmissionCurve:
-    """Return the curve of the joint itself: the lines are about the records' middle."""
-    order = np.argsort(found.lines.cycles)
-    cycles = found.lines.cycles[order]
-    angle = cycles * records.middle_rad
-    turn = np.zeros((2 * len(cycles), 2 * len(cycles)))
-    for k, (c, s) in enumerate(zip(np.cos(angle), np.sin(angle), strict=True)):
-        turn[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[c, -s], [s, c]]
-    rows = (2 * order[:, None] + np.arange(2)).ravel()
-    covariance = found.covariance_rad2[np.ix_(rows, rows)]
-    amplitude = turn @ found.lines.amplitude_rad[order].ravel()
-    shift_sigma_rad = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
-    return TransmissionCurve(
-        axis,
-        cycles,
-        amplitude.reshape(-1, 2),
-        turn @ covariance @ turn.T,
-        shift_rad=0.0,
-        shift_sigma_rad=float(np.hypot(shift_sigma_rad, clocks_rad)),
-        low_rad=float(records.joint_rad.min()),
-        high_rad=float(records.joint_rad.max()),
-        noise_rad=rms(found.lines.left_rad),
-    )
-
-
-def _shown(records: Records, found: Found, curve: TransmissionCurve) -> Array:
-    """Return joint, short-wave error and curve (B, 3), means of both directions."""
-    joint_rad = records.joint_rad + found.lines.shift.rad * records.side
-    by_curve = curve.evaluate(joint_rad)
-    shown_rad = float(np.radians(0.1))  # one point of a picture
-    number = ((joint_rad - joint_rad.min()) / shown_rad).astype(int)
-    count = np.bincount(number)
-    rows = [joint_rad, found.lines.left_rad + by_curve, by_curve]
-    sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)
-    return sums[count > 0] / count[count > 0, None]
-
-
-def _spectrum(records: Records, found: Found) -> Array:
-    """Return cycles and amplitudes (F, 2) of what both directions share, nothing taken out."""
-    shift = found.lines.shift
-    known = Known(records, without_lines(records, shift))
-    amplitude = found.trial.explained(known, shift)[0].amplitude_rad
-    return np.column_stack([found.trial.cycles, np.linalg.norm(amplitude, axis=1)])[::2]
 
 
 def curve_measured(found: SweptAxis) -> CurveMeasured:
@@ -436,10 +389,53 @@ class Found:
     where that may be chance.
     """
 
+    records: Records
     lines: Lines
     covariance_rad2: Array
     differ_rad: float
     trial: Trial
+
+    def curve(self, axis: int, clocks_rad: float) -> TransmissionCurve:
+        """Return the curve of the joint itself: the lines are about the records' middle."""
+        order = np.argsort(self.lines.cycles)
+        cycles = self.lines.cycles[order]
+        angle = cycles * self.records.middle_rad
+        turn = np.zeros((2 * len(cycles), 2 * len(cycles)))
+        for k, (c, s) in enumerate(zip(np.cos(angle), np.sin(angle), strict=True)):
+            turn[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[c, -s], [s, c]]
+        rows = (2 * order[:, None] + np.arange(2)).ravel()
+        covariance = self.covariance_rad2[np.ix_(rows, rows)]
+        amplitude = turn @ self.lines.amplitude_rad[order].ravel()
+        shift_sigma_rad = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
+        return TransmissionCurve(
+            axis,
+            cycles,
+            amplitude.reshape(-1, 2),
+            turn @ covariance @ turn.T,
+            shift_rad=0.0,
+            shift_sigma_rad=float(np.hypot(shift_sigma_rad, clocks_rad)),
+            low_rad=float(self.records.joint_rad.min()),
+            high_rad=float(self.records.joint_rad.max()),
+            noise_rad=rms(self.lines.left_rad),
+        )
+
+    def shown(self, curve: TransmissionCurve) -> Array:
+        """Return joint, short-wave error and curve (B, 3), means of both directions."""
+        joint_rad = self.records.joint_rad + self.lines.shift.rad * self.records.side
+        by_curve = curve.evaluate(joint_rad)
+        shown_rad = float(np.radians(0.1))  # one point of a picture
+        number = ((joint_rad - joint_rad.min()) / shown_rad).astype(int)
+        count = np.bincount(number)
+        rows = [joint_rad, self.lines.left_rad + by_curve, by_curve]
+        sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)
+        return sums[count > 0] / count[count > 0, None]
+
+    def spectrum(self) -> Array:
+        """Return cycles and amplitudes (F, 2) of what both directions share, nothing taken out."""
+        shift = self.lines.shift
+        known = Known(self.records, without_lines(self.records, shift))
+        amplitude = self.trial.explained(known, shift)[0].amplitude_rad
+        return np.column_stack([self.trial.cycles, np.linalg.norm(amplitude, axis=1)])[::2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -561,7 +557,7 @@ def search(records: Records, shift: Shift) -> Found:
             score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
         best = int(np.argmax(score))
         rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
-        found = Found(lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
+        found = Found(records, lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
         if len(tried) == most_lines or not noise.is_line(score, trial.cycles):
             return found
         more = Lines(

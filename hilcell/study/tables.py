@@ -48,13 +48,21 @@ def _choice(n: int, row: _OfPoint) -> str:
     return row.point.choices[n].word
 
 
+def _design_columns(study: Study) -> list[Column[Design]]:
+    """Return the columns of a design: point and factors, minutes, accuracy."""
+    return [
+        *point_columns(study),
+        Column("minutes", attrgetter("minutes"), form=".0f"),
+        Column(study.accuracy[:-3], lambda row: _with_half(row.accuracy), "mm", "s"),
+    ]
+
+
 def _best(study: Study, found: Answers) -> Table:
     """Return the best design that an optimiser has found, and the one it was begun with."""
     best, wanted = found.best, study.optimise
     if best is None or wanted is None:
         return Table((), ())
     tried = [best, *(each for each in found.designs if each.point.number == 1 and each != best)]
-    columns: list[Column[Design]] = [*point_columns(study), MINUTES, _accuracy(study)]
     goal = [f"{study.accuracy[:-3]} error"]
     if wanted.mm_per_minute:
         goal.append(f"{wanted.mm_per_minute:g} mm a minute")
@@ -64,23 +72,16 @@ def _best(study: Study, found: Answers) -> Table:
         "then the design that the search began with. The best of many was lucky as well: measure "
         "it again in a study with more machines."
     )
-    return Table(columns, tried, "Best design found", note)
-
-
-MINUTES = Column[Design]("minutes", attrgetter("minutes"), form=".0f")
-
-
-def _accuracy(study: Study) -> Column[Design]:
-    return Column(study.accuracy[:-3], lambda row: with_half(row.accuracy, 4), "mm", "s")
+    return Table(_design_columns(study), tried, "Best design found", note)
 
 
 def front_sheet(study: Study, found: Answers) -> Table:
     """Return the designs that no other beats in everything, the fastest first."""
     of_all = study.machines * study.seeds
-    columns: list[Column[Design]] = [*point_columns(study), MINUTES]
+    columns = _design_columns(study)
     if study.has_costs:
-        columns.append(Column(study.money, lambda row: row.point.cost, form="g"))
-    columns += [_accuracy(study), Column("covered", lambda row: percent(row.covered), "%", "s")]
+        columns.insert(-1, Column(study.money, lambda row: row.point.cost, form="g"))
+    columns.append(Column("covered", lambda row: _percent(row.covered), "%", "s"))
     if any(each.cases < of_all for each in found.front):
         columns.append(Column("done", lambda row: f"{row.cases} of {of_all}", form="s"))
     against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
@@ -100,10 +101,10 @@ def purchases_sheet(study: Study, found: Answers) -> Table:
         Column("to", attrgetter("word")),
         Column("gain", _gain, "mm", "s"),
         Column("shown", _shown, form="s"),
-        Column("more minutes", lambda row: signed(row.minutes, 0), form="s"),
+        Column("more minutes", lambda row: _signed(row.minutes), form="s"),
     ]
     if study.has_costs:
-        columns.append(Column(f"more {study.money}", lambda row: signed(row.cost, 0), form="s"))
+        columns.append(Column(f"more {study.money}", lambda row: _signed(row.cost), form="s"))
     note = "Gain: by how much the error falls when this factor alone changes, all else averaged."
     if any(each.word != each.start and not each.is_step for each in found.effects):
         note += " Steps that the cases cannot separate are left out; main effects say why."
@@ -115,19 +116,19 @@ def effects_sheet(study: Study, found: Answers) -> Table:
     columns: list[Column[Effect]] = [
         Column("factor", attrgetter("factor.title")),
         Column("level", attrgetter("word")),
-        Column(study.accuracy[:-3], lambda row: with_half(row.mean, 4), "mm", "s"),
+        Column(study.accuracy[:-3], lambda row: _with_half(row.mean), "mm", "s"),
         Column(
             "change",
-            lambda row: with_half(row.change, 4) if row.word != row.start else None,
+            lambda row: _with_half(row.change) if row.word != row.start else None,
             "mm",
             "s",
         ),
-        Column("minutes", lambda row: signed(row.minutes, 0), form="s"),
-        Column("covered", lambda row: percent(row.covered), "%", "s"),
+        Column("minutes", lambda row: _signed(row.minutes), form="s"),
+        Column("covered", lambda row: _percent(row.covered), "%", "s"),
     ]
     note = "\n".join([*found.not_estimable, _explained(found)])
     if found.covered is not None:
-        within = f"{percent(found.covered)} % of targets lie within their 95 % bound."
+        within = f"{_percent(found.covered)} % of targets lie within their 95 % bound."
         note += f"Over all designs {within}"
     return Table(columns, found.effects, "Main effects", note)
 
@@ -182,7 +183,7 @@ def _none_found(study: Study, found: Answers, wanted: Optimum) -> str:
 
 
 def facts(study: Study, found: Answers, planned: int) -> dict[str, object]:
-    """Return the answers as plain values; null where there is no interval."""
+    """Return the answers as plain values; NaN, which JSON has as null, where there is none."""
     return {
         "study": study.name,
         "accuracy": study.accuracy,
@@ -194,7 +195,7 @@ def facts(study: Study, found: Answers, planned: int) -> dict[str, object]:
         "effects": [_effect(each) for each in found.effects],
         "buy_next": [_effect(each) for each in found.purchases],
         "covered": None if found.covered is None else _share(found.covered),
-        "explained": _finite(found.share),
+        "explained": found.share,
         "not_estimable": found.not_estimable,
     }
 
@@ -211,15 +212,15 @@ def _kind(reason: str) -> str:
     return re.sub(r"\d+", "0", reason).replace("-0", "0").replace("+0", "0")
 
 
-def with_half(each: Interval, digits: int) -> str:
+def _with_half(each: Interval) -> str:
     """Return a figure with its interval, where it has one; a dash for none."""
     if math.isnan(each.mean):
         return NONE
-    shown = f"{each.mean:z.{digits}f}".replace("-", "−")  # z: no -0
-    return shown if math.isnan(each.half) else f"{shown} ± {each.half:.{digits}f}"
+    shown = f"{each.mean:z.4f}".replace("-", "−")  # z: no -0
+    return shown if math.isnan(each.half) else f"{shown} ± {each.half:.4f}"
 
 
-def percent(each: Share) -> str:
+def _percent(each: Share) -> str:
     """Return a share in %, with its interval; a dash for none."""
     if math.isnan(each.mean):
         return NONE
@@ -227,16 +228,16 @@ def percent(each: Share) -> str:
     return f"{100.0 * each.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
 
 
-def signed(value: float, digits: int) -> str:
+def _signed(value: float) -> str:
     """Return a difference; a dash where it is not known."""
     if math.isnan(value):
         return NONE
-    shown = f"{value:+.{digits}f}"
+    shown = f"{value:+.0f}"
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
 
 
 def _gain(each: Effect) -> str:
-    return with_half(Interval(-each.change.mean, each.change.half), 4)
+    return _with_half(Interval(-each.change.mean, each.change.half))
 
 
 def _shown(each: Effect) -> str:
@@ -272,19 +273,15 @@ def _effect(each: Effect) -> dict[str, object]:
         "from": each.start,
         "accuracy_mm": _interval(each.mean),
         "change_mm": _interval(each.change),
-        "minutes": _finite(each.minutes),
+        "minutes": each.minutes,
         "cost": each.cost,
         "covered": _share(each.covered),
     }
 
 
-def _interval(each: Interval) -> Mapping[str, float | None]:
-    return {"mean": _finite(each.mean), "half95": _finite(each.half)}
+def _interval(each: Interval) -> Mapping[str, float]:
+    return {"mean": each.mean, "half95": each.half}
 
 
-def _share(each: Share) -> Mapping[str, float | None]:
-    return {"mean": _finite(each.mean), "low95": _finite(each.low), "high95": _finite(each.high)}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _share(each: Share) -> Mapping[str, float]:
+    return {"mean": each.mean, "low95": each.low, "high95": each.high}

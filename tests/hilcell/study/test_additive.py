@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -60,7 +61,7 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     assert math.isnan(means["1800"])
     assert len(found.not_estimable) == 2
     assert "1900" in found.not_estimable[0]
-    said: Json = facts(asked, found, 24)
+    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 24)))
     none = {"mean": None, "half95": None}
     low, high = said["effects"][:2]
     assert (low["accuracy_mm"], low["change_mm"], low["minutes"]) == (none, none, None)
@@ -84,7 +85,7 @@ def test_a_first_level_without_a_result(tmp_path: Path) -> None:
     step = next(each for each in found.purchases if each.word == "225")
     assert (step.start, step.cost) == ("300", 40.0)
     assert step.minutes == pytest.approx(3.0)
-    said: Json = facts(asked, found, 36)
+    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 36)))
     assert said["effects"][0]["from"] == "300"
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -104,7 +105,7 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     assert all(math.isnan(each.change.half) for each in found.effects)
     sheet = purchases_sheet(asked, found)
     assert [row[4] for row in sheet.texts()] == ["no", "no"]
-    said: Json = facts(asked, found, 4)
+    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 4)))
     assert said["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
 
