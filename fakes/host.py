@@ -22,11 +22,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from fakes.faults import load_faults
 from fakes.site import SimulatedDevice, Site, servers_of
@@ -39,6 +39,7 @@ from hilcell.errors import HilcellError, with_place
 from hilcell.typed import decoded
 
 STDIN = 0
+Device = Annotated[str, Meta(pattern="^(rail|robot|tracker|control)$")]
 Values = dict[str, Any]
 
 
@@ -59,15 +60,6 @@ def truth_of(plant: Plant, order: Values) -> Values:
     return answer
 
 
-class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The TCP ports to listen on; 0 is one that the system chooses."""
-
-    rail: int = 0
-    robot: int = 0
-    tracker: int = 0
-    control: int = 0
-
-
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The wanted simulated cell; ``seed`` is the machine's, ``speed`` None is stepped time."""
 
@@ -76,7 +68,7 @@ class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     speed: float | None = None
     faults: str = ""
     truth: bool = False
-    ports: Ports = Ports()
+    ports: dict[Device, int] = {}  # 0, or none stated: a free one
 
 
 class Host:
@@ -98,10 +90,12 @@ class Host:
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
             for table, serve in servers_of(cell).items():
-                device = _served(table, partial(serve, site, getattr(ports, table)))
+                device = _served(table, partial(serve, site, ports.get(table, 0)))
                 made.callback(device.close)
                 self._devices[table] = device
-            self._control = Listener("control", self._serve, limit=100, port=ports.control)
+            self._control = Listener(
+                "control", self._serve, limit=100, port=ports.get("control", 0)
+            )
             made.pop_all()
         self._commands: dict[str, Callable[[Values], Values]] = {
             "addresses": lambda order: self.addresses(),

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from types import MappingProxyType
 from typing import IO, Any, cast
 
@@ -160,7 +160,7 @@ class SimulatedClock:
             raise Stopped("a stop was asked for")
 
 
-class Control:
+class Control(AbstractContextManager["Control"]):
     """A connection to a simulated cell's control channel; safe to use from several threads."""
 
     def __init__(self, address: str) -> None:
@@ -179,9 +179,6 @@ class Control:
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._lines = self._socket.makefile("rb")
-
-    def __enter__(self) -> Control:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()

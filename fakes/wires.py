@@ -227,23 +227,13 @@ class Connection:
         return data
 
 
-class Listens(Protocol):
-    """A listener, a serial line or a bus."""
-
-    def start(self) -> None:
-        """Begin to serve."""
-
-    def close(self) -> None:
-        """Stop serving."""
-
-
 class Server:
     """A simulated device behind what it listens on; satisfies `fakes.site.SimulatedDevice`."""
 
     def __init__(
         self,
         address: Mapping[str, object],
-        *listeners: Listens,
+        *listeners: Listener | SerialLine | Server,
         restore: Callable[[], None] = lambda: None,  # its faults pass by themselves
     ) -> None:
         self.address: dict[str, object] = {**address}

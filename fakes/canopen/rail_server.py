@@ -51,8 +51,6 @@ class RailServer(BusServer):
         self._delay_s = 0.0
         self._late: list[tuple[float, int, bytes]] = []
 
-    # -- time ---------------------------------------------------------------------------------
-
     def _wait_s(self) -> float:
         look_period_s = 0.01
         longest_s = look_period_s if self._watches() else self.IDLE_S
@@ -81,8 +79,6 @@ class RailServer(BusServer):
         self._drive.observe(slide)
         if self._strip is not None:
             self._strip.observe(slide)
-
-    # -- frames -------------------------------------------------------------------------------
 
     def _open(self) -> None:
         self._silent.clear()
@@ -117,8 +113,6 @@ class RailServer(BusServer):
             self._late.append((self.now_s() + self._delay_s, cob_id, data))
         else:
             self._gateway.send(cob_id, data)
-
-    # -- faults -------------------------------------------------------------------------------
 
     def _number(self, fault: str, usual: int, *, moving: bool = True) -> int | None:
         """Return the value of a fault that strikes; ``usual`` where its own says no more."""

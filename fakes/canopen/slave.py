@@ -568,15 +568,16 @@ class CanopenSlave:
 
     def next_s(self) -> float:
         """Return when `tick` has something to do."""
-        timers = (pdo.next_s() for pdo in self.transmit_pdos)
-        cyclic_s = min(timers, default=math.inf) if self.nmt is Nmt.OPERATIONAL else math.inf
-        return min(self._next_heartbeat_s, self._heard_by_s, cyclic_s)
+        return min(self._next_heartbeat_s, self._heard_by_s, self._event_s())
 
     def cyclic(self) -> bool:
         """Whether a PDO is sent by its event timer."""
-        return self.nmt is Nmt.OPERATIONAL and any(
-            pdo.next_s() < math.inf for pdo in self.transmit_pdos
-        )
+        return self._event_s() < math.inf
+
+    def _event_s(self) -> float:
+        operational = self.nmt is Nmt.OPERATIONAL
+        timers = (pdo.next_s() for pdo in self.transmit_pdos if operational)
+        return min(timers, default=math.inf)
 
     def reset(self, now_s: float) -> None:
         """Reset the whole node, as NMT command 129 or a short loss of power does."""
@@ -641,10 +642,7 @@ class CanopenSlave:
             if receive.valid and not receive.at_sync():
                 self.emergency(self.PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
         self.written()
-        for transmit in self.transmit_pdos:
-            data = transmit.at_sync()
-            if data is not None:
-                self._send(transmit.cob_id, data)
+        self._send_due(TransmitPdo.at_sync)
 
     def _request(self, data: bytes) -> None:
         if self.nmt is Nmt.STOPPED:
@@ -662,11 +660,12 @@ class CanopenSlave:
                 self.written()
 
     def _send_events(self, now_s: float) -> None:
-        if self.nmt is not Nmt.OPERATIONAL:
-            return
+        if self.nmt is Nmt.OPERATIONAL:
+            self._send_due(lambda pdo: pdo.at_event(now_s))
+
+    def _send_due(self, due: Callable[[TransmitPdo], bytes | None]) -> None:
         for pdo in self.transmit_pdos:
-            data = pdo.at_event(now_s)
-            if data is not None:
+            if (data := due(pdo)) is not None:
                 self._send(pdo.cob_id, data)
 
     # -- heartbeats ---------------------------------------------------------------------------

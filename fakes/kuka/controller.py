@@ -207,7 +207,7 @@ class KrlController:
         self._running: int | None = None
         self._in_stop = False
         self._keeps_acknowledge = self._frozen = False
-        self._override = 100
+        self._override, self._share = 100, 1.0
         self._stale: dict[str, str] = {}
         self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
         self._pose_of: Array | None = None
@@ -411,10 +411,6 @@ class KrlController:
         return Error.OK if away_mm <= slide_mm else Error.SLIDE_AWAY
 
     @property
-    def _share(self) -> float:
-        return self._override / 100.0
-
-    @property
     def _slides_on(self) -> bool:
         """Whether the slide moves, also on its brake."""
         return self._slide is not None and self._slide.seen_moving
@@ -473,9 +469,11 @@ class KrlController:
     def _brake(self, why: int) -> None:
         self._timer.stop()
         self._in_stop, self._error = True, why
-        self._brake_all()
+        self._halt(self._program)
 
-    def _brake_all(self) -> None:
+    def _halt(self, state: str) -> None:
+        """Brake all; the program is then in a state."""
+        self._program = state
         self._motion.brake()
         if self._slide is not None:
             self._slide.stop()
@@ -490,20 +488,19 @@ class KrlController:
     def _set_override(self, percent: int) -> None:
         if not 0 <= percent <= 100:
             raise KrlError(f"$OV_PRO {percent}")
-        self._override = percent
-        self._motion.override(percent / 100.0)
+        self._override, self._share = percent, percent / 100.0
+        self._motion.override(self._share)
         if self._slide is not None:
-            self._slide.override(percent / 100.0)
+            self._slide.override(self._share)
 
     # -- faults ---------------------------------------------------------------------------------
 
     def _strike_on_request(self) -> None:
         if self._faults.take("robot.mode_t1") is not None:
-            self._mode, self._program = "#T1", "#P_STOP"
-            self._brake_all()
+            self._mode = "#T1"
+            self._halt("#P_STOP")
         if self._faults.take("robot.deselected") is not None:
-            self._program = "#P_FREE"
-            self._brake_all()
+            self._halt("#P_FREE")
 
     def _poll(self) -> RobotState:
         """Let a moving robot get further, strike it if so wanted, and return its state."""
@@ -523,11 +520,10 @@ class KrlController:
             raise Vanished
         if take("robot.e_stop") is not None:
             self._emergency = self._message = True
-            self._program = "#P_STOP"
-            self._brake_all()
+            self._halt("#P_STOP")
         if take("robot.stopmess") is not None:
-            self._message, self._program = True, "#P_STOP"
-            self._brake_all()
+            self._message = True
+            self._halt("#P_STOP")
         if take("robot.override_zero") is not None:
             self._set_override(0)
 

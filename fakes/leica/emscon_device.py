@@ -149,19 +149,20 @@ SERIAL, VERSION = 402871, (3, 8, 0)
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
 Arguments = tuple[float, ...]
-# Settings that are written and read: their fields, and their values at the beginning.
-SETTINGS: dict[str, tuple[str, Arguments]] = {
-    "UNITS": ("<5I", (METRE, 0, 0, 0, 0)),
-    "COORDINATE_SYSTEM": ("<I", (0,)),
-    "MEASUREMENT_MODE": ("<I", (STATIONARY,)),
-    "STATIONARY_MODE": ("<2i", (1000, 1)),
-    "CONTINUOUS_TIME": ("<4i", (500, 0, 0, 0)),  # separation ms, points, region
-    "SEARCH": ("<di", (12.0, 30_000)),  # mm, ms
-    "ENVIRONMENT": ("<3d", (20.0, 1013.3, 60.0)),
-    "REFRACTION": ("<2d", (1.000275, 1.000279)),
-    "SYSTEM_SETTINGS": ("<I8i", (2, 0, 0, 0, 1, 0, 0, 0, 0)),
-    "STATISTIC_MODE": ("<2I", (0, 0)),
-    "REFLECTOR": ("<i", (1,)),
+# Settings: the commands that write and read them, their status change, their fields, and the values
+# at the beginning.
+SETTINGS: dict[str, tuple[int, int, int, str, Arguments]] = {
+    "units": (5, 6, 6, "<5I", (METRE, 0, 0, 0, 0)),
+    "environment": (20, 21, Change.ENVIRONMENT, "<3d", (20.0, 1013.3, 60.0)),
+    "refraction": (22, 23, Change.REFRACTION, "<2d", (1.000275, 1.000279)),
+    "measurement mode": (24, 25, 17, "<I", (STATIONARY,)),
+    "axes": (26, 27, 12, "<I", (0,)),
+    "stationary": (28, 29, 18, "<2i", (1000, 1)),
+    "continuous": (30, 31, 19, "<4i", (500, 0, 0, 0)),  # separation ms, points, region
+    "reflector": (40, 41, 7, "<i", (1,)),
+    "search": (43, 44, 4, "<di", (12.0, 30_000)),  # mm, ms
+    "system": (47, 48, 8, "<I8i", (2, 0, 0, 0, 1, 0, 0, 0, 0)),
+    "statistic mode": (80, 81, 24, "<2I", (0, 0)),
 }
 
 
@@ -204,13 +205,13 @@ class EmsconDevice:
             enumerate(sorted(names, key=lambda n: n == cell.tracker.reflector), 1)
         )
         self._mounted = len(names)
-        self._settings = {name: values for name, (_, values) in SETTINGS.items()}
+        self._settings = {name: values for name, (*_, values) in SETTINGS.items()}
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])
         self._target: str | None = None
         self._face = FIRST
         self._late: list[bytes] = []
-        queries: dict[Command, Callable[[], bytes]] = {
+        queries: dict[int, Callable[[], bytes]] = {
             Command.GET_ORIENTATION: lambda: struct.pack("<6d", *[0.0] * 6),
             Command.GET_TRANSFORMATION: lambda: struct.pack("<7d", *[0.0] * 6, 1.0),
             Command.GET_SYSTEM_STATUS: self._system_status,
@@ -223,7 +224,7 @@ class EmsconDevice:
                 ".".join(map(str, VERSION)).encode().ljust(64, b"\0")
             ),
         }
-        work: dict[Command, tuple[str, Callable[[Command, Arguments], Answer]]] = {
+        work: dict[int, tuple[str, Callable[[int, Arguments], Answer]]] = {
             Command.GET_REFLECTORS: ("<", self._list_reflectors),
             Command.INITIALIZE: ("<", self._initialise),
             Command.GO_POSITION: ("<3di", self._go_position),
@@ -239,54 +240,52 @@ class EmsconDevice:
         self._handlers = work | {
             command: ("<", partial(self._ask, query)) for command, query in queries.items()
         }
-        for name, (form, _) in SETTINGS.items():
-            self._handlers[Command[f"SET_{name}"]] = (form, partial(self._set, name))
-            get = partial(self._ask, partial(self._setting, name))
-            self._handlers[Command[f"GET_{name}"]] = ("<", get)
+        for name, (write, read, _, form, _) in SETTINGS.items():
+            self._handlers[write] = (form, partial(self._set, name))
+            self._handlers[read] = ("<", partial(self._ask, partial(self._setting, name)))
 
     def handle(self, packet: bytes) -> Answer:
         """Return the answer to one whole packet from the client."""
-        _, _, number = COMMAND.unpack_from(packet)
-        if number not in self._handlers:
-            return Answer([reply(number, Status.NOT_IMPLEMENTED)])
-        command = Command(number)
+        _, _, command = COMMAND.unpack_from(packet)
+        if command not in self._handlers:
+            return Answer([reply(command, Status.NOT_IMPLEMENTED)])
         form, handler = self._handlers[command]
         try:
             arguments = struct.unpack(form, packet[COMMAND.size :])
         except struct.error:
-            return Answer([reply(number, Status.WRONG_PARAMETER)])
+            return Answer([reply(command, Status.WRONG_PARAMETER)])
         with self._lock:
             return handler(command, arguments)
 
     # -- settings and queries -------------------------------------------------------------------
 
-    def _set(self, name: str, command: Command, values: Arguments) -> Answer:
+    def _set(self, name: str, command: int, values: Arguments) -> Answer:
         status = self._refused_setting(name, values)
         if status != Status.OK:
             return Answer([reply(command, status)])
-        if name == "SEARCH":
+        if name == "search":
             values = (values[0] * self._mm_per_unit(), values[1])
         self._settings[name] = values
-        return Answer([reply(command), status_change(Change[name])])
+        return Answer([reply(command), status_change(SETTINGS[name][2])])
 
     def _refused_setting(self, name: str, values: Arguments) -> Status:
         first, streams = values[0], self._streams is not None
         known_units = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative
         refusals: dict[str, tuple[Status, Callable[[], bool]]] = {
-            "UNITS": (
+            "units": (
                 Status.WRONG_PARAMETER_1,
                 lambda: all(map(operator.contains, known_units, values)),
             ),
-            "COORDINATE_SYSTEM": (Status.WRONG_PARAMETER_1, lambda: first in AXES),
-            "REFLECTOR": (Status.WRONG_PARAMETER_1, lambda: first in self._reflectors),
-            "MEASUREMENT_MODE": (
+            "axes": (Status.WRONG_PARAMETER_1, lambda: first in AXES),
+            "reflector": (Status.WRONG_PARAMETER_1, lambda: first in self._reflectors),
+            "measurement mode": (
                 Status.NOT_IMPLEMENTED,
                 lambda: first == STATIONARY or (first == CONTINUOUS_TIME and streams),
             ),
-            "STATIONARY_MODE": (Status.OUT_OF_RANGE_1, lambda: 100 <= first <= 100_000),
-            "CONTINUOUS_TIME": (Status.OUT_OF_RANGE_1, lambda: 1 <= first <= 100_000),
-            "SEARCH": (Status.OUT_OF_RANGE_1, lambda: first > 0),
-            "ENVIRONMENT": (
+            "stationary": (Status.OUT_OF_RANGE_1, lambda: 100 <= first <= 100_000),
+            "continuous": (Status.OUT_OF_RANGE_1, lambda: 1 <= first <= 100_000),
+            "search": (Status.OUT_OF_RANGE_1, lambda: first > 0),
+            "environment": (
                 Status.WEATHER_OUT_OF_RANGE,
                 lambda: -20 <= first <= 60 and 500 <= values[1] <= 1200 and 0 <= values[2] <= 100,
             ),
@@ -294,18 +293,18 @@ class EmsconDevice:
         status, allowed = refusals.get(name, (Status.OK, lambda: True))
         return Status.OK if allowed() else status
 
-    def _ask(self, query: Callable[[], bytes], command: Command, _: Arguments) -> Answer:
+    def _ask(self, query: Callable[[], bytes], command: int, _: Arguments) -> Answer:
         return Answer([reply(command, Status.OK, query())])
 
     def _setting(self, name: str) -> bytes:
         values = self._settings[name]
-        if name == "SEARCH":
+        if name == "search":
             values = (values[0] / self._mm_per_unit(), values[1])
-        if name == "ENVIRONMENT":
+        if name == "environment":
             values = self._weather()
-        return struct.pack(SETTINGS[name][0], *values)
+        return struct.pack(SETTINGS[name][3], *values)
 
-    def _list_reflectors(self, command: Command, _: Arguments) -> Answer:
+    def _list_reflectors(self, command: int, _: Arguments) -> Answer:
         packets = []
         for number, name in self._reflectors.items():
             offset = OFFSETS_MM.get(name, 0.0) / self._mm_per_unit()
@@ -329,7 +328,7 @@ class EmsconDevice:
 
     def _direction(self) -> bytes:
         x, y, z = self._pointing_mm
-        per_unit = RAD_PER_UNIT[int(self._settings["UNITS"][1])]
+        per_unit = RAD_PER_UNIT[int(self._settings["units"][1])]
         angles = math.atan2(y, x) / per_unit, math.atan2(math.hypot(x, y), z) / per_unit
         return struct.pack("<2d", *angles)
 
@@ -347,18 +346,18 @@ class EmsconDevice:
 
     # -- work -----------------------------------------------------------------------------------
 
-    def _initialise(self, command: Command, arguments: Arguments) -> Answer:
+    def _initialise(self, command: int, arguments: Arguments) -> Answer:
         def finish() -> Answer:
             self._initialised, self._target, self._face = True, None, FIRST
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
         return Answer(later=Later(self.INITIALISE_S, finish))
 
-    def _turn(self, command: Command, arguments: Arguments) -> Answer:
+    def _turn(self, command: int, arguments: Arguments) -> Answer:
         self._target = None
         return Answer(later=Later(self.FACE_S, lambda: Answer([reply(command)])))
 
-    def _change_face(self, command: Command, arguments: Arguments) -> Answer:
+    def _change_face(self, command: int, arguments: Arguments) -> Answer:
         """Turn over and look where it looked before."""
         if not self._initialised:
             return Answer([reply(command, Status.NOT_INITIALIZED)])
@@ -370,15 +369,15 @@ class EmsconDevice:
 
         return Answer(later=Later(self.FACE_S, finish))
 
-    def _point(self, command: Command, arguments: Arguments) -> Answer:
+    def _point(self, command: int, arguments: Arguments) -> Answer:
         self._pointing_mm, self._target = self._inside_mm(arguments[:3]), None
         return Answer(later=Later(self.POINT_S, lambda: Answer([reply(command)])))
 
-    def _go_position(self, command: Command, arguments: Arguments) -> Answer:
+    def _go_position(self, command: int, arguments: Arguments) -> Answer:
         self._pointing_mm = self._inside_mm(arguments[:3])
         return self._search(command)
 
-    def _find_reflector(self, command: Command, arguments: Arguments) -> Answer:
+    def _find_reflector(self, command: int, arguments: Arguments) -> Answer:
         distance_mm = arguments[0] * self._mm_per_unit()
         if not distance_mm > 0:
             return Answer([reply(command, Status.OUT_OF_RANGE_1)])
@@ -386,7 +385,7 @@ class EmsconDevice:
         self._pointing_mm = distance_mm * direction
         return self._search(command)
 
-    def _search(self, command: Command) -> Answer:
+    def _search(self, command: int) -> Answer:
         if not self._initialised:
             return Answer([reply(command, Status.NOT_INITIALIZED)])
 
@@ -399,12 +398,12 @@ class EmsconDevice:
 
     def _lock_on(self) -> bool:
         with self._lock:
-            self._target = self._instrument.find(self._pointing_mm, self._settings["SEARCH"][0])
+            self._target = self._instrument.find(self._pointing_mm, self._settings["search"][0])
             if self._faults.take("tracker.no_reflector") is not None:
                 self._target = None
             return self._target is not None
 
-    def _go_and_measure(self, command: Command, arguments: Arguments) -> Answer:
+    def _go_and_measure(self, command: int, arguments: Arguments) -> Answer:
         self._pointing_mm = self._inside_mm(arguments)
 
         def finish() -> Answer:
@@ -413,7 +412,7 @@ class EmsconDevice:
 
         return Answer(later=Later(self.POINT_S, finish))
 
-    def _start_measurement(self, command: Command, arguments: Arguments) -> Answer:
+    def _start_measurement(self, command: int, arguments: Arguments) -> Answer:
         if self._faults.take("tracker.vanish") is not None:
             raise Vanished
         refused = self._refusal()
@@ -425,11 +424,11 @@ class EmsconDevice:
         began_mm = self._instrument.reflector(target)
         if began_mm is None:  # carried away
             return self._broken(command)
-        if self._settings["MEASUREMENT_MODE"][0] == CONTINUOUS_TIME:
+        if self._settings["measurement mode"][0] == CONTINUOUS_TIME:
             measuring = status_change(Change.MEASURING)
             return Answer([reply(command), measuring], stream=self._stream_of(target))
         later = Later(
-            self._settings["STATIONARY_MODE"][0] / 1000.0,
+            self._settings["stationary"][0] / 1000.0,
             lambda: self._result(command, target, began_mm),
             True,
         )
@@ -439,7 +438,7 @@ class EmsconDevice:
         if self._streams is None:
             return None
         truth, time = self._streams
-        separation_ms, points, *_region = self._settings["CONTINUOUS_TIME"]
+        separation_ms, points, *_region = self._settings["continuous"]
         return SampleStream(
             truth,
             time,
@@ -467,7 +466,7 @@ class EmsconDevice:
                 return status
         return Status.OK
 
-    def _result(self, command: Command, target: str, began_mm: Array) -> Answer:
+    def _result(self, command: int, target: str, began_mm: Array) -> Answer:
         ready = status_change(Change.READY)
         still_mm = 0.02  # a target that moves farther meanwhile gives no stationary result
         with self._lock:
@@ -489,7 +488,7 @@ class EmsconDevice:
             storm = int(self._faults.number("tracker.status_storm") or 0)
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
 
-    def _broken(self, command: Command) -> Answer:
+    def _broken(self, command: int) -> Answer:
         self._target = None
         return Answer([status_change(Change.NOT_READY), reply(command, Status.NOT_READY)])
 
@@ -523,15 +522,15 @@ class EmsconDevice:
         """Return how much the range is off with another reflector than the one mounted."""
         mounted, chosen = (
             OFFSETS_MM.get(self._reflectors[number], 0.0)
-            for number in (self._mounted, int(self._settings["REFLECTOR"][0]))
+            for number in (self._mounted, int(self._settings["reflector"][0]))
         )
         return mounted - chosen
 
     def _signs(self) -> Array:
-        return np.array(AXES[int(self._settings["COORDINATE_SYSTEM"][0])], dtype=float)
+        return np.array(AXES[int(self._settings["axes"][0])], dtype=float)
 
     def _mm_per_unit(self) -> float:
-        return MM_PER_UNIT[int(self._settings["UNITS"][0])]
+        return MM_PER_UNIT[int(self._settings["units"][0])]
 
     def _inside_mm(self, values: Arguments) -> Array:
         inside: Array = self._signs() * np.array(values) * self._mm_per_unit()

@@ -31,35 +31,14 @@ class Type(IntEnum):
 
 
 class Command(IntEnum):
-    """Commands that the fake knows."""
+    """Commands of an emScon tracker, besides its settings."""
 
-    EXIT_APPLICATION = 0
     GET_SYSTEM_STATUS = 1
     GET_TRACKER_STATUS = 2
-    SET_UNITS = 5
-    GET_UNITS = 6
     INITIALIZE = 7
     GET_ORIENTATION = 13
     GET_TRANSFORMATION = 15
-    SET_ENVIRONMENT = 20
-    GET_ENVIRONMENT = 21
-    SET_REFRACTION = 22
-    GET_REFRACTION = 23
-    SET_MEASUREMENT_MODE = 24
-    GET_MEASUREMENT_MODE = 25
-    SET_COORDINATE_SYSTEM = 26
-    GET_COORDINATE_SYSTEM = 27
-    SET_STATIONARY_MODE = 28
-    GET_STATIONARY_MODE = 29
-    SET_CONTINUOUS_TIME = 30
-    GET_CONTINUOUS_TIME = 31
-    SET_REFLECTOR = 40
-    GET_REFLECTOR = 41
     GET_REFLECTORS = 42
-    SET_SEARCH = 43
-    GET_SEARCH = 44
-    SET_SYSTEM_SETTINGS = 47
-    GET_SYSTEM_SETTINGS = 48
     START_MEASUREMENT = 49
     STOP_MEASUREMENT = 52
     CHANGE_FACE = 53
@@ -68,13 +47,10 @@ class Command(IntEnum):
     POINT_LASER = 58
     FIND_REFLECTOR = 63
     GET_DIRECTION = 66
-    SET_STATISTIC_MODE = 80
-    GET_STATISTIC_MODE = 81
     GET_FACE = 98
     GET_MEASUREMENT_STATUS = 122
     GET_TRACKER_INFO = 132
     GO_AND_MEASURE = 135
-    GET_AT4XX_INFO = 140
     GET_SOFTWARE_VERSION = 142
 
 
@@ -98,24 +74,14 @@ class Status(IntEnum):
 
 
 class Change(IntEnum):
-    """Unsolicited system status changes."""
+    """Unsolicited system status changes, besides those of settings."""
 
     ENVIRONMENT = 2
     REFRACTION = 3
-    SEARCH = 4
-    UNITS = 6
-    REFLECTOR = 7
-    SYSTEM_SETTINGS = 8
-    COORDINATE_SYSTEM = 12
-    MEASUREMENT_MODE = 17
-    STATIONARY_MODE = 18
-    CONTINUOUS_TIME = 19
-    STATISTIC_MODE = 24
     NOT_READY = 25
     MEASURING = 26
     READY = 27
     INITIALIZATION = 151
-    SERVER_CLOSING = 998
 
 
 def reply(command: int, status: int = Status.OK, body: bytes = b"") -> bytes:

@@ -39,7 +39,6 @@ class Code(IntEnum):
     NOT_IMPLEMENTED = 5
     ABORTED = 8
     BUSY = 13
-    TILTED = 22
     INACCURATE = 1284
     ANGLES_ONLY = 1285
     DISTANCE_ERROR = 1292

@@ -15,7 +15,8 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 
 class EventTime:
@@ -123,15 +124,16 @@ class EventTime:
         for follower in self._followers:
             follower(self.now_s)
 
-    def follow(self, follower: Callable[[float], None]) -> None:
+    @contextmanager
+    def followed_by(self, follower: Callable[[float], None]) -> Iterator[None]:
         """Have ``follower`` called with the time, whenever some has passed."""
         with self._lock:
             self._followers = (*self._followers, follower)
-
-    def unfollow(self, follower: Callable[[float], None]) -> None:
-        """Call ``follower`` no longer."""
-        with self._lock:
-            self._followers = tuple(each for each in self._followers if each != follower)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._followers = tuple(each for each in self._followers if each != follower)
 
 
 class RecordedLooks:

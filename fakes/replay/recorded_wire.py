@@ -447,9 +447,8 @@ class RecordedWire(Server):
                 client.sendall(b"".join(answers))
 
         send(script.greeting)
-        self._time.follow(send_due)
         beat_s = 0.2  # between two signs of life
-        try:
+        with self._time.followed_by(send_due):
             rest, due_s = b"", 0.0
             while True:
                 if (now_s := time.monotonic()) >= due_s:
@@ -465,8 +464,6 @@ class RecordedWire(Server):
                         send_due(float("inf"))  # they had come before it was asked
                         send(script.reply(message))
                         self._look_up(script, message)
-        finally:
-            self._time.unfollow(send_due)
 
     def _serve_flow(self, client: socket.socket) -> None:
         flow = Flow(self._recorded_for(client)[0], self._dialect, self._time)

@@ -114,8 +114,6 @@ class T2saDevice:
         handler = self._handlers.get(name)
         return refusal(Refusal.REJECTED) if handler is None else handler(values)
 
-    # -- settings -------------------------------------------------------------------------------
-
     def _switch(self, value: str) -> Answer:
         if value not in ("0", "1"):
             return refusal(Refusal.REJECTED)
@@ -148,8 +146,6 @@ class T2saDevice:
             return refusal(Refusal.REJECTED)
         self._window_mm = self.SEARCH_MM if value == "1" else self.BEAM_MM
         return Answer()
-
-    # -- points ---------------------------------------------------------------------------------
 
     def _named(self, path: str) -> Array | None:
         group, _, name = path.rpartition(";")

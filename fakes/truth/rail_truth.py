@@ -99,8 +99,6 @@ class RailTruth:
         self._rested: _Rest | None = None
         self._seen_s = time.now_s()
 
-    # -- for the drive --------------------------------------------------------------------------
-
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Start for ``target_mm`` of the encoder; a motion under way is braked first.
 
@@ -176,8 +174,6 @@ class RailTruth:
                 self._rested = _Rest(self._path, self._zero_mm, state)
             return state
 
-    # -- for the plant and tests alone ----------------------------------------------------------
-
     @property
     def still(self) -> bool:
         """Whether the slide stands, without letting time pass."""
@@ -198,8 +194,6 @@ class RailTruth:
     def slide_pose(self) -> Array:
         """Return the slide in {W}, (4, 4): the frame in which the cell file states nominal {B}."""
         return self._shape.pose(self.slide_mm())
-
-    # -- inside ---------------------------------------------------------------------------------
 
     def _strike(self, now_s: float) -> None:
         self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0

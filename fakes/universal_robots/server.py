@@ -178,8 +178,8 @@ class UrServer(Server):
 
     def __init__(self, controller: UrController, site: Site, port: int) -> None:
         self.controller, self.faults, self._time = controller, site.faults, site.time
-        self._lock, self._writer = threading.Lock(), object()
-        self._nobody = self._writer
+        self._lock = threading.Lock()
+        self._writer: _Session | None = None
         self._dashboard = Listener("dashboard", self._serve_dashboard)
         listeners = {
             "rtde_port": Listener("rtde", self._serve_states, port=port),
@@ -189,8 +189,6 @@ class UrServer(Server):
         ports = {name: each.port for name, each in listeners.items()}
         super().__init__({"host": HOST} | ports, *listeners.values(), restore=controller.restore)
 
-    # -- RTDE ---------------------------------------------------------------------------------
-
     def write(self, values: dict[str, float]) -> None:
         """Take registers, and let others do work that became due."""
         self.controller.write(values)
@@ -199,16 +197,14 @@ class UrServer(Server):
     def claim(self, session: _Session) -> bool:
         """Return whether this client may write: no other one does."""
         with self._lock:
-            if self._writer is not self._nobody and self._writer is not session:
-                return False
-            self._writer = session
-            return True
+            self._writer = self._writer or session
+            return self._writer is session
 
     def release(self, session: _Session) -> None:
         """A client has gone."""
         with self._lock:
             if self._writer is session:
-                self._writer = self._nobody
+                self._writer = None
 
     def period_s(self, rate_hz: float) -> float:
         """Return the real time between two states."""
@@ -222,8 +218,6 @@ class UrServer(Server):
                 pass
         finally:
             self.release(session)
-
-    # -- scripts and dashboard ------------------------------------------------------------------
 
     def _serve_scripts(self, client: socket.socket) -> None:
         """Play what a client sends, when its ``def`` has reached its ``end``."""
