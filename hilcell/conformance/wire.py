@@ -120,6 +120,7 @@ class Wire:
     ``rewrite``: bytes of answers to replace. ``asked`` is called before a request is handed on.
     """
 
+    LOOK_S = 0.05
     BEHIND_S = 0.3
     AHEAD_S = 0.05  # of an old answer to the right one
     NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
@@ -159,7 +160,7 @@ class Wire:
         kept, copy, due_s = b"", b"", math.inf
         with suppress(OSError, ValueError):
             while not self._ended:
-                ready, _, _ = select.select([near, far], [], [], 0.05)
+                ready, _, _ = select.select([near, far], [], [], self.LOOK_S)
                 if self.mode == "flood":
                     near.send(self.NOISE)
                 now_s = time.monotonic()

@@ -45,7 +45,7 @@ class Looks:
 def looks(monkeypatch: pytest.MonkeyPatch) -> Looks:
     looks = Looks()
     monkeypatch.setattr(wire, "time", looks)
-    monkeypatch.setattr(wire, "LOOK_S", 0.001)
+    monkeypatch.setattr(wire.Wire, "LOOK_S", 0.001)
     monkeypatch.setattr(wire._SocketEnd, "LEAVES_S", 60.0)  # on however slow a PC
     return looks
 
