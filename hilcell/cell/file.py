@@ -16,7 +16,6 @@ import msgspec
 from msgspec import Meta, field
 
 from hilcell.cell.layout import Layout, Nest
-from hilcell.cell.lines import of_options, with_lines
 from hilcell.cell.robot import Joint, RobotTable, ToolTable, arm_from_joints, tool_problems
 from hilcell.cell.settings import (
     SettingsError,
@@ -26,14 +25,15 @@ from hilcell.cell.settings import (
     override_all,
     refuse,
 )
-from hilcell.cell.source import built_in_cells, folder_of, parsed, read_source
-from hilcell.cell.surroundings import (
-    CapsuleTable,
-    EnvelopeTable,
-    KeepOut,
-    Surroundings,
-    keep_out_problems,
+from hilcell.cell.source import (
+    built_in_cells,
+    folder_of,
+    of_options,
+    parsed,
+    read_source,
+    with_lines,
 )
+from hilcell.cell.surroundings import KeepOut, Surroundings, keep_out_problems
 from hilcell.cell.tables import (
     Angle,
     Count,
@@ -240,12 +240,8 @@ class RoomTable(Frozen, frozen=True, kw_only=True):
 
 
 __all__ = [
-    "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "CertificateTable", "EnvelopeTable",
-    "Frozen",
-    "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
-    "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "SweepsTable", "ToolTable", "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable",
-    "arm_from_joints", "built_in_cells", "load_cell",
+    "Cell", "Joint", "KeepOut", "Nest", "Pose", "Six", "Station", "ToolTable", "arm_from_joints",
+    "load_cell",
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it

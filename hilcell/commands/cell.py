@@ -19,8 +19,8 @@ from hilcell.cell.devices import (
 )
 from hilcell.cell.differences import check_copied
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
-from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import by_line
 from hilcell.cell.unseen import unseen
 from hilcell.commands.orders import Check, Diagram, Sim
 from hilcell.commands.output import flush_data, print_answer, print_data, print_json, print_message

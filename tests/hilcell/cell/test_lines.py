@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.cell.lines import line_of
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import line_of
 
 PAPER = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
 WRONG = [  # the line as it is, as it becomes, and the problem

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from hilcell.cell import file, layout
+from hilcell.cell import file, layout, surroundings
 from hilcell.cell import file as cell
 from hilcell.cell.file import Iso9283Table, RoomTable
 from hilcell.cell.settings import range_text
@@ -19,8 +19,8 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[rail]": cell.RailTable,
     "[robot]": cell.RobotTable,
     "[[robot.joint]]": cell.Joint,
-    "[robot.envelope]": cell.EnvelopeTable,
-    "[[robot.envelope.capsule]]": cell.CapsuleTable,
+    "[robot.envelope]": surroundings.EnvelopeTable,
+    "[[robot.envelope.capsule]]": surroundings.CapsuleTable,
     "[tracker]": cell.TrackerTable,
     "A pose": cell.Pose,
     "[layout]": cell.Layout,
@@ -78,7 +78,7 @@ def test_every_key_stands_there_with_its_default_and_range() -> None:
 def test_no_table_is_left_out() -> None:
     tables = {
         kind
-        for kind in (vars(cell) | vars(layout)).values()
+        for kind in (vars(cell) | vars(layout) | vars(surroundings)).values()
         if isinstance(kind, type) and issubclass(kind, cell.Frozen) and kind is not cell.Frozen
     }
     assert tables == set(SECTIONS.values())
