@@ -285,7 +285,7 @@ def line() -> Iterator[Line]:
 def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
     line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(wire, "LOOK_S", 0.2)
+    monkeypatch.setattr(wire.Wire, "LOOK_S", 0.2)
     line.refuse()
     line.admit()
     threads = threading.active_count()
