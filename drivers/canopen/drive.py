@@ -147,13 +147,16 @@ class Drive:
         self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(Control.START)
-            self._moving(operation, "homing started", lambda now: self._homes(before, now))
+            self._until(
+                operation, "homing started", lambda now: self._homes(before, now), moving=True
+            )
             attained = Bit.ACKNOWLEDGED | Bit.TARGET_REACHED
-            now = self._moving(
+            now = self._until(
                 operation,
                 "homing attained at standstill",
                 lambda s: s.has(attained),
                 self._limits.homing_s,
+                moving=True,
                 at_rest=True,
             )
         self._image.control(Control.ENABLE_OPERATION)
@@ -173,16 +176,25 @@ class Drive:
         before = self._prepare(operation, Mode.PROFILE_POSITION)
         self._check_limit(operation, before, target)
         self._image.control(Control.ENABLE_OPERATION, target)
-        self._moving(operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
+        self._until(
+            operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED), moving=True
+        )
         self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(Control.START, target)
-            self._moving(operation, "set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED))
+            self._until(
+                operation, "set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED), moving=True
+            )
             self._image.control(Control.ENABLE_OPERATION, target)
             wanted = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
-            self._moving(
-                operation, wanted, lambda now: self._arrived(now, target), planned_s, at_rest=True
+            self._until(
+                operation,
+                wanted,
+                lambda now: self._arrived(now, target),
+                planned_s,
+                moving=True,
+                at_rest=True,
             )
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
@@ -224,17 +236,6 @@ class Drive:
         except Aborted as refusal:
             name = mode.name.lower().replace("_", " ")
             raise Unsupported(refusal, f"6060h = {mode} ({name})") from refusal
-
-    def _moving(
-        self,
-        operation: str,
-        wanted: str,
-        done: Callable[[Snapshot], bool],
-        planned_s: float = 0.0,
-        *,
-        at_rest: bool = False,
-    ) -> Snapshot:
-        return self._until(operation, wanted, done, planned_s, moving=True, at_rest=at_rest)
 
     def _until(
         self,

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import Generic, Protocol, TypeVar
 
 from drivers.device_errors import ROBOT
@@ -126,6 +126,15 @@ def integer(access: Access, name: str) -> int:
 def unreadable(name: str, found: object) -> DeviceError:
     """Return the error for a value that is not what belongs there."""
     return ROBOT.failed("HC-B26", f"read {name}", str(found), variable=name)
+
+
+@contextmanager
+def readable(name: str) -> Iterator[None]:
+    """Raise `DeviceError` where a value is not what belongs there."""
+    try:
+        yield
+    except ValueError as error:
+        raise unreadable(name, error) from error
 
 
 def override_held(found: int, wanted: int) -> None:

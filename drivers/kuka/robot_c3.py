@@ -26,6 +26,7 @@ from drivers.kuka.controller import (
     LifeSign,
     integer,
     override_held,
+    readable,
     unreadable,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
@@ -193,18 +194,14 @@ class C3Access:
     def value(self, name: str) -> krl.Value:
         """Read a single value."""
         text = self._line.read(name)
-        try:
+        with readable(name):
             return krl.parse(text)
-        except krl.KrlError as error:
-            raise unreadable(name, error) from error
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
         """Read components of a structure."""
         text = self._line.read(name)
-        try:
+        with readable(name):
             return krl.numbers(text, components)
-        except krl.KrlError as error:
-            raise unreadable(name, error) from error
 
     def brake(self) -> None:
         """Write the stop."""

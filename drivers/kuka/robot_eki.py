@@ -41,7 +41,7 @@ from drivers.kuka.controller import (
     KeepAlive,
     integer,
     override_held,
-    unreadable,
+    readable,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
@@ -340,24 +340,18 @@ class EkiController:
 
     def value(self, name: str) -> krl.Value:
         """Return a single value of the state."""
-        try:
+        with readable(name):
             return self._known().single(name)
-        except (EkiError, krl.KrlError) as error:
-            raise unreadable(name, error) from error
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
         """Return components of a structure of the state."""
-        try:
+        with readable(name):
             return self._known().numbers(name, components)
-        except (EkiError, krl.KrlError) as error:
-            raise unreadable(name, error) from error
 
     def text(self, name: str) -> str:
         """Return a text of the state."""
-        try:
+        with readable(name):
             return clean(self._known().text(*SINGLE[name]).strip())
-        except EkiError as error:
-            raise unreadable(name, error) from error
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""

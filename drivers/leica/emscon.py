@@ -387,10 +387,6 @@ def _text(field: bytes) -> str:
     return field.decode("utf-16-le", errors="replace").partition("\0")[0]
 
 
-SHARE = 1e-6
-SCALE_SHARE = 1e-9
-
-
 class Setting(Enum):
     """A setting in words, with its layout; commands and news of a change bear its name."""
 
@@ -486,7 +482,7 @@ class EmsconSettings:
         _weather, transforms, _orients = self.keep(Setting.SYSTEM_SETTINGS)
         self.keep(Setting.ORIENTATION)
         scale = self.keep(Setting.TRANSFORMATION)[-1]
-        if transforms and not abs(scale - 1.0) <= SCALE_SHARE:
+        if transforms and not abs(scale - 1.0) <= 1e-9:
             raise TRACKER.refused(
                 "HC-T06",
                 "connect",
@@ -519,7 +515,7 @@ class EmsconSettings:
 
 
 def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
-    return bool(np.allclose(found, expected, rtol=SHARE, atol=SHARE))
+    return bool(np.allclose(found, expected, rtol=1e-6, atol=1e-6))
 
 
 def _changed(name: str, found: str, expected: str) -> DeviceError:

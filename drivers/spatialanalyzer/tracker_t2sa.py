@@ -54,7 +54,6 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
-PORT = 50_000
 # Deadlines on the wire, in real time.
 REPLY_S = 5.0
 MEASURE_S = 30.0
@@ -302,7 +301,7 @@ class T2saTracker:
         """
 
         host: Host
-        port: Port = PORT
+        port: Port = 50_000
         reflector: str
         max_std_mm: Positive
         find_radius_mm: Positive

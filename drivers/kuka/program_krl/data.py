@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -158,13 +158,8 @@ class Datum:
     def numbers(self) -> dict[str, Number]:
         """Return the pose's six numbers and the external axes'; raises `KrlError`."""
         fields = self.fields()
-        missing = [name for name in POSE if name not in fields]
-        if missing:
-            raise KrlError(
-                f"{self.name} leaves out {', '.join(missing)}, which keep their value from the "
-                "motion before; state all of X Y Z A B C"
-            )
-        return {name: number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
+        external = {name: number(name, fields[name]) for name in EXTERNAL if name in fields}
+        return pose(self.name, fields) | external
 
     def status(self) -> int | None:
         """Return S where it is stated; raises `KrlError`."""
@@ -204,6 +199,16 @@ def number(name: str, tokens: Sequence[Token]) -> Number:
     if not math.isfinite(float(text)):
         raise KrlError(f"{name} {text} is not finite")
     return Number(text, tokens[0].start, tokens[-1].end)
+
+
+def pose(name: str, fields: Mapping[str, Sequence[Token]]) -> dict[str, Number]:
+    """Return the six numbers of a pose; raises `KrlError`."""
+    if missing := [each for each in POSE if each not in fields]:
+        raise KrlError(
+            f"{name} leaves out {', '.join(missing)}, which keep their value from before; state "
+            "all of X Y Z A B C"
+        )
+    return {each: number(each, fields[each]) for each in POSE}
 
 
 def _bits(name: str, tokens: Sequence[Token]) -> int:

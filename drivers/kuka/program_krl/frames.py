@@ -30,7 +30,7 @@ from drivers.kuka.program_krl.data import (
     Token,
     aggregate,
     closing,
-    number,
+    pose,
     quoted,
     split,
     text_of,
@@ -233,7 +233,8 @@ class FrameRule:
             raise KrlError(f"{name}{quoted(rest)} is computed at run time")
         text = quoted(value)
         if value[0].text == "{":
-            return Stated(line, text, None, _values(name, aggregate(value)))
+            numbers = pose(name, aggregate(value)).values()
+            return Stated(line, text, None, tuple(each.value for each in numbers))
         if len(value) == 1 and value[0].word in ("$NULLFRAME", "$WORLD"):
             return Stated(line, text, None, NULL)
         element = len(value) == 4 and value[1].text == "[" and value[2].kind == "number"
@@ -256,7 +257,8 @@ class FrameRule:
         datum = self._data.data.get(key)
         if datum is None or datum.kind not in POINTS:
             raise KrlError(f"{name} is set to {key}, which has no numbers in the .dat file")
-        return _values(f"{name} is set to {key}, which", datum.fields())
+        numbers = pose(f"{name} is set to {key}, which", datum.fields()).values()
+        return tuple(each.value for each in numbers)
 
     def _refuse_changed(self, name: str) -> None:
         if name in self._changed:
@@ -316,17 +318,6 @@ def _form_of(clause: Sequence[Token]) -> str:
             "data, as inline forms write them: set $BASE and $TOOL before the motions"
         )
     return names.pop()
-
-
-def _values(name: str, fields: Mapping[str, Sequence[Token]]) -> tuple[float, ...]:
-    """Return x, y, z, a, b, c of a structure; raises `KrlError`."""
-    missing = [each for each in POSE if each not in fields]
-    if missing:
-        raise KrlError(
-            f"{name} leaves out {', '.join(missing)}, which keep their value from before; state "
-            "all of X Y Z A B C"
-        )
-    return tuple(number(each, fields[each]).value for each in POSE)
 
 
 class Modal(NamedTuple):
