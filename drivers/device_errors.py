@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 from hilcell.ports import DeviceError, DeviceRefused, NoReading
+
+Wire = TypeVar("Wire")
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A kind of device: its name, and the alarms of a wire that does not open, or is lost.
+    """A kind of device: its name, and the alarms of a wire that does not open, is lost, or absent.
 
     ``fields`` of an error are the values behind its words.
     """
@@ -17,6 +20,7 @@ class Device:
     name: str
     unreachable: str
     lost: str
+    absent: str
 
     def failed(
         self,
@@ -67,8 +71,14 @@ class Device:
         """Return the error that a wire's failure is."""
         return self.failed(self.lost, operation, f"{address}: {found}", address=address)
 
+    def connected(self, wire: Wire | None) -> Wire:
+        """Return a wire; raises `DeviceError` before it is opened, and after it was closed."""
+        if wire is None:
+            raise self.failed(self.absent, "use", "not connected")
+        return wire
 
-RAIL = Device("Rail", unreachable="HC-R04", lost="HC-R01")
-STRIP = Device("Rail", unreachable="HC-S11", lost="HC-S12")
-ROBOT = Device("Robot", unreachable="HC-B01", lost="HC-B02")
-TRACKER = Device("Tracker", unreachable="HC-T01", lost="HC-T02")
+
+RAIL = Device("Rail", unreachable="HC-R04", lost="HC-R01", absent="HC-R38")
+STRIP = Device("Rail", unreachable="HC-S11", lost="HC-S12", absent="HC-S12")
+ROBOT = Device("Robot", unreachable="HC-B01", lost="HC-B02", absent="HC-B21")
+TRACKER = Device("Tracker", unreachable="HC-T01", lost="HC-T02", absent="HC-T34")

@@ -28,13 +28,7 @@ from drivers.wires.link import open_link
 from drivers.wires.text_lines import TextLines
 from hilcell.cell.settings import refuse
 from hilcell.clean import clean
-from hilcell.ports import (
-    Clock,
-    DeviceError,
-    Identity,
-    LinkStatistics,
-    says_simulated,
-)
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, says_simulated
 from hilcell.wire.channel import parse_channel
 
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
@@ -154,8 +148,7 @@ class SerialStrip:
 
     def _ask(self, command: str, form: str = ".*") -> str:
         """Return the answer to a command; raises `DeviceError` for none, or one of another form."""
-        if (lines := self._lines) is None:
-            raise STRIP.failed("HC-S12", "strip", "not connected")
+        lines = STRIP.connected(self._lines)
         lines.send(command, command)
         answer = lines.receive(Patience(self.REPLY_S))
         if answer is None:
@@ -203,9 +196,7 @@ class CanopenStrip:
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC that is sent now."""
-        inbox, watch = self._inbox, self._watch
-        if inbox is None or watch is None:
-            raise STRIP.failed("HC-S12", "strip", "not connected")
+        inbox, watch = STRIP.connected(self._inbox), STRIP.connected(self._watch)
 
         def look() -> None:
             check()

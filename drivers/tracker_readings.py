@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, TypeVar
 
 import numpy as np
 from msgspec import Meta
 
 from drivers.device_errors import TRACKER
-from hilcell.ports import Array, DeviceRefused, NoReading
+from drivers.supervision import Patience
+from hilcell.ports import Array, Clock, DeviceRefused, NoReading
 
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
@@ -25,16 +27,15 @@ def with_maker(maker: str, name: str) -> str:
     return name if name.casefold().startswith(maker.casefold()) else f"{maker} {name}".strip()
 
 
-def checked_order(near_mm: Array, samples: int) -> Array:
+def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") -> Array:
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-        raise TRACKER.failed(
-            "HC-T35",
-            "measure",
+        found, wanted = (
             f"{samples} samples at {near_mm} mm",
-            wanted=">= 1 sample at three finite coordinates",
+            ">= 1 sample at three finite coordinates",
         )
+        raise TRACKER.failed("HC-T35", operation, found, wanted=wanted)
     return near_mm
 
 
@@ -51,14 +52,14 @@ def check_reflector(reflector: str, known: str, found: str) -> None:
         )
 
 
-def misplaced(off_mm: float, radius_mm: float) -> NoReading:
+def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> NoReading:
     """Return the error of a result that is too far from the expected place."""
     return TRACKER.no_reading(
         "HC-T16",
-        "measure",
+        operation,
         f"the reflector is {off_mm:.2f} mm from its expected place",
         wanted=f"<= {radius_mm:.2f} mm",
-        act="another reflector was caught, or a late result came; clear the view",
+        act="another reflector was caught, a late result came, or units differ; clear the view",
         off_mm=off_mm,
         limit_mm=radius_mm,
     )
@@ -109,3 +110,16 @@ def _check_alike(points_mm: Array, limit_mm: float) -> None:
                 limit_mm=limit_mm,
                 repeats=len(points_mm),
             )
+
+
+Answer = TypeVar("Answer")
+
+
+def when_ready(
+    ask: Callable[[], Answer], busy: Callable[[Answer], bool], limit_s: float, clock: Clock
+) -> Answer:
+    """Return the answer of a device that is asked again while it is busy; the last one, then."""
+    patience = Patience(limit_s, limit_s)
+    while busy(answer := ask()) and not patience.over():
+        clock.wait(BUSY_PAUSE_S)
+    return answer

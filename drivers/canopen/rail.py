@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated
 
@@ -295,9 +296,7 @@ class CanopenRail:
             watch.check(operation)
 
     def _used(self) -> Drive:
-        if self._drive is None:
-            raise RAIL.failed("HC-R38", "use", "not connected")
-        return self._drive
+        return RAIL.connected(self._drive)
 
     def _reading(self, now: Snapshot) -> RailReading:
         return self._used().standing.reading(now, self._ended_s)
@@ -309,10 +308,8 @@ class CanopenRail:
         self._ended_s = self._clock.pc_s()
 
     def _stop_after_failure(self) -> None:
-        try:
+        with suppress(DeviceError):  # the first failure, which is being raised, is to be reported
             self.stop()
-        except DeviceError:
-            return  # the first failure, which is being raised, is the one to report
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         sdo = open_channel(link, self._options.drive_node, "drive.eds", go_on)

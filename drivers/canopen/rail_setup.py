@@ -12,15 +12,7 @@ from dataclasses import dataclass
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
-from drivers.canopen.cia import (
-    NMT,
-    NodeCommand,
-    NodeObject,
-    NodeState,
-    Object,
-    Option,
-    state_text,
-)
+from drivers.canopen.cia import NMT, NodeCommand, NodeObject, NodeState, Object, Option, state_text
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_sensor
 from drivers.canopen.process_image import Mapping as Pdo
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
@@ -123,11 +115,7 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     checks = (
         ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
         ("vendor (1018h:01)", sdo.read(NodeObject.IDENTITY, 1), expected.vendor),
-        (
-            "product (1018h:02)",
-            sdo.read_if_present(NodeObject.IDENTITY, 2) or 0,
-            expected.product,
-        ),
+        ("product (1018h:02)", sdo.read_if_present(NodeObject.IDENTITY, 2) or 0, expected.product),
         ("serial (1018h:04)", sdo.read_if_present(NodeObject.IDENTITY, 4) or 0, expected.serial),
     )
     for what, found, wanted in checks:

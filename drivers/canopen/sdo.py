@@ -108,11 +108,7 @@ class SdoChannel:
     DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 
     def __init__(
-        self,
-        number: int,
-        node: RemoteNode,
-        link: CanLink,
-        check: Callable[[], None],
+        self, number: int, node: RemoteNode, link: CanLink, check: Callable[[], None]
     ) -> None:
         self._number = number
         self._link, self._check = link, check

@@ -7,6 +7,7 @@ it: readings of drive and strip together, standstill over a dwell, the travel. E
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Annotated
 
 import msgspec
@@ -17,14 +18,7 @@ from drivers.scale_guard import ScaleGuard
 from drivers.standstill import STRIP_SPREAD_MM, Poll, Standing, Windows, check_travel, strip_spread
 from drivers.strips import Positive, StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
-from hilcell.ports import (
-    Clock,
-    DeviceError,
-    ExternalAxis,
-    Identity,
-    LinkStatistics,
-    RailReading,
-)
+from hilcell.ports import Clock, DeviceError, ExternalAxis, Identity, LinkStatistics, RailReading
 
 
 class KukaE1Rail:
@@ -180,7 +174,5 @@ class KukaE1Rail:
         return Poll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)
 
     def _stop_after_failure(self) -> None:
-        try:
+        with suppress(DeviceError):  # the first failure, which is being raised, is to be reported
             self.stop()
-        except DeviceError:
-            return  # the first failure, which is being raised, is the one to report

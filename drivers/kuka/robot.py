@@ -277,9 +277,7 @@ class KukaRobot:
         return place_mm
 
     def _slide_wire(self) -> Controller:
-        if self._controller is None:
-            raise RAIL.failed("HC-R38", "use", "not connected")
-        return self._controller
+        return RAIL.connected(self._controller)
 
     # -- connecting ---------------------------------------------------------------------------
 
@@ -456,9 +454,7 @@ class KukaRobot:
 
     def wire(self) -> Controller:
         """Return the controller."""
-        if self._controller is None:
-            raise ROBOT.failed("HC-B21", "use", "not connected")
-        return self._controller
+        return ROBOT.connected(self._controller)
 
     def attend(self) -> None:
         """Run in every wait on the wire."""

@@ -37,12 +37,12 @@ from drivers.leica.emscon import (
 )
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
-    BUSY_PAUSE_S,
     Positive,
     another_tracker,
     checked_order,
     misplaced,
     std_of_repeats,
+    when_ready,
     with_maker,
 )
 from drivers.wires.tcp import TcpLink
@@ -423,13 +423,12 @@ class LeicaEmsconTracker:
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
         """Send a command, again while the server is busy, and return its reply."""
         limit_s = limit_s or self.REPLY_S
-        patience = Patience(limit_s, limit_s)
-        while True:
+
+        def ask() -> Reply:
             self._wire().send(emscon.encode(command, body), command.spoken)
-            reply = self._status(command, Patience(limit_s))
-            if reply.status != emscon.BUSY or patience.over():
-                return reply
-            self._clock.wait(BUSY_PAUSE_S)
+            return self._status(command, Patience(limit_s))
+
+        return when_ready(ask, lambda reply: reply.status == emscon.BUSY, limit_s, self._clock)
 
     def _status(self, command: Command, patience: Patience) -> Reply:
         """Return the reply to ``command``, refused or not; older results on the way are dropped."""
@@ -476,9 +475,7 @@ class LeicaEmsconTracker:
         return error
 
     def _wire(self) -> TcpLink:
-        if self._link is None:
-            raise TRACKER.failed("HC-T34", "use", "not connected")
-        return self._link
+        return TRACKER.connected(self._link)
 
 
 class EmsconStream:
@@ -504,14 +501,7 @@ class EmsconStream:
         rate_hz: float,
         find_radius_mm: float,
     ) -> None:
-        near_mm = np.asarray(near_mm, dtype=float)
-        if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
-            raise TRACKER.failed(
-                "HC-T35",
-                "stream",
-                f"a reflector at {near_mm} mm",
-                wanted="three finite coordinates",
-            )
+        near_mm = checked_order(near_mm, operation="stream")
         if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
             raise TRACKER.failed(
                 "HC-T35",
@@ -621,15 +611,7 @@ class EmsconStream:
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
             if not off_mm <= self._radius_mm:
-                raise TRACKER.no_reading(
-                    "HC-T16",
-                    "stream",
-                    f"the reflector is {off_mm:.2f} mm from its expected place",
-                    wanted=f"<= {self._radius_mm:.2f} mm",
-                    act="another reflector was caught, or units or axes differ; clear the view",
-                    off_mm=off_mm,
-                    limit_mm=self._radius_mm,
-                )
+                raise misplaced(off_mm, self._radius_mm, "stream")
         before_s = [] if self._last_s is None else [self._last_s]
         steps_ms = 1000.0 * np.diff([*before_s, *packet.device_s])
         self._last_s = float(packet.device_s[-1])

@@ -17,6 +17,7 @@ import re
 import time
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from itertools import count
 from typing import Annotated
 
@@ -34,6 +35,7 @@ from drivers.tracker_readings import (
     checked_order,
     misplaced,
     std_of_repeats,
+    when_ready,
     with_maker,
 )
 from drivers.wires.link import open_link
@@ -579,11 +581,8 @@ class LeicaGeocomTracker:
         Raises the error of a refusal. ``accepted``: readings without full correction are taken.
         """
         limit_s = limit_s or self.REPLY_S
-        patience = Patience(limit_s, limit_s)
-        while (reply := self._exchange(rpc, parameters, limit_s)).code in BUSY:
-            if patience.over():
-                break
-            self._clock.wait(BUSY_PAUSE_S)
+        ask = partial(self._exchange, rpc, parameters, limit_s)
+        reply = when_ready(ask, lambda reply: reply.code in BUSY, limit_s, self._clock)
         uncorrected = reply.code in (Code.UNCORRECTED, Code.INACCURATE)
         if reply.communication or (reply.code != Code.OK and not (accepted and uncorrected)):
             raise rpc.failed(reply.communication or reply.code)
@@ -647,9 +646,7 @@ class LeicaGeocomTracker:
         return error
 
     def _wire(self) -> TextLines:
-        if self._lines is None:
-            raise TRACKER.failed("HC-T34", "use", "not connected")
-        return self._lines
+        return TRACKER.connected(self._lines)
 
 
 def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:

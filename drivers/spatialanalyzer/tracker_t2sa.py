@@ -350,9 +350,8 @@ class T2saTracker:
         options = self._options
         known = options.reflector
         check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
-        if self._bridge is None or self._points is None:
-            raise TRACKER.failed("HC-T34", "use", "not connected")
-        bridge, named = self._bridge, _Aim(self._points, near_mm, options.search_mm)
+        bridge, points = TRACKER.connected(self._bridge), TRACKER.connected(self._points)
+        named = _Aim(points, near_mm, options.search_mm)
         count = max(samples, options.repeats)
         points_mm = np.array([self._single(bridge, named) for _ in range(count)])
         std_mm = std_of_repeats(points_mm, options.max_std_mm)

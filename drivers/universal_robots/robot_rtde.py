@@ -401,21 +401,14 @@ class UrRtdeRobot:
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
         return RobotReading(
-            state.joints_rad,
-            state.pose,
-            still,
-            self._asked_s,
-            self._ended_s,
-            by_factory_links=True,
+            state.joints_rad, state.pose, still, self._asked_s, self._ended_s, by_factory_links=True
         )
 
     # -- for a sweep as well ------------------------------------------------------------------
 
     def link(self) -> UrLink:
         """Return the connection by RTDE."""
-        if self._link is None:
-            raise ROBOT.failed("HC-B21", "use", "not connected")
-        return self._link
+        return ROBOT.connected(self._link)
 
     def stands_at(self) -> Array:
         """Return the joints (6,) in rad to which the robot was sent last, or where it was found."""
@@ -462,9 +455,7 @@ class UrRtdeRobot:
         return Dashboard(self._options.host, self._options.dashboard_port, check)
 
     def _panel(self) -> Dashboard:
-        if self._dashboard is None:
-            raise ROBOT.failed("HC-B21", "use", "not connected")
-        return self._dashboard
+        return ROBOT.connected(self._dashboard)
 
     def _attend(self) -> None:
         """Run in every wait on the wire."""

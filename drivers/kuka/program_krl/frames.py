@@ -39,15 +39,7 @@ from drivers.kuka.program_krl.flow import Flow
 from drivers.kuka.program_krl.strokes import STROKES
 
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
-NEVER_SET = (
-    "BASE_DATA",
-    "TOOL_DATA",
-    "$ACT_BASE",
-    "$ACT_TOOL",
-    "$ROBROOT",
-    "$WORLD",
-    "$NULLFRAME",
-)
+NEVER_SET = ("BASE_DATA", "TOOL_DATA", "$ACT_BASE", "$ACT_TOOL", "$ROBROOT", "$WORLD", "$NULLFRAME")
 
 
 class Stated(NamedTuple):
