@@ -250,7 +250,7 @@ def _command(
         return poses
     frames, targets_mm = session.frames, poses[:, :3, 3]
     if how == Sent.IDW:
-        T_W_B = frames.base_by_three_points(station)
+        T_W_B = frames.carried("three_points", station)
         at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
     else:
         touch_once(session, station, model)

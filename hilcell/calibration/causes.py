@@ -1,17 +1,15 @@
 """Causes of errors that nothing else explains: how each moves the poses, and which explains best.
 
 An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
-orientation, an arm that grew by its reach. A suspicion is a hint where to look, no proof: a
-few poses cannot tell every cause from another.
+orientation, an arm that grew by its reach. A suspicion is a hint where to look, no proof.
 
-The tracker is proven by its own nests, so a pose that comes out elsewhere when it is measured again
-is the robot's, its mount's or the slide's doing. Of N differences d with covariance C,
-``d' C^-1 d`` is judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is
-known at a few places and wider by its spread over the others, and what a cause of k parameters
-explains of it as k F(k, nu), the risk shared by all causes. The cause is named that leaves what
-chance explains, the one of fewest parameters first; none where the best of them leaves most. One
-orientation of the tool cannot tell a reflector that slipped from a shift of the base. A slip that
-has the direction of a turn of axis 6 by itself is taken for its lost zero.
+The tracker is proven by its own nests, so a pose that comes out elsewhere is the robot's, its
+mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is judged as
+3N F(3N, nu), nu the degrees of freedom of the repeatability, known at a few places and wider by its
+spread over the others, and what a cause of k parameters explains of it as k F(k, nu), the risk
+shared by all. The cause is named that leaves what chance explains, the one of fewest parameters
+first; none where the best leaves most. A slip in the direction of a turn of axis 6 by itself is
+taken for its lost zero.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """Causes of wrong figures that a run's own comparisons let suspect: re-visits, the mount, targets.
 
-Each detector looks at one comparison. Where another's findings decide whether it has anything to
-say, it declares that one, so what they find does not depend on the order of their list.
+Each detector looks at one comparison, and declares others whose findings decide whether it has
+anything to say, so what they find does not depend on the order of their list.
 
-A robot that repeats worse than it should: a brake that slips a little at each stop moves no mean
-and loses no zero: each target is somewhat beside its place, every time otherwise. So the deviations
-e of the corrected targets from their mean at each station are compared with their covariance C: all
-together by the mean of ``e' C^-1 e / 3``, and along the column a of each large axis by the mean of
-``(a' C^-1 e)^2 / a' C^-1 a``. Both are 1 where the budget of the validation is true, and are judged
-as F, the denominator's degrees of freedom those with which the run knows its visits and model. If
-it slips from the first point on, the visits have it, too. They are compared with the stated RP.
+A robot that repeats worse than it should (a brake that slips a little at each stop) moves no mean
+and loses no zero. So the deviations e of the corrected targets from their mean at each station are
+compared with their covariance C: by the mean of ``e' C^-1 e / 3``, and along the column a of each
+large axis by that of ``(a' C^-1 e)^2 / a' C^-1 a``. Both are 1 where the validation's budget is
+true, and are judged as F. If it slips from the first point on, the visits have it, too: they are
+compared with the stated RP.
 """
 
 from __future__ import annotations

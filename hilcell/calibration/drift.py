@@ -1,18 +1,15 @@
 """A tracker or a robot that changes slowly during a run: no comparison alone is beyond its limit.
 
-The tracker. Each proof of the floor nests keeps its limit, or {W} is framed again; in between all
-is measured a little beside its place. So all readings of the floor nests are fitted with one motion
-of the tracker, linear in the run's records, each set-up from a start of its own. A tracker that was
-bumped shows no slope within a set-up, and one that wanders is not explained by one slope.
+The tracker: each proof of the floor nests keeps its limit, or {W} is framed again. So all readings
+of the floor nests are fitted with one motion of the tracker, linear in the run's records, each
+set-up from a start of its own. A tracker that was bumped or wanders is not explained by one slope.
 
-The robot: an arm that grows with its warm motors, say. No pose differs by more than visits do, and
-the closing re-visits lie within what the strip and the tracker may do. But all poses of a run,
-taken less what the calibration's own model expects, in the order of their records, show a slope.
+The robot, an arm that grows with its warm motors, say: no pose differs by more than visits do, but
+all poses, less what the calibration's model expects, show a slope in the order of their records.
 Each cause of a changed robot is fitted linear in the run's progress, beside what else moves poses:
-a shift and turn of {B} at each hold of the slide, as far as strip, station frame and tracker allow;
-the arm's growth with the room, from none to the most that is stated; and smooth errors of the
-model. A slope counts where chance does not explain it, and where over the run it moves the poses by
-more than one visit scatters.
+a shift and turn of {B} at each hold of the slide, the arm's growth with the room, and smooth errors
+of the model. A slope counts where chance does not explain it, and where over the run it moves the
+poses by more than one visit scatters.
 """
 
 from __future__ import annotations

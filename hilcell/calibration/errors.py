@@ -1,12 +1,9 @@
-"""Position errors e = actual - nominal at the targets, from the log alone (eq 18).
+"""Position errors e = actual - nominal at the targets, in {W}, mm, from the log alone (eq 18).
 
-Everything is in {W}, mm. An unfinished run gives what it has measured so far.
-
-And how far one visit of a pose scatters there: the robot's scatter, and the readings' noise. An
-instrument's noise is a length along its beam and an angle across it: it turns with the beam, and
-grows with the range. So what a few places have shown holds elsewhere only for the robot. A total
-station's noise, 0.3 mm along the beam and 0.02 mm across it, shows as 0.05 mm across a direction
-that is 10 deg from the beam.
+And how far one visit of a pose scatters there: the robot's scatter, and the readings' noise, which
+is a length along the beam and an angle across it: a total station's, 0.3 mm along and 0.02 mm
+across, shows as 0.05 mm across a direction that is 10 deg from the beam. So what a few places have
+shown holds elsewhere only for the robot.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Frames:
             travel_mm = station.strip_mm - reference.strip_mm
             shift[:3, 3] = travel_mm * np.array(self.cell.layout.rail_direction)
             return shift @ base
-        return self._carried("station", station)
+        return self.carried("station", station)
 
     def touched(self, station: Station) -> bool:
         """Whether the base was touched at ``station`` since the slide last moved."""
@@ -101,11 +101,8 @@ class Frames:
         centre_mm = self.cell.grid.centre.matrix()[:3, 3]
         return centre_mm + (at_mm - centre_mm) / (1.0 + growth)
 
-    def base_by_three_points(self, station: Station) -> Array:
-        """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
-        return self._carried("three_points", station)
-
-    def _carried(self, kind: str, station: Station) -> Array:
+    def carried(self, kind: str, station: Station) -> Array:
+        """Return T_W_B (4, 4) by {S} of a ``kind``: ``station``, or ``three_points``."""
         T_W_S1 = self._log.matrix(f"{kind}.{self.cell.grid.station}")
         T_W_Si = self._log.matrix(f"{kind}.{station.name}")
         return base_at(T_W_S1, T_W_Si, self._log.matrix("base"))

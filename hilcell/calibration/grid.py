@@ -1,16 +1,12 @@
 """The errors of a robot as a run has measured them: the grid's vertices, free poses and curves.
 
-Which vertices stand out from their neighbours: a smooth field, of second order in x, y and z, is
-fitted to all vertices, and each is judged by its studentized residual: a residual divided by
-``sqrt(1 - h)``, h its leverage, so that all have one spread, at the grid's corners too. That spread
-is what the residuals themselves show: readings, repeatability, and what of the robot's error no
-smooth field follows. A limit in mm would be knowledge about one robot.
+Which vertices stand out: a smooth field, of second order in x, y and z, is fitted to all, and each
+is judged by its studentized residual, divided by ``sqrt(1 - h)``, h its leverage, against the
+spread that the residuals show. A limit in mm would be knowledge about one robot.
 
-How alike the errors of two poses are (section 3.2, eq 8), and over which distance: the errors are
-smooth functions of the joints, so similarity falls with the distance of joints. Eq 8's infinity for
-equal errors is a definition and no weight, and one nearly equal pair rules a mean of similarities:
-means are taken of the differences. And the distance of tool points stands for that of joints only
-at one fixed orientation and configuration.
+How alike the errors of two poses are (section 3.2, eq 8): similarity falls with the distance of
+joints; that of tool points stands for it only at one fixed orientation and configuration. One
+nearly equal pair rules a mean of similarities, so means are taken of the differences.
 """
 
 from __future__ import annotations

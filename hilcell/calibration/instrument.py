@@ -1,17 +1,15 @@
 """Whether the instrument is right: its scale, its own axes, and the reflectors that it sees.
 
-A tracker whose scale is wrong (a weather station that lies), a reflector of another size or a wrong
-unit makes every point wrong, and all that is measured agrees with itself.
+A wrong scale (a weather station that lies), reflector or unit makes every point wrong, and all that
+is measured agrees with itself.
 
-A reading in the first face and one in the second, the back sight, differ by twice what the axes are
-off, whatever else is wrong. At a place of range r and height z above the tracker, half of the
-difference is ``c r + i z`` sideways and ``v r`` downwards: collimation c, the transit axis' tilt i,
-the index v of the vertical circle. All that a run measures is off by as much: a tilt of 50 urad
-moves what lies a metre lower by 0.05 mm against what lies level.
+Readings in both faces differ by twice what the axes are off, whatever else is wrong. At a place of
+range r and height z above the tracker, half of it is ``c r + i z`` sideways and ``v r`` downwards:
+collimation c, the transit axis' tilt i, the index v of the vertical circle. A tilt of 50 urad moves
+what lies a metre lower by 0.05 mm against what lies level.
 
-In one nest all centres are at one place, as far as balls are round and centred: a reflector whose
-ball has another radius, or whose prism is longer, is seen elsewhere, along the beam mostly. In its
-own nest nothing shows that: the nest's place is not known so well.
+In one nest all centres are at one place, as far as balls are round and centred: a reflector of
+another radius, or a longer prism, is seen elsewhere, along the beam mostly.
 """
 
 from __future__ import annotations

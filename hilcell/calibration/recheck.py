@@ -139,11 +139,6 @@ class Judgement:
         return self.verdict == "update" and self.slipped.holds
 
     @property
-    def chi2(self) -> float:
-        """Return the chi^2 of all errors."""
-        return self.moved.chi2 + self.rest.chi2
-
-    @property
     def worst(self) -> int:
         """Return the pose that the motion explains least."""
         return int(np.argmax(self.sigmas))
@@ -384,7 +379,7 @@ def recheck_result(log: Log) -> RecheckResult:
         u_mm=judgement.u_mm,
         turn_urad=judgement.turn_urad,
         turn_u_urad=judgement.turn_u_urad,
-        chi2=judgement.chi2,
+        chi2=judgement.moved.chi2 + judgement.rest.chi2,
         tests=ChiSquares(judgement.moved, judgement.rest, judgement.slipped),
         risk=RISK,
         mean_mm=as_found.mean_mm,

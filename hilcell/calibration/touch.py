@@ -1,17 +1,14 @@
-"""The robot's base on this visit of a station, found by touch poses after the stop.
+"""The robot's base on this visit of a station, as touch poses after the stop show it.
 
 The strip lets a slide come back only within its tolerance, and the station frame carries the noise
 of its nests. So the robot carries its reflector to a few corrected poses; how far it lands from
-where the station frame expects it says where the base is now. The prior is the station
-frame with its covariance, and the strip's slip.
+where the station frame expects it says where the base is now.
 
-A target's place in {W} is not moved by this, only the command is. Targets are fixed before the
-visit (`Frames.base_in_world`); were they carried by the corrected base, an error of the
-base would cancel in every figure that judges it.
+A target's place in {W} is not moved by this, only the command is (`Frames.base_in_world`): were it,
+an error of the base would cancel in every figure that judges it.
 
 The frame as known and the points are weighted by their covariances (GUM 3.4.8, JCGM 101 5.1), so
-few or noisy points change the frame little, and can make it worse by little only. Nothing is
-inverted that may be singular: a frame may be known to move along one direction only.
+few or noisy points change the frame little. Nothing is inverted that may be singular.
 """
 
 from __future__ import annotations

@@ -115,12 +115,9 @@ class MeasuredGrid:
     covariance_mm2: Array
 
     def __post_init__(self) -> None:
-        for name, values, shape in (
-            ("errors", self.errors_mm, (*self.grid.shape, 3)),
-            ("covariances", self.covariance_mm2, (*self.grid.shape, 3, 3)),
-        ):
-            if np.shape(values) != shape:
-                raise GridError(f"{name}: shape {np.shape(values)}, wanted {shape}")
+        found, shape = (self.errors_mm.shape, self.covariance_mm2.shape), (*self.grid.shape, 3)
+        if found != (shape, (*shape, 3)):
+            raise GridError(f"errors and covariances: shapes {found}, expected {shape} and x 3")
 
 
 def _text(point: Array) -> str:

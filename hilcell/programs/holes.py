@@ -93,15 +93,14 @@ class Holes:
             for n, (one, two) in enumerate(near.tolist())
             if (other := two if one == n else one) != none
         }
-        return [self._twin(*pair) for pair in sorted(pairs)]
-
-    def _twin(self, first: int, second: int) -> str:
-        same_mm = 5e-4  # lists are rounded
-        off_mm = float(np.linalg.norm(self.points_mm[second] - self.points_mm[first]))
-        words = f"warning: {self.names[second]} and {self.names[first]} are"
-        if off_mm < same_mm:
-            return f"{words} one hole: same place, same normal"
-        return f"{words} {off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
+        same_mm, warnings = 5e-4, list[str]()  # lists are rounded
+        for first, second in sorted(pairs):
+            off_mm = float(np.linalg.norm(self.points_mm[second] - self.points_mm[first]))
+            how = f"{off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
+            if off_mm < same_mm:
+                how = "one hole: same place, same normal"
+            warnings.append(f"warning: {self.names[second]} and {self.names[first]} are {how}")
+        return warnings
 
 
 def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
