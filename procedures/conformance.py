@@ -156,7 +156,6 @@ class GuardedHome(Home):
 
 
 def _turns(now_rad: Array, to_rad: Array) -> str:
-    """Return which axes turn, from where to where."""
     now_deg, to_deg = np.degrees(now_rad), np.degrees(to_rad)
     stands_deg = 0.05  # an axis that turns by less is not announced
     turns = [
@@ -236,13 +235,11 @@ def _ports(cell: Cell) -> list[Port]:
 
 
 def _waiting(log: Log, port: Port) -> list[Promise]:
-    """Return the promises of a port of which the journal holds no outcome."""
     known = {each.promise for each in _found(log, port)}
     return [promise for promise in promises_of(port) if promise.name not in known]
 
 
 def _found(log: Log, port: str) -> list[Outcome]:
-    """Return the outcomes of a port that the journal holds."""
     judged = [each for each in log.happened(PromiseJudged) if each.port == port]
     return [typed(each, Outcome, from_attributes=True) for each in judged]
 

@@ -116,7 +116,6 @@ def orients(log: Log) -> bool:
 
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:
-    """Whether a model learnt from what was measured predicts orientation."""
     vertex = poses_at(cell, measured.grid.grid.origin_mm[None])
     return MODELS[name].learn(measured).predict(vertex).turn is not None
 

@@ -64,7 +64,6 @@ class Reflectors:
 
 
 def _places_of(cell: Cell) -> list[str]:
-    """Return the places whose reflectors are compared: floor, bars, flange."""
     seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
     return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
 

@@ -67,7 +67,6 @@ def places_mm(cell: Cell) -> Array:
 
 
 def _visits(log: Log) -> list[list[Point]]:
-    """Return the points of each place."""
     return [log.select("repeatability", place=n) for n in range(len(places_mm(log.cell)))]
 
 

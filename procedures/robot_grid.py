@@ -144,7 +144,6 @@ def _named(angles_deg: Sequence[float]) -> str:
 
 
 def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
-    """Return what to measure at poses (N, 4, 4) in {B}."""
     joints_rad = cell.robot.nominal().joints_for(poses)
     world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), angles_deg(T_W_B, poses)
     return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))

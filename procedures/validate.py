@@ -171,7 +171,6 @@ class Validate:
         self._judge_orientation(session)
 
     def _judge_orientation(self, session: CellSession) -> None:
-        """Journal whether a corrected orientation is better than before, and reflectors stayed."""
         stations = [station.name for station in session.cell.station]
         turns = validated_turns(session.log, stations)
         if set(BOTH) <= turns.keys() and orients(session.log):
@@ -224,7 +223,6 @@ def _places(cell: Cell) -> dict[str, list[str]]:
 
 
 def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
-    """Return the bounds of the corrected targets, where the run allows any."""
     calibration = learnt_so_far(log)
     if calibration is None:
         return {}

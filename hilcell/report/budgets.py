@@ -68,7 +68,6 @@ def target_budget(log: Log, run: str) -> TargetBudget:
 
 
 def _why_none(log: Log) -> str:
-    """Return why a run's journal makes no calibration."""
     used = calibration_in(log)
     no_fit = "this run has fitted no correction"
     if used is not None:

@@ -118,7 +118,6 @@ def procedure_words(facts: Facts) -> str:
 
 
 def _correction_words(facts: Facts) -> str:
-    """Return how a validated correction was found, from its journal."""
     log, reflectors = facts.log, len(facts.cell.robot.seats_mm)
     measured = "Position errors of the flange reflector"
     if reflectors > 1:

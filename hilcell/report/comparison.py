@@ -195,8 +195,6 @@ class _Side:
 
 
 class _Runs:
-    """Two runs of a cell that are compared."""
-
     def __init__(self, first: Log, second: Log) -> None:
         self._logs = first, second
         self._sides = _Side(first), _Side(second)
@@ -253,7 +251,6 @@ class _Runs:
                 yield Change("frames", place, "turned", "deg", None, None, deg, limit_deg)
 
     def _frame_limits(self, key: str) -> tuple[float | None, float | None]:
-        """Return the limits of a frame's move in mm and of its turn in deg."""
         first, second = (side.frame_covariance(key) for side in self._sides)
         if first is None or second is None:
             return None, None
@@ -265,7 +262,6 @@ class _Runs:
         return moved_mm, math.degrees(turned_rad)
 
     def same_grid(self) -> bool:
-        """Whether both have measured errors on the same lattice."""
         first, second = self._logs
         one, other = grid_of(first.cell), grid_of(second.cell)
         alike = one.shape == other.shape and one.pitch_mm == other.pitch_mm

@@ -73,8 +73,6 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """The lines of one run."""
-
     facts: Facts
 
     def lines(self) -> Iterator[Line]:
@@ -128,7 +126,6 @@ class _Course:
         return []
 
     def _start(self, log: Log) -> str:
-        """Return how a session begins."""
         operator = self.facts.inputs.operator or "The operator"
         how = "unattended" if self.facts.inputs.unattended else "attended"
         if not log.session:
@@ -214,14 +211,12 @@ class _Steps:
         self._idle, self._computed = set[int](), set[int]()
 
     def begin(self, line: int, name: str) -> None:
-        """Take the line with which a step begins."""
         self._now = line
         if name in self._known - MOVING | OPTIONAL:
             self._idle.add(line)
         self._known.add(name)
 
     def leave(self) -> None:
-        """Take the end of a session."""
         self._now = -1
 
     def take(self, record: Record, log: Log) -> None:

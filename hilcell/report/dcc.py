@@ -141,13 +141,10 @@ def dcc_bytes(facts: Facts) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class _Certificate:
-    """The content of a certificate."""
-
     facts: Facts
 
     @staticmethod
     def release(version: str) -> str:
-        """Return a version as the schema writes it."""
         return f"v{version}" if re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,3}", version) else version
 
     def statements(self) -> Iterator[Statement]:

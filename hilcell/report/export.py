@@ -118,7 +118,6 @@ def points(facts: Facts) -> list[Measured]:
 
 
 def _turns_deg(log: Log) -> dict[str, float]:
-    """Return by how much the tool was turned, by the keys of its points, where that is known."""
     seats = seats_of(log)
     if seats is None:
         return {}

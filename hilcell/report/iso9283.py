@@ -6,15 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 
-from hilcell.calibration.iso9283 import (
-    ANGLES,
-    CYCLE,
-    Angles,
-    Distance,
-    Pose,
-    PoseTest,
-    Worst,
-)
+from hilcell.calibration.iso9283 import ANGLES, CYCLE, Angles, Distance, Pose, PoseTest, Worst
 from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
 from hilcell.present.table import Column, Table
@@ -53,11 +45,9 @@ class PoseReport:
     def sentence(self) -> str:
         """Return what was found, in a sentence."""
         found = self.tested()
-        robot = (
-            f"The robot with the correction of run {found.corrected_by}"
-            if found.corrected_by
-            else "The robot as it is, not corrected,"
-        )
+        robot = "The robot as it is, not corrected,"
+        if found.corrected_by:
+            robot = f"The robot with the correction of run {found.corrected_by}"
         end = "" if found.limits else " No limits are stated to judge it by."
         return (
             f"{robot} attains commanded positions to {found.worst.ap_mm:.3f} mm (AP) and returns "
@@ -83,7 +73,6 @@ class PoseReport:
         if not tests_poses(self.facts):
             return []
         found = self.tested()
-        turns = found.orientation.items()
         columns: tuple[Column[tuple[str, str]], ...] = (
             Column("condition", itemgetter(0)),
             Column("in this test", itemgetter(1)),
@@ -98,14 +87,14 @@ class PoseReport:
             Column("RD ±", attrgetter("rd_mm"), "mm", ".4f"),
             Column("U(RD)", attrgetter("rd_u95_mm"), "mm", ".4f"),
         )
-        distance_note = (
-            "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
-        )
+        note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
         return [
             Table(columns, _conditions(found), "Test conditions"),
             Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
-            Table(TURNS, turns, "Accuracy and repeatability of angles", TURNS_NOTE),
-            Table(distance, [found.distance], "Distance accuracy and repeatability", distance_note),
+            Table(
+                TURNS, found.orientation.items(), "Accuracy and repeatability of angles", TURNS_NOTE
+            ),
+            Table(distance, [found.distance], "Distance accuracy and repeatability", note),
         ]
 
     def departures(self) -> list[str]:
@@ -117,11 +106,8 @@ class PoseReport:
         if not tests_poses(self.facts):
             return []
         found = self.tested()
-        return [
-            ("Velocity", _velocity(found)),
-            ("Load", _load(found)),
-            ("Cycles", str(found.cycles)),
-        ]
+        load = ("Load", _load(found))
+        return [("Velocity", _velocity(found)), load, ("Cycles", str(found.cycles))]
 
 
 def _columns(
@@ -224,6 +210,3 @@ TURNS_NOTE = (
     "a, b, c: rotations about x, y, z of {B} from the commanded orientation. AP: their mean; RP = "
     "±3 S of them. AP is blank where no calibration says where the reflectors are on the flange."
 )
-
-
-# -- figures --------------------------------------------------------------------------------------

@@ -129,13 +129,12 @@ def over_bound(facts: Facts, budget: TargetBudget) -> str:
     for edge, count in zip(edges, counts, strict=False):
         left, top = x.one(edge), y.one(float(count))
         fill = "#7fa6c9" if edge < 1.0 - bin_wide / 2 else "#fff"
-        parts.append(
-            rectangle(left, top, x.one(edge + bin_wide) - left, y.begin - top, fill, AFTER)
-        )
+        wide = x.one(edge + bin_wide) - left
+        parts.append(rectangle(left, top, wide, y.begin - top, fill, AFTER))
     middles = np.linspace(0.0, most, 61)
-    parts.append(
-        path(frame.at(middles, len(ratios) * bin_wide * _maxwell(middles)), INK, 0.4, "1.4 1")
-    )
+    u = 2.796 * middles  # in sigma: a bound is chi of three degrees of freedom, 95 %
+    density = 2.796 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)  # Maxwell's law
+    parts.append(path(frame.at(middles, len(ratios) * bin_wide * density), INK, 0.4, "1.4 1"))
     at, beyond = x.one(1.0), int((ratios > 1.0).sum())
     parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
     share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"
@@ -167,14 +166,6 @@ def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
     yield path(frame.at(shares, norms_mm), MUTED, 0.4, "0.3 0.8")
     words = f"dotted: floor by repeatability, {repeated.floor_mm:.3f}"
     yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
-
-
-def _maxwell(ratios: Array) -> Array:
-    """Return the density of |e| over its 95 % bound for three equal normal coordinates."""
-    k_95 = 2.796  # bound over sigma: chi of three degrees of freedom
-    u = k_95 * ratios
-    found: Array = k_95 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)
-    return found
 
 
 def vectors(facts: Facts) -> str:
@@ -257,11 +248,9 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
     least_mm = 0.005  # the scale begins here
     scale = Scale(least_mm, 1.3 * largest, left_mm, width_mm - 2.0, logarithmic=True)
     bottom = top_mm + row_mm * len(results)
-    parts = [
-        part
-        for n, (name, each) in enumerate(results)
-        for part in _strip_row(name, each, scale, top_mm + row_mm * (n + 0.5))
-    ]
+    parts = list[str]()
+    for n, (name, each) in enumerate(results):
+        parts += _strip_row(name, each, scale, top_mm + row_mm * (n + 0.5))
     parts.append(path([(scale.begin, bottom), (scale.end, bottom)]))
     for tick in scale.ticks():
         at = scale.one(tick)
@@ -307,11 +296,8 @@ def variance_bar(budget: TargetBudget, simulated: bool) -> str:
         return ""
     width_mm, height_mm, bar_mm = 55.0, 90.0, 12.0
     shades = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
-    parts: list[str] = []
-    top = 1.0
-    shares = _shares(budget, len(shades))
-    tops: list[float] = []
-    scale = (height_mm - 2.0) / 100.0
+    parts, tops, top = list[str](), list[float](), 1.0
+    shares, scale = _shares(budget, len(shades)), (height_mm - 2.0) / 100.0
     white_on = 2  # so many shades are dark
     least_mm = 5.0  # of a part that has its share written in it
     for shade, (_, percent, _) in zip(shades, shares, strict=False):
@@ -327,12 +313,9 @@ def variance_bar(budget: TargetBudget, simulated: bool) -> str:
     places = [pitch * each for each in apart([each / pitch for each in tops])]
     below = min(0.0, height_mm - 4.0 - places[-1])  # the last label ends inside
     for at, place, (name, percent, u_mm) in zip(tops, places, shares, strict=True):
-        y = place + below
-        parts.append(path([(bar_mm, at), (bar_mm + 2.5, y)], HAIR))
-        parts.append(text(bar_mm + 3.5, y, name, bold=True))
-        parts.append(
-            text(bar_mm + 3.5, y + 3.4, f"u {u_mm:.4f} mm, {percent:.1f} %", "start", MUTED)
-        )
+        x, y, share = bar_mm + 3.5, place + below, f"u {u_mm:.4f} mm, {percent:.1f} %"
+        parts += [path([(bar_mm, at), (bar_mm + 2.5, y)], HAIR), text(x, y, name, bold=True),
+                  text(x, y + 3.4, share, "start", MUTED)]  # fmt: skip
     return svg(width_mm, height_mm, "Shares of the variance", parts, simulated)
 
 
@@ -371,10 +354,8 @@ def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[
     curve_mm, spectrum_mm = (12.0, 108.0), (122.0, 176.0)
     joint_deg, measured_urad, by_curve_urad = np.array(record.shown).T
     size = round_up(float(np.abs(measured_urad).max()))
-    frame = Frame(
-        Scale(float(joint_deg.min()), float(joint_deg.max()), *curve_mm),
-        Scale(-size, size, low, high),
-    )
+    joints = Scale(float(joint_deg.min()), float(joint_deg.max()), *curve_mm)
+    frame = Frame(joints, Scale(-size, size, low, high))
     yield frame.drawn("joint, °", f"A{record.axis}: error, µrad")
     yield path(frame.at(joint_deg, measured_urad), HATCH, 0.3)
     if record.holds:
@@ -382,21 +363,13 @@ def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[
     else:
         yield text(curve_mm[1], high - 1.0, f"not used: {record.reason}", "end")
     cycles, amplitude_urad = np.array(record.spectrum).T
-    across = Frame(
-        Scale(max(10.0, float(cycles.min())), float(cycles.max()), *spectrum_mm, logarithmic=True),
-        Scale(0.0, most_urad, low, high),
-    )
+    ends = max(10.0, float(cycles.min())), float(cycles.max())
+    across = Frame(Scale(*ends, *spectrum_mm, logarithmic=True), Scale(0.0, most_urad, low, high))
     yield across.drawn("cycles per revolution (logarithmic)", "")
     yield path(across.at(cycles, amplitude_urad), INK, 0.3)
     half_mm = 17.0 / 2  # of the widest label
     for at, amplitude in zip(record.cycles, record.amplitudes_urad, strict=True):
         x, y = across.x.one(at), across.y.one(float(amplitude))
         yield circle(x, y, 0.8, AFTER, AFTER)
-        yield text(
-            min(max(x, spectrum_mm[0] + half_mm), width_mm - half_mm),
-            y - 1.4,
-            f"{at:.1f}: {amplitude:.0f}",
-            "middle",
-            AFTER,
-            bold=True,
-        )
+        x = min(max(x, spectrum_mm[0] + half_mm), width_mm - half_mm)
+        yield text(x, y - 1.4, f"{at:.1f}: {amplitude:.0f}", "middle", AFTER, bold=True)

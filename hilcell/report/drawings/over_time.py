@@ -33,14 +33,12 @@ WIDTH_MM, HEIGHT_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 88.0, 46.0, 12.0, 6.5, 10.0
 
 def floor_moves(facts: Facts) -> str:
     """Return how far each floor nest was from its first measurement; "" without any again."""
-    moves = control_moves(facts.log)
+    moves, time_axis = control_moves(facts.log), _Times(facts)
     if not moves:
         return ""
-    time_axis = _Times(facts)
-    times = time_axis.times()
-    at_s = np.array([times[point.key] for point, _ in moves])
+    times, points = time_axis.times(), [point for point, _ in moves]
+    at_s = np.array([times[point.key] for point in points])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
-    points = [point for point, _ in moves]
     limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
     beyond = 1.25  # the limit
     most_mm = beyond * max(limit_mm, float(size_mm.max()))
@@ -99,8 +97,6 @@ def air(facts: Facts) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Times:
-    """The time of one run."""
-
     facts: Facts
 
     def times(self) -> dict[str, float]:
@@ -129,15 +125,11 @@ class _Times:
         """Yield a hatched box for each time between two sessions."""
         before = ""
         for record in self.facts.records:
-            change = record.fact if record.kind == "state" else None
-            if isinstance(change, StateChanged) and (change.machine, change.to) == (
-                "run",
-                "checking",
-            ):
-                begin = _seconds(before or record.t)
-                left, right = frame.x.one(begin), frame.x.one(_seconds(record.t))
-                yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)
-                before = record.t
+            match record.fact:
+                case StateChanged(machine="run", to="checking"):
+                    left, right = (frame.x.one(_seconds(t)) for t in (before or record.t, record.t))
+                    yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)
+                    before = record.t
             before = before and record.t
 
 

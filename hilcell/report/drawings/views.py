@@ -78,11 +78,9 @@ class _Plan:
         """Return the corners (4, 2) of a station's volume in {W}."""
         grid = self._cell.grid
         half = np.array(grid.size_mm)[:2] / 2
-        centre = grid.centre
-        corners = [
-            (centre.x_mm + x * half[0], centre.y_mm + y * half[1], centre.z_mm)
-            for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        ]
+        x, y, z = grid.centre.x_mm, grid.centre.y_mm, grid.centre.z_mm
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        corners = [(x + one * half[0], y + other * half[1], z) for one, other in signs]
         return apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
 
     def _across(self) -> Array:
@@ -106,12 +104,10 @@ class _Plan:
             bold = station.name == self._cell.grid.station
             x, y = self._at(at)
             if bold:
-                yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
+                yield circle(x, y, 1.6, "#fff", INK)
             beside = self._rail_corners() if not self._cell.has_rail else (at + across, at - across)
             right = max(self._at(corner)[0] for corner in beside)
-            room_mm = self._room_mm(right + 0.8)
-            name = shortened(station.name, room_mm)
-            yield text(right + 0.8, y + 0.9, name, bold=bold, most_mm=room_mm)
+            yield self._name(station, right, y + 0.9, INK, bold)
 
     def _volumes(self) -> Iterator[str]:
         for station in self._cell.station:
@@ -124,27 +120,25 @@ class _Plan:
             right = max(self._at(corner)[0] for corner in corners_mm)
             top = min(self._at(corner)[1] for corner in corners_mm)
             y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
-            room_mm = self._room_mm(right + 0.8)
-            name = shortened(station.name, room_mm)
-            yield text(right + 0.8, y, name, "start", AFTER, own, room_mm)
-        middle_mm = self._volume_mm(self._cell.reference).mean(axis=0)
-        yield self._line(
-            self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'
-        )
+            yield self._name(station, right, y, AFTER, own)
+        middle_mm, style = self._volume_mm(self._cell.reference).mean(axis=0), f'stroke="{MUTED}"'
+        yield self._line(self._tracker_mm, middle_mm, f'{style} stroke-dasharray="0.5 0.8"')
 
-    def _room_mm(self, x: float) -> float:
-        """Return how wide a station's name at ``x`` may be: to the next volume or the tracker."""
+    def _name(self, station: Station, right: float, y: float, colour: str, bold: bool) -> str:
+        """Return a station's name, as wide as there is room to the next volume or the tracker."""
+        x = right + 0.8
         begins = [
             min(self._at(corner)[0] for corner in self._volume_mm(station))
             for station in self._cell.station
         ]
         ends = (*begins, self._at(self._tracker_mm)[0] - self.TRACKER_MM, self.WIDTH_MM)
-        return max(min(end - x for end in ends if end > x) - 0.8, self.LEAST_NAME_MM)
+        room_mm = max(min(end - x for end in ends if end > x) - 0.8, self.LEAST_NAME_MM)
+        return text(x, y, shortened(station.name, room_mm), "start", colour, bold, room_mm)
 
     def _nests(self) -> Iterator[str]:
         for name, at_mm in self._floor:
             x, y = self._at(at_mm)
-            yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="0.8" fill="#fff" stroke="{INK}"/>'
+            yield circle(x, y, 0.8, "#fff", INK)
             yield text(x + 1.3, y - 0.8, name)
         if not self._floor:
             return
@@ -193,8 +187,7 @@ def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
     corners = [centre - half * (1, 0, 1), centre + half * (1, 0, 1)]
     seen = np.array([[across @ each, each[2]] for each in apply(T, corners)])
     volume = np.array([seen.min(axis=0), seen.max(axis=0)])
-    robot = np.array([across @ T[:3, 3], T[2, 3]])
-    tracker = np.array([across @ tracker_mm, tracker_mm[2]])
+    robot, tracker = (np.array([across @ at_mm, at_mm[2]]) for at_mm in (T[:3, 3], tracker_mm))
     floor = min((float(nest.xyz_mm[2]) for nest in cell.layout.floor), default=0.0)
     return _Side(volume, robot, tracker, floor).svg(simulated)
 
