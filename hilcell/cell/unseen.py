@@ -10,35 +10,31 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import Array
 
-SCALE_PPM = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
-SLIP_DEG = 0.003  # at random, 1 sigma, at each stop
-SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves targets
-
 
 def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     """Return what no comparison of runs shows; ``turns_over``: nests are seen in both faces."""
     found = []
     useful_ppm = 30.0  # of a certified length that is of use
+    scale_ppm = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
+    slip_deg = 0.003  # at random, 1 sigma, at each stop
     layout, centre = cell.layout, cell.grid.centre.matrix()
     T_W_B = layout.nominal_base(cell.reference.rail_mm)
     centre_mm = apply(T_W_B, centre[None, :3, 3])[0]  # of the cube, in {W}
     range_mm = np.linalg.norm(centre_mm - cell.tracker.pose.matrix()[:3, 3])
-    scaled_mm = 1e-6 * SCALE_PPM * np.linalg.norm(centre_mm - layout.floor[0].xyz_mm)
-    slipped_mm = np.radians(SLIP_DEG) * np.linalg.norm(centre[:3, 3])
+    scaled_mm = 1e-6 * scale_ppm * np.linalg.norm(centre_mm - layout.floor[0].xyz_mm)
+    scaled = f"{scale_ppm:g} ppm move targets by {scaled_mm:.2f} mm"
+    slipped_mm = np.radians(slip_deg) * np.linalg.norm(centre[:3, 3])
     at_mm = {nest.name: nest.xyz_mm for nest in layout.standing}
     ways_mm = [at_mm[one] - at_mm[other] for one, other in (each.nests for each in layout.length)]
     # The least scale that a certified length tells by its U (k = 2).
     least_ppm = min((2e6 * each.u_mm / each.length_mm for each in layout.length), default=np.inf)
     if not layout.length:
-        found.append(
-            "no certified length (layout.length): a wrong scale of the tracker is not seen; "
-            f"{SCALE_PPM:g} ppm move targets by {scaled_mm:.2f} mm"
-        )
+        unscaled = "a wrong scale of the tracker is not seen"
+        found.append(f"no certified length (layout.length): {unscaled}; {scaled}")
     elif not least_ppm <= useful_ppm:
         found.append(
             f"the certified lengths (layout.length) tell scales beyond {least_ppm:.0f} ppm alone, "
-            f"by their U (2 u_mm); {SCALE_PPM:g} ppm move targets by {scaled_mm:.2f} mm: is u_mm "
-            "in mm?"
+            f"by their U (2 u_mm); {scaled}: is u_mm in mm?"
         )
     elif not _differ(ways_mm):
         found.append(
@@ -54,7 +50,7 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
         found.append(
             "the robot's repeatability is not stated (robot.rp_mm, of its data sheet): one "
             "that repeats worse from the first point on, as a brake of axis 2 that slips by "
-            f"{SLIP_DEG:g} deg, is not seen; it moves targets by {slipped_mm:.2f} mm (rms)"
+            f"{slip_deg:g} deg, is not seen; it moves targets by {slipped_mm:.2f} mm (rms)"
         )
     found.append(
         "a reflector that differs from the others in its own place: a prism 0.15 mm long on the "
@@ -66,8 +62,8 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
         "the first point on: it looks like an error of the tool, and moves the tool by as much"
     )
     found.append(
-        f"reflectors that are not seated well: dirt of {SEATING_MM:g} mm in each floor nest moves "
-        f"targets by {SEATED_MM:g} mm, and nothing shows it; clean nests and reflectors"
+        "reflectors that are not seated well: dirt of 0.03 mm in each floor nest moves targets by "
+        "0.07 mm, and nothing shows it; clean nests and reflectors"
     )
     return found
 

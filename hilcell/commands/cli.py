@@ -18,14 +18,7 @@ from typing import TYPE_CHECKING
 
 from hilcell import __version__
 from hilcell.arguments import Signature
-from hilcell.commands import orders
-from hilcell.commands.output import (
-    flush_data,
-    never_fail_to_encode,
-    print_error,
-    print_json,
-    print_message,
-)
+from hilcell.commands import orders, output
 from hilcell.commands.parser import Parser, made
 from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED, HilcellError, exit_code
 from hilcell.run.order import Order, Resume
@@ -158,10 +151,10 @@ def main(
     words: Sequence[str] | None = None, *, imported: Callable[[], object] = lambda: None
 ) -> int:
     """Run one command and return its exit code; ``imported`` is called when the command begins."""
-    never_fail_to_encode((sys.stdout, sys.stderr))
+    output.never_fail_to_encode((sys.stdout, sys.stderr))
     words = sys.argv[1:] if words is None else words
     if not words:
-        print_message(FIRST)
+        output.print_message(FIRST)
         return EXIT_REFUSED
     try:
         act, takes, values = read(words)
@@ -176,9 +169,9 @@ def main(
         if "runs" in values:
             values["runs"] = _runs_of(values["runs"])
         code = int(perform(made(takes, values)))
-        flush_data()
+        output.flush_data()
     except KeyboardInterrupt:
-        print_message("hilcell: interrupted")
+        output.print_message("hilcell: interrupted")
         return EXIT_ABORTED
     except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
         return _refuse(error, as_json=takes is Order and bool(values["json"]))
@@ -196,16 +189,16 @@ def _runs_of(named: Path | None) -> Path:
         return folder
     usual, note = usual_runs(os.environ)
     if note:
-        print_message(note)
+        output.print_message(note)
     return usual
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:
     code = exit_code(error)
-    print_error(error)
+    output.print_error(error)
     if as_json:
         end: dict[str, object] = {"kind": "end", "run": None, "state": "idle", "exit": code}
         with suppress(NotPrinted):  # the first error is the one to report
-            print_json(end | {"result": {}, "reason": str(error)})
-            flush_data()
+            output.print_json(end | {"result": {}, "reason": str(error)})
+            output.flush_data()
     return code
