@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -77,8 +78,7 @@ INVARIANTS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Break:
+class Break(NamedTuple):
     """A place where an invariant is broken."""
 
     seq: int
@@ -99,29 +99,11 @@ class Proof:
         return not self.broken
 
 
-class Tally:
-    """The verdicts of all invariants, by name."""
-
-    def __init__(self) -> None:
-        self.verdicts = {name: Proof() for name in INVARIANTS}
-
-    def check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
-        """Count one check; ``what`` says what is wrong where it does not hold."""
-        verdict = self.verdicts[invariant]
-        verdict.checked += 1
-        if not holds:
-            verdict.broken.append(Break(record.seq, what))
-
-    def unproven(self, invariant: str, record: Record, what: str) -> None:
-        """Note a place that cannot be judged."""
-        self.verdicts[invariant].unproven.append(Break(record.seq, what))
-
-
 def judge(records: Iterable[Record]) -> dict[str, Proof]:
     """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
-    tally, scene = Tally(), Scene()
+    verdicts, scene = {name: Proof() for name in INVARIANTS}, Scene()
     kinds = (_LifeRules, _Motions, _Measurements, _TrackerSetUps, _Identities)
-    rules: list[Rules] = [each(tally, scene) for each in kinds]
+    rules: list[Rules] = [each(verdicts, scene) for each in kinds]
     for record in records:
         try:
             for each in rules:
@@ -133,7 +115,7 @@ def judge(records: Iterable[Record]) -> dict[str, Proof]:
                 f"{FETCH}",
                 code="HC-J02",
             ) from error
-    return tally.verdicts
+    return verdicts
 
 
 # -- the run as the records so far state it: rules look at it before a record is added ------------
@@ -324,12 +306,19 @@ def nest_of(key: str) -> str:
 class Rules:
     """Judge each record by what the records before it say."""
 
-    def __init__(self, tally: Tally, scene: Scene) -> None:
-        self._tally, self._check, self._scene = tally, tally.check, scene
+    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
+        self._verdicts, self._scene = verdicts, scene
 
     def take(self, record: Record) -> None:
         """Judge a record."""
         raise NotImplementedError
+
+    def _check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
+        """Count one check; ``what`` says what is wrong where it does not hold."""
+        verdict = self._verdicts[invariant]
+        verdict.checked += 1
+        if not holds:
+            verdict.broken.append(Break(record.seq, what))
 
 
 class _Motions(Rules):
@@ -552,10 +541,9 @@ def _columns(points: Sequence[Point]) -> tuple[Array, Array, Array]:
 class _LifeRules(Rules):
     """Judges states, teardowns and ends."""
 
-    def __init__(self, tally: Tally, scene: Scene) -> None:
-        super().__init__(tally, scene)
+    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
+        super().__init__(verdicts, scene)
         self._seq = 0
-        self._state = "idle"
         self._closings: list[Closed] = []  # of this session
         self._reason = ""  # the first of this session's fault
         self._ended = False  # this session; a resume that was refused ends once more
@@ -583,14 +571,14 @@ class _LifeRules(Rules):
                 self._check("I17", record, until < record.seq, unseen)
 
     def _life(self, record: Record, life: StateChanged) -> None:
-        what = f"state was {self._state}, not {life.before}"
-        self._check("I9", record, life.before == self._state, what)
-        if life.to == "running" and self._state in WAITING:
-            found = f"{self._state} went on by {life.by or 'nobody'}"
-            self._check("I13", record, life.by in GOES_ON[self._state], found)
+        state = self._scene.state
+        what = f"state was {state}, not {life.before}"
+        self._check("I9", record, life.before == state, what)
+        if life.to == "running" and state in WAITING:
+            found = f"{state} went on by {life.by or 'nobody'}"
+            self._check("I13", record, life.by in GOES_ON[state], found)
         if life.to == "checking":
             self._closings, self._reason, self._ended = [], "", False
-        self._state = life.to
         if life.to in OVER:
             count = len(self._closings)
             self._check("I7", record, count == 1, f"teardown ran {count} times")
@@ -607,7 +595,8 @@ class _LifeRules(Rules):
         for device in ("Rail", "Robot"):
             problem = problems.get(device, "")
             if problem and to == "faulted":
-                self._tally.unproven("I12", record, f"{device}: {problem}")
+                unknown = Break(record.seq, f"{device}: {problem}")
+                self._verdicts["I12"].unproven.append(unknown)
             else:
                 held, what = bool(self._closings) and not problem, problem or "it was not closed"
                 self._check("I12", record, held, f"{device}: {what}")
@@ -716,8 +705,8 @@ class _Measurements(Rules):
 class _Identities(Rules):
     """Compares what answered with what answered before."""
 
-    def __init__(self, tally: Tally, scene: Scene) -> None:
-        super().__init__(tally, scene)
+    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
+        super().__init__(verdicts, scene)
         self._before: dict[str, Asset] = {}
         self._hilcell = ""
         self._accepted = False  # since the last connection
