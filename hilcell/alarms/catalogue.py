@@ -51,7 +51,7 @@ class Entry:
 
     def __post_init__(self) -> None:
         if self.by and len(self.by) != len(self.do):
-            raise ValueError(f"{self.code}: by: {len(self.do)} words are wanted, one a step")
+            raise ValueError(f"{self.code}: by: expected {len(self.do)} words, one a step")
 
     @property
     def checked_by(self) -> tuple[By, ...]:

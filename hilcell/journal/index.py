@@ -203,13 +203,11 @@ def matches(row: RunRow, words: str) -> bool:
 
 
 def _holds(word: str, row: RunRow, whole: str) -> bool:
-    text = word.removeprefix("-")
+    text, where = word.removeprefix("-"), whole
     field, colon, value = text.partition(":")
     if colon and field in _LOOKS:
-        where, text = _LOOKS[field](row).casefold(), value
-        found = text == where if where.isdecimal() else text in where
-    else:
-        found = text in whole
+        text, where = value, _LOOKS[field](row).casefold()
+    found = text == where if where.isdecimal() else text in where
     return not text or found != word.startswith("-")
 
 

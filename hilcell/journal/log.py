@@ -630,16 +630,14 @@ def other_assets(before: Mapping[str, Asset], now: Mapping[str, Asset]) -> list[
     A firmware that was not stated once proves nothing.
     """
 
-    def same(one: Asset, other: Asset) -> bool:
+    def same(one: Asset | None, other: Asset | None) -> bool:
+        if one is None or other is None:
+            return False
         known = (one.maker, one.model, one.serial) == (other.maker, other.model, other.serial)
         return known and (one.firmware == other.firmware or "" in (one.firmware, other.firmware))
 
-    there = before.keys() & now.keys()
-    return sorted(
-        kind
-        for kind in before.keys() | now.keys()
-        if kind not in there or not same(before[kind], now[kind])
-    )
+    kinds = sorted(before.keys() | now.keys())
+    return [kind for kind in kinds if not same(before.get(kind), now.get(kind))]
 
 
 def differing(first: list[Asset], second: list[Asset]) -> list[tuple[Asset, Asset]]:

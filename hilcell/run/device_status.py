@@ -101,14 +101,10 @@ class DeviceMonitor:
 
     def status(self) -> DeviceStatus:
         """Return it in words."""
-        state = "unknown" if self.taken_s is None else "fresh"
-        if self.reason:
-            state = "lost"
-        elif self.moving:
-            state = "moving"
-        age_s = None
+        state, age_s = "unknown", None
         if self.taken_s is not None:
-            age_s = round(max(0.0, self._clock.pc_s() - self.taken_s), 2)
+            state, age_s = "fresh", round(max(0.0, self._clock.pc_s() - self.taken_s), 2)
+        state = "lost" if self.reason else "moving" if self.moving else state
         return DeviceStatus(state, age_s, self.text, self.reason)
 
 
@@ -149,8 +145,7 @@ class CellMonitor:
     def lost(self) -> dict[str, DeviceError]:
         """Return, by name, the devices that did not answer when they were last asked."""
         monitors = {"rail": self.rail, "robot": self.robot, "tracker": self.tracker}
-        errors = {name: monitor.error for name, monitor in monitors.items()}
-        return {name: error for name, error in errors.items() if error is not None}
+        return {name: each.error for name, each in monitors.items() if each.error is not None}
 
     def take_rail(self, reading: RailReading) -> RailReading:
         """Show a reading of the rail, which carries the strip's."""

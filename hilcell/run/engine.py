@@ -146,10 +146,8 @@ class Engine:
 
     def _live(self, noted: list[signal.Signals], stack: ExitStack) -> Ending:
         """Perform on devices that ``stack`` closes."""
-        cell, folder, journal, log = (
-            self.plan.cell, self.plan.folder, self.journal, self.journal.log,
-        )  # fmt: skip
-        inputs, stop = log.inputs, TimedStop()
+        cell, folder, journal = self.plan.cell, self.plan.folder, self.journal
+        log, inputs, stop = journal.log, journal.log.inputs, TimedStop()
         with stopped_by_signals(noted):  # it waits for another process
             simulated = start_simulation(
                 cell,
@@ -192,8 +190,8 @@ class Engine:
     def _recording(self, addresses: Addresses) -> WireRecording:
         """Return the relays that record the devices' wires, and say which are left out."""
         cell, folder, log = self.plan.cell, self.plan.folder, self.journal.log
-        inputs, stated = log.inputs, msgspec.to_builtins(cell)
-        head = Head(folder.name, inputs.procedure, inputs.seed, log.session + 1, stated)
+        procedure, seed, stated = log.inputs.procedure, log.inputs.seed, msgspec.to_builtins(cell)
+        head = Head(folder.name, procedure, seed, log.session + 1, stated)
         recording = WireRecording(cell, addresses, folder, head)
         for table, why in recording.left_out.items():
             self._say(f"warning: the wire of the {table} is not recorded: {why}")

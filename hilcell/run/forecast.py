@@ -146,7 +146,10 @@ class Forecast:
         fact, moment = record.fact, datetime.fromisoformat(record.t)
         begins = isinstance(fact, StateChanged) and fact.to == "checking"
         if not begins and record.kind != "end":  # a session may end that never began
-            self._pass(moment)
+            passed_s = self._under_way_s(moment)
+            self._worked_s += passed_s
+            if (step := self._step) is not None:
+                step.since_s += passed_s
         self._latest = moment
         match fact:
             case PlanRecord() as plan:
@@ -234,12 +237,6 @@ class Forecast:
         unlike = READINGS if joints else FLANGE if group == CONTROL else ""
         if (seen := step.measure(again=again, unlike=unlike)) is not None:
             self._pace.learn(*seen)
-
-    def _pass(self, moment: datetime) -> None:
-        passed_s = self._under_way_s(moment)
-        self._worked_s += passed_s
-        if (step := self._step) is not None:
-            step.since_s += passed_s
 
     def _under_way_s(self, now: datetime) -> float:
         if not self._working or self._latest is None:

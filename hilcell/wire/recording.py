@@ -212,8 +212,6 @@ def _pieces(text: bytes, path: Path) -> Iterator[Piece]:
         except msgspec.DecodeError as error:
             raise ValueError(f"{path}:{number} is no line of one: {error}") from error
         if piece.k != piece.check:
-            found = piece.k or "none"
-            raise ValueError(
-                f"{path}:{number} was changed: check sum {piece.check} is wanted, found {found}"
-            )
+            sums = f"expected check sum {piece.check}, got {piece.k or 'none'}"
+            raise ValueError(f"{path}:{number} was changed: {sums}")
         yield piece
