@@ -3,12 +3,4 @@
 from hilcell.alarms.alarm import Alarm, Latch, Latched, alarms_of
 from hilcell.alarms.catalogue import Entry, Severity, catalogue
 
-__all__ = [
-    "Alarm",
-    "Entry",
-    "Latch",
-    "Latched",
-    "Severity",
-    "alarms_of",
-    "catalogue",
-]
+__all__ = ["Alarm", "Entry", "Latch", "Latched", "Severity", "alarms_of", "catalogue"]

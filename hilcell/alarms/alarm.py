@@ -386,10 +386,7 @@ class Latch:
         self._seen: dict[tuple[str, int, str], Alarm] = {}
 
     def take(
-        self,
-        alarms: Iterable[Alarm],
-        at: str = "",
-        acknowledged: Mapping[str, int] | None = None,
+        self, alarms: Iterable[Alarm], at: str = "", acknowledged: Mapping[str, int] | None = None
     ) -> None:
         """Latch those that were not seen before; ``alarms`` are all that the journal raises now.
 

@@ -48,10 +48,6 @@ from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 from hilcell.typed import typed
 
-GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
-    "paused": ("command",),
-    "suspended": ("command", "answer", "look"),
-}
 FUTURE_S = -0.001  # two readings of one clock
 NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
@@ -575,8 +571,10 @@ class _LifeRules(Rules):
         what = f"state was {state}, not {life.before}"
         self._check("I9", record, life.before == state, what)
         if life.to == "running" and state in WAITING:
+            # A good look is an unattended run's, after a failed reading.
+            may = ("command",) if state == "paused" else ("command", "answer", "look")
             found = f"{state} went on by {life.by or 'nobody'}"
-            self._check("I13", record, life.by in GOES_ON[state], found)
+            self._check("I13", record, life.by in may, found)
         if life.to == "checking":
             self._closings, self._reason, self._ended = [], "", False
         if life.to in OVER:

@@ -44,7 +44,6 @@ SCHEMA = 11  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
-BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 T = TypeVar("T")
 _TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
 
@@ -132,7 +131,8 @@ def read_index(runs: Path) -> list[RunRow]:
     stamps = _stamps(runs)
     rows = _known(runs / NAME, stamps) if stamps else {}
     missing = (name for name in stamps if name not in rows)
-    while batch := {name: row_of(runs / name) for name in islice(missing, BATCH)}:
+    # So many rows a commit: a first build that is interrupted is not lost.
+    while batch := {name: row_of(runs / name) for name in islice(missing, 200)}:
         _keep(runs / NAME, batch, stamps)
         rows |= batch
     return in_order(rows.values())[::-1]

@@ -379,12 +379,7 @@ class Mover:
             return motion.drive([safe_rad], cell.robot.speed_percent, "park")
 
     def robot_to(
-        self,
-        joints_rad: Array,
-        what: str,
-        *,
-        above: bool = False,
-        straight: Straight | None = None,
+        self, joints_rad: Array, what: str, *, above: bool = False, straight: Straight | None = None
     ) -> RobotReading:
         """Go to joints (6,), every axis from below, or from ``above``, or ``straight``, and settle.
 

@@ -40,8 +40,7 @@ class Attendance(Signature):
         bool, Argument("a screen has ordered this: nothing moves before one attends")
     ] = False
     record_wire: Annotated[
-        bool,
-        Argument("keep all bytes to and from the devices, with times, beside the journal"),
+        bool, Argument("keep all bytes to and from the devices, with times, beside the journal")
     ] = False
 
 

@@ -133,8 +133,7 @@ class Procedure:
                 refusals.append(f"{part.name}: {error}")
         if refusals:
             raise HilcellError(
-                f"{self.name} refused before anything moves\n" + "\n".join(refusals),
-                code="HC-C10",
+                f"{self.name} refused before anything moves\n" + "\n".join(refusals), code="HC-C10"
             )
         return Plan(steps)
 

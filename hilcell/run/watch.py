@@ -98,12 +98,7 @@ class Watch:
         return reading
 
     def measured_in_world(
-        self,
-        key: str,
-        place: str,
-        expected_mm: Array,
-        samples: int,
-        limit_mm: float | None = None,
+        self, key: str, place: str, expected_mm: Array, samples: int, limit_mm: float | None = None
     ) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,) in {W}; see `measured`.
 
