@@ -450,7 +450,7 @@ class EmsconSettings:
         """
         found = self._numbers_of(setting.read, setting.layout)
         self._news.difference_update(setting.changes)  # our own; the reading is younger
-        if not _same(found, values):
+        if not self._same(found, values):
             raise TRACKER.refused(
                 "HC-T06",
                 f"set {setting.words}",
@@ -500,7 +500,7 @@ class EmsconSettings:
     def prove(self) -> None:
         """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
         if Change.COMPENSATION in self._news:
-            raise _changed("compensation", "it was changed", "the one of before")
+            raise self._changed("compensation", "it was changed", "the one of before")
         all_of_them = Change.SERVER_STARTED in self._news
         for setting in self._kept:
             if all_of_them or not self._news.isdisjoint(setting.changes):
@@ -510,13 +510,13 @@ class EmsconSettings:
     def read_again(self, setting: Setting) -> None:
         """Raise `DeviceError` where a setting is no longer the kept one."""
         found, kept = self._numbers_of(setting.read, setting.layout), self._kept[setting]
-        if not _same(found, kept):
-            raise _changed(setting.words, f"now reads {found}", f"{kept}")
+        if not self._same(found, kept):
+            raise self._changed(setting.words, f"now reads {found}", f"{kept}")
 
+    @staticmethod
+    def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
+        return bool(np.allclose(found, expected, rtol=1e-6, atol=1e-6))
 
-def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
-    return bool(np.allclose(found, expected, rtol=1e-6, atol=1e-6))
-
-
-def _changed(name: str, found: str, expected: str) -> DeviceError:
-    return TRACKER.failed("HC-T06", f"read {name} again", found, wanted=expected, setting=name)
+    @staticmethod
+    def _changed(name: str, found: str, expected: str) -> DeviceError:
+        return TRACKER.failed("HC-T06", f"read {name} again", found, wanted=expected, setting=name)

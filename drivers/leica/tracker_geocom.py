@@ -466,7 +466,7 @@ class LeicaGeocomTracker:
         """
         found = self._numbers(read, len(wanted))
         refusal = ""
-        if not _same(found, wanted):
+        if not self._same(found, wanted):
             try:
                 self._ask(write, *wanted)
             except DeviceError as error:
@@ -474,7 +474,7 @@ class LeicaGeocomTracker:
                     raise
                 refusal = f", {error.found}"
             found = self._numbers(read, len(wanted))
-        if not _same(found, wanted):
+        if not self._same(found, wanted):
             raise TRACKER.refused(
                 "HC-T06",
                 f"set {what}",
@@ -491,10 +491,10 @@ class LeicaGeocomTracker:
         """Read all settings again: somebody may have changed one at the keyboard."""
         for what, (read, kept) in self._kept.items():
             reply = self._ask(read)
-            if not reply.is_empty and _same(self._decoded(reply, len(kept)), kept):
+            if not reply.is_empty and self._same(self._decoded(reply, len(kept)), kept):
                 continue
             found = self._numbers(read, len(kept))  # a character may have been lost
-            if not _same(found, kept):
+            if not self._same(found, kept):
                 raise TRACKER.failed(
                     "HC-T06",
                     f"read {what} again",
@@ -648,7 +648,7 @@ class LeicaGeocomTracker:
     def _wire(self) -> TextLines:
         return TRACKER.connected(self._lines)
 
-
-def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
-    close = np.isclose(found, wanted, rtol=1e-6, atol=1e-6)
-    return bool(np.all(close & np.isfinite(found)))
+    @staticmethod
+    def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
+        close = np.isclose(found, wanted, rtol=1e-6, atol=1e-6)
+        return bool(np.all(close & np.isfinite(found)))

@@ -62,7 +62,6 @@ HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
 MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
 READY = ("Instrument is connected", "READY")
 BUSY = 201
-FARTHEST = 1e9  # beyond the reach of any tracker, in whichever unit
 LONGEST_WORDS = 120
 # Codes of the vendor's list that a measurement, or a question of one, may bring.
 CODES = {
@@ -80,7 +79,6 @@ CODES = {
     347: ("HC-T70", "no such instrument in the job"),
 }
 UNKNOWN = ("HC-T24", "not known")
-AGAIN = {"HC-T11", "HC-T13", "HC-T21"}  # of one measurement, which may be tried again
 ACT = "look at SpatialAnalyzer and the tracker, then resume"
 ACTS = {
     "HC-T11": "clear the view or seat the reflector, then resume",
@@ -151,7 +149,8 @@ def position_of(reply: Reply, point: str) -> Array:
 def _number(text: str) -> float:
     form = r"[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?"
     value = float(text) if re.fullmatch(form, text) else math.nan
-    return value if abs(value) < FARTHEST else math.nan
+    # Beyond 1e9 it is beyond the reach of any tracker, in whichever unit.
+    return value if abs(value) < 1e9 else math.nan
 
 
 def other_form(xyz_mm: Array, named_mm: Array, near_mm: Array, limit_mm: float) -> str:
@@ -202,7 +201,8 @@ class T2saBridge:
             self._clock.wait(BUSY_PAUSE_S)
         if not reply.accepted:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
-            kind = NoReading if command.startswith(MEASURE) and alarm in AGAIN else DeviceError
+            again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(MEASURE)
+            kind = NoReading if again else DeviceError
             act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
             raise kind(alarm, TRACKER.name, _spoken(command), reply.found, act=act, fields=fields)
         return reply

@@ -16,11 +16,12 @@ from hilcell.clean import clean
 from hilcell.ports import DeviceError
 
 ANSWER_S = 3.0
-GREETING = "Connected: Universal Robots Dashboard Server"
 
 
 class Dashboard:
     """One connection; ``ask`` from one thread, ``send`` from any."""
+
+    GREETING = "Connected: Universal Robots Dashboard Server"
 
     def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
         try:
@@ -36,7 +37,7 @@ class Dashboard:
         self._lines = TextLines(self._link, end=b"\n")
         with on_failure(self._link.close):
             greeting = self._lines.receive(Patience(ANSWER_S))
-            if greeting is None or not greeting.startswith(GREETING):
+            if greeting is None or not greeting.startswith(self.GREETING):
                 found = (
                     f"no answer within {ANSWER_S:.0f} s" if greeting is None else clean(greeting)
                 )

@@ -187,7 +187,6 @@ INPUTS = (
 )
 NOTHING, MOVE_JOINTS = 0, 1  # commands
 GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
-LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +214,7 @@ class UrState:
     def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
         """Return the state that a data package's numbers mean; raises `RtdeError`."""
         for name in (*_SIX, *_TOOL):
-            if not sum(map(abs, numbers[name])) <= LARGEST:
+            if not sum(map(abs, numbers[name])) <= 1e6:  # m, rad, rad/s
                 raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
         joints, speeds, tcp = (np.array(numbers[name]) for name in _SIX)
         return cls(

@@ -14,7 +14,7 @@ from drivers.device_errors import ROBOT
 from drivers.kuka.robot_c3 import C3Connection
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.supervision import Patience, go_on
-from drivers.universal_robots.dashboard import GREETING, Dashboard
+from drivers.universal_robots.dashboard import Dashboard
 from drivers.wires.tcp import TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server, wire_time
@@ -117,7 +117,7 @@ def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed(
     taken = threading.Event()
 
     def take(connection: socket.socket) -> None:
-        connection.sendall(f"{GREETING}\n".encode())
+        connection.sendall(f"{Dashboard.GREETING}\n".encode())
         while connection.recv(4):
             pass
         for _ in range(2):  # a line that is closed refuses the second

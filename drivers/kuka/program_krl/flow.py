@@ -34,7 +34,6 @@ ENDS = {
 }  # fmt: skip
 PARTS = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
 LOOPS = ("FOR", "WHILE", "LOOP", "REPEAT")
-LEAVES = ("RETURN", "RESUME", "END", "ENDFCT")
 
 
 class _Open(NamedTuple):
@@ -150,7 +149,7 @@ def _successors(block: Sequence[Statement]) -> list[list[int]]:
         elif each.head == "GOTO":
             label = each.tokens[1].word if len(each.tokens) > 1 else ""
             following[n] = [labels.get(label, len(block))]
-        elif each.head in LEAVES:
+        elif each.head in ("RETURN", "RESUME", "END", "ENDFCT"):
             following[n] = [len(block)]
     return following
 

@@ -25,7 +25,6 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array, HilcellError
 
 SOURCE, DATA = ".src", ".dat"
-DECIMALS = 3
 USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
 
 
@@ -158,7 +157,7 @@ class Program:
         for target, position in zip(self.targets, positions, strict=True):
             for name, value in zip(POSE[: len(position)], position, strict=True):
                 number = target.numbers[name]
-                text = formatted(float(value), number.text, DECIMALS)
+                text = formatted(float(value), number.text, decimals=3)
                 edits[target.file].append(Edit(number.start, number.end, text))
         for name, text in self.texts.items():
             edits[name] += [_remark(text, remark)] if remark and text else []

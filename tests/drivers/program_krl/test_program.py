@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.kuka.program_krl.files import read_program
-from drivers.kuka.program_krl.program import DECIMALS, Program, turn_of
+from drivers.kuka.program_krl.program import Program, turn_of
 from drivers.program_text import ENCODING, formatted
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array
@@ -147,7 +147,7 @@ def test_correcting_by_nothing_is_idempotent() -> None:
     ],
 )
 def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None:
-    assert formatted(value, like, DECIMALS) == text
+    assert formatted(value, like, 3) == text
 
 
 @pytest.mark.parametrize(
