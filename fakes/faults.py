@@ -14,10 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from msgspec import Meta, Struct
 
-from fakes.truth.transforms import Array
 from hilcell.cell.settings import SettingsError, convert, did_you_mean, read_text, unreadable
 
 Value = bool | int | float | str
@@ -260,59 +258,3 @@ def _problem(name: str, value: Value) -> str:
     if value is True or isinstance(value, str) == (name in TEXTS):
         return ""
     return f"fault {name!r}: the value {value!r:.80} is not {wanted}"
-
-
-class Harms:
-    """The lasting damage that faults do to a robot: this one takes none."""
-
-    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
-        """Turn an axis of the robot, 1 to 6, against its encoder for good."""
-
-    def slip_mount(self, along_mm: float) -> None:
-        """Shift the reflector on the flange along its x for good."""
-
-    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
-        """Widen the gap of an axis of the robot, 1 to 6, for good."""
-
-    def grow(self, um_m: float) -> None:
-        """Let the arm grow from now on, by this share in 1000 of the tracker's measurements."""
-
-    def loosen(self, axis: int, slip_rad: float) -> None:
-        """Let an axis of the robot, 1 to 6, slip at random at each stop: 1 sigma, for good."""
-
-
-@dataclass(frozen=True, slots=True)
-class Struck:
-    """The motion after its faults: its target (6,), whether it is frozen or never acknowledged."""
-
-    target_deg: Array
-    frozen: bool
-    keeps_acknowledge: bool
-
-
-def strike(faults: Faults, harms: Harms, target_deg: Array) -> Struck:
-    """Let the faults that strike when a robot's motion to joints (6,) starts happen."""
-    lost_zeros = (
-        "robot.lost_zero",
-        "robot.lost_zero_2",
-        "robot.lost_zero_3",
-        "robot.lost_zero_4",
-        "robot.lost_zero_5",
-        "robot.lost_zero_6",
-    )
-    for axis, fault in enumerate(lost_zeros, start=1):
-        lost_deg = faults.number(fault)
-        if lost_deg is not None:
-            harms.lose_zero(float(np.radians(lost_deg)), axis)
-    harms.slip_mount(faults.number("robot.mount_slip") or 0.0)
-    harms.lose_motion(1e-6 * (faults.number("robot.lost_motion") or 0.0))
-    if (um_m := faults.number("robot.growing")) is not None:
-        harms.grow(um_m)
-    if (slip_deg := faults.number("robot.brake_slips")) is not None:
-        harms.loosen(2, float(np.radians(slip_deg)))
-    keeps_acknowledge = faults.take("robot.ack_previous") is not None
-    frozen = faults.take("robot.frozen") is not None
-    target_deg = target_deg - (faults.number("robot.stops_short") or 0.0)
-    if faults.take("robot.wrong_turn") is not None:
-        target_deg = target_deg + np.array([0.0] * 5 + [360.0])
-    return Struck(target_deg, frozen, keeps_acknowledge)

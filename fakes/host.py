@@ -39,7 +39,6 @@ from hilcell.errors import HilcellError, with_place
 from hilcell.typed import decoded
 
 STDIN = 0
-Device = Annotated[str, Meta(pattern="^(rail|robot|tracker|control)$")]
 Values = dict[str, Any]
 
 
@@ -68,7 +67,8 @@ class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     speed: float | None = None
     faults: str = ""
     truth: bool = False
-    ports: dict[Device, int] = {}  # 0, or none stated: a free one
+    # TCP ports to listen on; without one, or with 0, the system chooses
+    ports: dict[Annotated[str, Meta(pattern="^(rail|robot|tracker|control)$")], int] = {}
 
 
 class Host:

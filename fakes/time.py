@@ -21,8 +21,6 @@ from itertools import count
 EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
 PAUSE_S = 0.1
 
-Follower = Callable[[], None]
-
 
 class PatientTime:
     """The PC's time in a cell that waits for its PC: a count, so that no PC is ever late."""
@@ -65,7 +63,7 @@ class PlantTime:
         self._lock = threading.Lock()
         self._stepped_s = 0.0
         self._start_s = time.monotonic()
-        self._followers: tuple[Follower, ...] = ()
+        self._followers: tuple[Callable[[], None], ...] = ()
 
     def now_s(self) -> float:
         """Return simulated seconds since power-on."""
@@ -99,7 +97,7 @@ class PlantTime:
         if self._followers:
             self.advance(duration_s)
 
-    def follow(self, follower: Follower) -> None:
+    def follow(self, follower: Callable[[], None]) -> None:
         """Have ``follower`` called by `catch_up` from now on."""
         with self._lock:
             self._followers = (*self._followers, follower)
@@ -109,7 +107,7 @@ class PlantTime:
         """Whether somebody follows a motion in stepped time."""
         return self.stepped and bool(self._followers)
 
-    def unfollow(self, follower: Follower) -> None:
+    def unfollow(self, follower: Callable[[], None]) -> None:
         """Call ``follower`` no longer."""
         with self._lock:
             self._followers = tuple(each for each in self._followers if each != follower)

@@ -18,8 +18,6 @@ from enum import IntEnum
 
 import numpy as np
 
-Value = int | str
-
 
 class Abort(IntEnum):
     """SDO abort codes, CiA 301 table 22."""
@@ -52,11 +50,11 @@ class Entry:
     """
 
     kind: str
-    value: Value = 0
+    value: int | str = 0
     access: str = "rw"
     mappable: bool = False
     allowed: range | tuple[int, ...] | None = None
-    read: Callable[[], Value] | None = None
+    read: Callable[[], int | str] | None = None
     write: Callable[[int], None] | None = None
 
     @property
@@ -71,7 +69,7 @@ class Entry:
             return value.encode("ascii")
         return struct.pack("<" + self.kind, value)
 
-    def decode(self, data: bytes) -> Value:
+    def decode(self, data: bytes) -> int | str:
         """Return the value of ``data``; raises `SdoAbortError` on a wrong length."""
         if self.kind == "s":
             return data.decode("ascii", errors="replace")
@@ -90,7 +88,7 @@ class ObjectDictionary:
 
     def __init__(self) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
-        self._defaults: dict[tuple[int, int], Value] = {}
+        self._defaults: dict[tuple[int, int], int | str] = {}
 
     def add(self, index: int, sub: int, entry: Entry) -> None:
         """Add an object; its present value is the one that a reset restores."""
@@ -118,7 +116,7 @@ class ObjectDictionary:
             raise TypeError(f"object {index:04X}:{sub:02X} holds {value!r}, not a number")
         return value
 
-    def set(self, index: int, sub: int, value: Value) -> None:
+    def set(self, index: int, sub: int, value: int | str) -> None:
         """Change a value from inside the device, with any access."""
         self._entries[index, sub].value = value
 

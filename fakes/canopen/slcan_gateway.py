@@ -22,8 +22,6 @@ from fakes.faults import Faults
 from fakes.time import PAUSE_S, OwnTime
 from fakes.wires import HOST, RECEIVE, SerialEnd, Server, listen
 
-LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
-
 
 def encode(cob_id: int, data: bytes) -> bytes:
     """Return the line of a frame with an 11-bit identifier."""
@@ -46,6 +44,7 @@ class SlcanGateway:
     """
 
     SEND_DEADLINE_S = 0.2
+    LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
     OK, REFUSED = b"\r", b"\a"
 
     def __init__(
@@ -97,11 +96,11 @@ class SlcanGateway:
         """Send the queue; a client that does not take it in time is dropped."""
         if self._client is not None and self._sending:
             try:
-                if self._habits.random() < LATE_SHARE:
+                if self._habits.random() < self.LATE_SHARE:
                     cut = int(self._habits.integers(len(self._sending)))
                     self._client.sendall(self._sending[:cut])
                     self._sending = self._sending[cut:]
-                    time.sleep(self._habits.uniform(0.0, LATE_S))
+                    time.sleep(self._habits.uniform(0.0, self.LATE_S))
                 self._client.sendall(self._sending)
             except OSError:
                 self.drop()

@@ -17,13 +17,12 @@ from fakes.kuka.controller import KrlController, controller_of
 from fakes.site import Site
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
-READ, WRITE = 0, 1
-
 
 class C3Server(Server):
     """Serves one controller on a port, 0 for one that the system chooses."""
 
     HEAD = struct.Struct("!HH")
+    READ, WRITE = 0, 1
     IDLE_S = 30.0
     SUCCESS = b"\x00\x01\x01"
     FAILURES = (b"\x00\x00\x00", b"\x00\x01\x00")  # C3 Bridge's, KUKAVARPROXY's
@@ -63,7 +62,7 @@ class C3Server(Server):
 
     def answer(self, tag: int, request: bytes) -> bytes | None:
         """Return the reply to a request's body, None where the server keeps silent."""
-        parsed = _parse(request)
+        parsed = self._parse(request)
         if parsed is None:
             return None
         kind, name, text = parsed
@@ -71,7 +70,7 @@ class C3Server(Server):
         try:
             if footer != self.SUCCESS:
                 text = ""
-            elif kind == READ:
+            elif kind == self.READ:
                 text = self._controller.read(name)
             else:
                 self._controller.write(name, text)
@@ -89,21 +88,20 @@ class C3Server(Server):
         failure = self._faults.number("robot.failure_footer")
         return self.SUCCESS if failure is None else self.FAILURES[int(failure)]
 
-
-def _parse(request: bytes) -> tuple[int, str, str] | None:
-    """Return type, name and value of a request's body, None where it is malformed or unknown."""
-    try:
-        kind, length = struct.unpack_from("!BH", request)
-        name = request[3 : 3 + length]
-        if len(name) != length or kind not in (READ, WRITE):
+    def _parse(self, request: bytes) -> tuple[int, str, str] | None:
+        """Return type, name and value of a request, None where it is malformed or unknown."""
+        try:
+            kind, length = struct.unpack_from("!BH", request)
+            name = request[3 : 3 + length]
+            if len(name) != length or kind not in (self.READ, self.WRITE):
+                return None
+            text = b""
+            if kind == self.WRITE:
+                (size,) = struct.unpack_from("!H", request, 3 + length)
+                text = request[5 + length : 5 + length + size]
+            return kind, name.decode("ascii"), text.decode("ascii")
+        except (struct.error, UnicodeDecodeError):
             return None
-        text = b""
-        if kind == WRITE:
-            (size,) = struct.unpack_from("!H", request, 3 + length)
-            text = request[5 + length : 5 + length + size]
-        return kind, name.decode("ascii"), text.decode("ascii")
-    except (struct.error, UnicodeDecodeError):
-        return None
 
 
 def serve(site: Site, port: int) -> C3Server:

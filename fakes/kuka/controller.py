@@ -18,13 +18,14 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Harms, Vanished, strike
+from fakes.faults import Faults, Vanished
 from fakes.site import Site
 from fakes.time import LifeTimer
 from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.truth.noise import Dither
+from fakes.truth.plant import Plant, ReplayPlant, strike
 from fakes.truth.rail_truth import RailState, RailTruth
-from fakes.truth.robot_motion import RobotMotion, RobotState
+from fakes.truth.robot_motion import RobotState
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
@@ -186,13 +187,12 @@ class KrlController:
     def __init__(
         self,
         cell: Cell,
-        motion: RobotMotion,
+        plant: Plant | ReplayPlant,
         faults: Faults,
-        harms: Harms | None = None,
         slide: ExternalAxis | None = None,
     ) -> None:
         self._lock = threading.RLock()
-        self._motion, self._faults, self._harms = motion, faults, harms or Harms()
+        self._plant, self._motion, self._faults = plant, plant.robot, faults
         self._slide, self._slide_mm = slide, 0.0  # the place at which it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
@@ -444,7 +444,7 @@ class KrlController:
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
-        struck = strike(self._faults, self._harms, target_deg)
+        struck = strike(self._faults, self._plant, target_deg)
         self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
@@ -539,4 +539,4 @@ def controller_of(site: Site) -> KrlController:
         lowest_mm, highest_mm = table.travel_min_mm - limit_mm, table.travel_max_mm + limit_mm
         ramp_mm_s2 = table.acceleration_mm_s2
         slide = ExternalAxis(plant.rail, site.faults, lowest_mm, highest_mm, ramp_mm_s2)
-    return KrlController(site.cell, plant.robot, site.faults, plant, slide=slide)
+    return KrlController(site.cell, plant, site.faults, slide)

@@ -144,8 +144,7 @@ MM_PER_UNIT = {METRE: 1000.0, 1: 1.0}  # m, mm
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
 STATIONARY, CONTINUOUS_TIME = 0, 1  # modes of measurement
-FIRST, SECOND = 1, 2  # faces
-SERIAL, VERSION = 402871, (3, 8, 0)
+SERIAL = 402871
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
 Arguments = tuple[float, ...]
@@ -187,7 +186,9 @@ class Answer:
 class EmsconDevice:
     """One tracker; ``handle`` may come from several threads."""
 
+    FIRST, SECOND = 1, 2  # faces
     BALL = 1  # target type: corner cube
+    VERSION = (3, 8, 0)
     INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 
     def __init__(
@@ -209,7 +210,7 @@ class EmsconDevice:
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])
         self._target: str | None = None
-        self._face = FIRST
+        self._face = self.FIRST
         self._late: list[bytes] = []
         queries: dict[int, Callable[[], bytes]] = {
             Command.GET_ORIENTATION: lambda: struct.pack("<6d", *[0.0] * 6),
@@ -221,7 +222,7 @@ class EmsconDevice:
             Command.GET_FACE: lambda: struct.pack("<I", self._face),
             Command.GET_TRACKER_INFO: self._tracker_info,
             Command.GET_SOFTWARE_VERSION: lambda: (
-                ".".join(map(str, VERSION)).encode().ljust(64, b"\0")
+                ".".join(map(str, self.VERSION)).encode().ljust(64, b"\0")
             ),
         }
         work: dict[int, tuple[str, Callable[[int, Arguments], Answer]]] = {
@@ -316,12 +317,12 @@ class EmsconDevice:
         other = self._faults.take("tracker.wrong_identity") is not None
         processor, laser, distance_meter = (5 if self._initialised else 4), 3, 2
         head = struct.pack("<4I", Status.OK, processor, laser, distance_meter)
-        return head + struct.pack("<3iI2i", *VERSION, 2, 0, SERIAL + other)
+        return head + struct.pack("<3iI2i", *self.VERSION, 2, 0, SERIAL + other)
 
     def _measurement_status(self) -> bytes:
         found, compensated, distance, distance_compensated = 1, 2, 4, 8
         bits = found | compensated | distance | distance_compensated
-        bits |= 4096 * (self._face == FIRST)
+        bits |= 4096 * (self._face == self.FIRST)
         bits |= 2048 * (self._target is not None)
         bits |= 65536 * self._initialised
         return struct.pack("<Ii", Status.OK, bits)
@@ -338,7 +339,7 @@ class EmsconDevice:
         has_distance, has_camera, has_level = 1, 1, 1
         flags = struct.pack("<5i", SERIAL, 1, has_distance, has_camera, has_level)
         limits = struct.pack("<3d2i2d", 0.0, 160.0, 0.5, 1000, 2, 2 * math.pi, math.pi)
-        return head + flags + limits + struct.pack("<I2i", 1, *VERSION[:2])
+        return head + flags + limits + struct.pack("<I2i", 1, *self.VERSION[:2])
 
     def _weather(self) -> tuple[float, float, float]:
         air = self._instrument.air()
@@ -348,7 +349,7 @@ class EmsconDevice:
 
     def _initialise(self, command: int, arguments: Arguments) -> Answer:
         def finish() -> Answer:
-            self._initialised, self._target, self._face = True, None, FIRST
+            self._initialised, self._target, self._face = True, None, self.FIRST
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
         return Answer(later=Later(self.INITIALISE_S, finish))
@@ -363,7 +364,7 @@ class EmsconDevice:
             return Answer([reply(command, Status.NOT_INITIALIZED)])
 
         def finish() -> Answer:
-            self._face = SECOND if self._face is FIRST else FIRST
+            self._face = self.SECOND if self._face == self.FIRST else self.FIRST
             seen = Change.READY if self._lock_on() else Change.NOT_READY
             return Answer([reply(command), status_change(seen)])
 
@@ -475,7 +476,7 @@ class EmsconDevice:
             if take("tracker.beam_break_after") is not None or ended_mm is None:
                 return self._broken(command)
             moved_mm = np.linalg.norm(ended_mm - began_mm)
-            back = self._face == SECOND
+            back = self._face == self.SECOND
             seen = moved_mm <= still_mm
             measured = self._instrument.measure(target, back=back) if seen else None
             if measured is None:

@@ -190,15 +190,13 @@ class C3(Sized):
         return [asked[:2] + struct.pack(">H", len(rest)) + rest]
 
 
-NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
-
-
 class Emscon(Sized):
     """emScon: a stream's packets are of type 3; some commands carry a place."""
 
     def name(self, message: bytes) -> bytes:
         """Return the command, to a rounded place."""
-        command, count = message[8:12], NUMBERS.get(message[8], 0)
+        numbers_of = {55: 3, 63: 1, 135: 3}  # of doubles behind these commands
+        command, count = message[8:12], numbers_of.get(message[8], 0)
         if len(message) < 12 + 8 * count or not count:
             return message
         numbers = struct.unpack_from(f"<{count}d", message, 12)

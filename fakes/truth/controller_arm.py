@@ -15,8 +15,6 @@ from fakes.truth.machine import chain_of_cell, machine_of
 from fakes.truth.transforms import Array, Chain, components
 from hilcell.cell.file import Cell
 
-UP = np.array([0.0, 0.0, 1.0])
-
 
 @dataclass(frozen=True, slots=True)
 class ControllerArm:
@@ -34,7 +32,7 @@ class ControllerArm:
         """Return the status of joints (6,)."""
         lines = self.chain.lines(joints_rad)
         (axis_2, shoulder_mm), (axis_3, elbow_mm), (_, wrist_mm) = lines[1], lines[2], lines[4]
-        ahead = _cross(axis_2, UP)
+        ahead = _cross(axis_2, np.array([0.0, 0.0, 1.0]))
         bent = _cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3
         behind, beyond, flipped = 1, 2, 4
         status = behind * bool(ahead @ wrist_mm < 0) + beyond * bool(bent >= 0)

@@ -14,10 +14,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from fakes.faults import Faults, Harms
+from fakes.faults import Faults
 from fakes.time import PlantTime
 from fakes.truth.arm_truth import ArmTruth
 from fakes.truth.machine import machine_of
@@ -34,7 +35,7 @@ from hilcell.ports import HilcellError
 FLANGE = "flange"
 
 
-class Plant(Harms):
+class Plant:
     """One simulated cell."""
 
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
@@ -200,7 +201,7 @@ def _limited(rng: np.random.Generator, size: int) -> Array:
     return rng.standard_normal(size).clip(-farthest_sigma, farthest_sigma)
 
 
-class ReplayPlant(Harms):
+class ReplayPlant:
     """A plant that replays: commanded joints in, the recorded measurement out.
 
     The data are rows of commanded joints and measured positions in the tracker's frame; one pose
@@ -219,3 +220,43 @@ class ReplayPlant(Harms):
     def seat(self, place: str) -> None:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""
         raise ValueError("the reflectors of recorded data are where they were")
+
+
+class Struck(NamedTuple):
+    """The motion after its faults: its target (6,), whether it is frozen or never acknowledged."""
+
+    target_deg: Array
+    frozen: bool
+    keeps_acknowledge: bool
+
+
+def strike(faults: Faults, plant: Plant | ReplayPlant, target_deg: Array) -> Struck:
+    """Let the faults that strike when a robot's motion to joints (6,) starts happen."""
+    number = faults.number
+    lost_zeros = (
+        "robot.lost_zero",
+        "robot.lost_zero_2",
+        "robot.lost_zero_3",
+        "robot.lost_zero_4",
+        "robot.lost_zero_5",
+        "robot.lost_zero_6",
+    )
+    lost_deg = {axis: number(fault) for axis, fault in enumerate(lost_zeros, start=1)}
+    slipped_mm, lost_urad = number("robot.mount_slip"), number("robot.lost_motion")
+    um_m, slip_deg = number("robot.growing"), number("robot.brake_slips")
+    if isinstance(plant, Plant):  # nothing harms recorded data
+        for axis, each_deg in lost_deg.items():
+            if each_deg is not None:
+                plant.lose_zero(float(np.radians(each_deg)), axis)
+        plant.slip_mount(slipped_mm or 0.0)
+        plant.lose_motion(1e-6 * (lost_urad or 0.0))
+        if um_m is not None:
+            plant.grow(um_m)
+        if slip_deg is not None:
+            plant.loosen(2, float(np.radians(slip_deg)))
+    keeps_acknowledge = faults.take("robot.ack_previous") is not None
+    frozen = faults.take("robot.frozen") is not None
+    target_deg = target_deg - (number("robot.stops_short") or 0.0)
+    if faults.take("robot.wrong_turn") is not None:
+        target_deg = target_deg + np.array([0.0] * 5 + [360.0])
+    return Struck(target_deg, frozen, keeps_acknowledge)

@@ -15,10 +15,10 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Harms, Vanished, strike
+from fakes.faults import Faults, Vanished
 from fakes.time import LifeTimer, PlantTime
 from fakes.truth.controller_arm import controller_arm, flicker
-from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.plant import Plant, ReplayPlant, strike
 from fakes.truth.transforms import Array, rotation_vector
 from hilcell.cell.file import Cell
 
@@ -63,8 +63,6 @@ class Error(IntEnum):
     BRAKED = 9
 
 
-NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
-
 Values = dict[str, float | int | Array]
 
 
@@ -74,13 +72,14 @@ class UrController:
     STEP_S = 0.002  # of the controller
     LIFE_MS = 1500
     INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
+    NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
     SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
 
     def __init__(
-        self, cell: Cell, motion: RobotMotion, faults: Faults, time: PlantTime, harms: Harms
+        self, cell: Cell, plant: Plant | ReplayPlant, faults: Faults, time: PlantTime
     ) -> None:
         self._lock = threading.RLock()
-        self._motion, self._faults, self._time, self._harms = motion, faults, time, harms
+        self._plant, self._motion, self._faults, self._time = plant, plant.robot, faults, time
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -153,7 +152,7 @@ class UrController:
         """Play a program in place of the one before; local control, or a stop, takes none."""
         with self._lock:
             self._strike_on_request()
-            name = NAME.match(script)
+            name = self.NAME.match(script)
             ready = self._mode == Mode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
             if not self.remote or not ready or not name:
                 return
@@ -265,7 +264,7 @@ class UrController:
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
-        struck = strike(self._faults, self._harms, target_deg)
+        struck = strike(self._faults, self._plant, target_deg)
         self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
         self._moves = True
         if not self._frozen:

@@ -35,7 +35,6 @@ class Package(IntEnum):
     DATA = 85
 
 
-FASTEST_HZ = 500.0
 TYPES = {  # of the outputs, beside the registers that a client writes
     **dict.fromkeys(("actual_q", "target_q", "actual_qd", "actual_TCP_pose"), "VECTOR6D"),
     **dict.fromkeys(("robot_mode", "safety_status", "safety_mode"), "INT32"),
@@ -44,11 +43,11 @@ TYPES = {  # of the outputs, beside the registers that a client writes
     **dict.fromkeys(("timestamp", "target_speed_fraction", "speed_scaling"), "DOUBLE"),
     **dict.fromkeys((f"output_double_register_{n}" for n in range(24, 30)), "DOUBLE"),
 }
-LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
 
 
 class _Session:
     HEAD = struct.Struct("!HB")
+    FASTEST_HZ = 500.0
 
     def __init__(self, client: socket.socket, server: UrServer) -> None:
         self._client, self._server = client, server
@@ -57,7 +56,7 @@ class _Session:
         self._outputs: list[str] = []
         self._layout = struct.Struct("!B")  # of a state
         self._inputs: dict[int, list[tuple[str, str]]] = {}  # by the number of their recipe
-        self._rate_hz, self._started, self._due_s, self._silent = FASTEST_HZ, False, 0.0, False
+        self._rate_hz, self._started, self._due_s, self._silent = self.FASTEST_HZ, False, 0.0, False
 
     def turn(self) -> bool:
         """Answer what has come, or send a state when it is due; return whether to go on."""
@@ -94,9 +93,10 @@ class _Session:
         elif kind == Package.OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
             self._outputs = _names(payload[8:])
+            layouts = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
             known = TYPES | {name: _register(name) for name in self._server.controller.inputs}
             types = [known.get(name, "NOT_FOUND") for name in self._outputs]
-            self._layout = struct.Struct("!B" + "".join(LAYOUTS.get(each, "") for each in types))
+            self._layout = struct.Struct("!B" + "".join(layouts.get(each, "") for each in types))
             answer = b"\x01" + ",".join(types).encode()
         elif kind == Package.INPUTS:
             number, types = self._claimed(_names(payload))
@@ -209,7 +209,7 @@ class UrServer(Server):
     def period_s(self, rate_hz: float) -> float:
         """Return the real time between two states."""
         stepped_s = 0.002  # between two states, in stepped time
-        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
+        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, _Session.FASTEST_HZ)
 
     def _serve_states(self, client: socket.socket) -> None:
         session = _Session(client, self)
@@ -252,6 +252,5 @@ class UrServer(Server):
 
 def serve(site: Site, port: int) -> UrServer:
     """Return the robot of a simulated cell behind RTDE."""
-    plant = site.plant
-    controller = UrController(site.cell, plant.robot, site.faults, site.time, plant)
+    controller = UrController(site.cell, site.plant, site.faults, site.time)
     return UrServer(controller, site, port)

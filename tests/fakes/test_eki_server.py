@@ -91,7 +91,7 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant.robot, faults, plant)
+    controller = KrlController(cell, plant, faults)
     server = EkiServer(controller, faults, plant.time)
     with contextlib.closing(server):
         server.start()

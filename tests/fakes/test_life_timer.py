@@ -27,7 +27,7 @@ def plant(cell: Cell) -> Plant:
 @pytest.fixture
 def robot(cell: Cell, plant: Plant, own_time: OwnTime) -> Iterator[KrlController]:
     """Return a controller under way that waits 2 s for a sign."""
-    controller = KrlController(cell, plant.robot, Faults())
+    controller = KrlController(cell, plant, Faults())
     for name, value in (("LIFE", "2000"), ("TGT", FAR), ("VEL", "1"), ("CMD", "1"), ("SEQ", "1")):
         controller.write(f"HC_{name}", value)
     yield controller

@@ -28,7 +28,7 @@ def test_a_cell_names_its_machine() -> None:
 def test_the_controllers_identity_is_the_machines() -> None:
     cell = load_cell("six-r")
     plant = Plant(cell, 1, PlantTime(), Faults())
-    controller = KrlController(cell, plant.robot, Faults())
+    controller = KrlController(cell, plant, Faults())
     assert controller.read("$TRAFONAME[]").startswith('"#SR12_1400')
     assert controller.read("$KR_SERIALNO") == "500147"
 

@@ -157,4 +157,4 @@ def test_lines_come_in_pieces_and_late_and_none_is_lost(monkeypatch: pytest.Monk
                 whole += client.recv(4096)
     assert whole == b"\r" + b"z\rt124101\rz\rt124102\r" * 200
     assert 5 < len(pauses_s) < 50
-    assert max(pauses_s) <= slcan_gateway.LATE_S
+    assert max(pauses_s) <= SlcanGateway.LATE_S

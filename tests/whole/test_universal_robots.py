@@ -95,7 +95,7 @@ PROVES_NOTHING = {
 def bench() -> Iterator[Bench]:
     faults, time = Faults(), PlantTime(10.0)
     plant = Plant(LAB, 1, time, faults)
-    controller = UrController(LAB, plant.robot, faults, time, plant)
+    controller = UrController(LAB, plant, faults, time)
     server = UrServer(controller, Site(LAB, plant, faults, time), 0)
     with contextlib.closing(server):
         server.start()

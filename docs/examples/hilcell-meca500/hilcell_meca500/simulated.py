@@ -16,10 +16,11 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Vanished, strike
+from fakes.faults import Vanished
 from fakes.site import Site
 from fakes.time import LifeTimer
 from fakes.truth.controller_arm import controller_arm, flicker
+from fakes.truth.plant import strike
 from fakes.wires import HOST, Listener, Segments
 from hilcell.ports import Array
 
@@ -36,7 +37,7 @@ class MecaController:
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
         self._motion, self._faults, self._time = site.plant.robot, site.faults, site.time
-        self._harms = site.plant
+        self._plant = site.plant
         self._arm = controller_arm(site.cell)
         self._smr_mm = np.array(site.cell.robot.smr_mm)
         self._low_deg = np.array([joint.min_deg for joint in site.cell.robot.joint])
@@ -178,7 +179,7 @@ class MecaController:
             self.error = True
             self._halt()
             return
-        struck = strike(self._faults, self._harms, target_deg)
+        struck = strike(self._faults, self._plant, target_deg)
         self._looks, self._frozen = 0, struck.frozen
         if not struck.frozen:
             self._motion.move(np.radians(struck.target_deg), self._share)
