@@ -230,7 +230,7 @@ def _family(arm: Arm) -> _Family:
         return family
     raise ReachError(
         f"closed-form inverse kinematics: {', '.join(least)} are not those of an arm with "
-        f"{family.name}; start from a nominal arm and use refine_inverse"
+        f"{family.name}"
     )
 
 
@@ -242,10 +242,17 @@ def inverse_kinematics(arm: Arm, poses: ArrayLike, status: int) -> Array:
     """Return joints (..., 6), each within -pi..pi, for {T} in {B} (..., 4, 4) by ``status``.
 
     Raises `ReachError` naming the first unreachable poses and by how many mm they are so, or
-    when the arm has no closed form (use `refine_inverse`).
+    when the arm has no closed form (see `refined`).
     """
     joints, excess_mm = solved(arm, np.asarray(poses, dtype=float), status)
-    _refuse_unreachable(excess_mm)
+    excess = np.atleast_1d(excess_mm).ravel()
+    bad = np.flatnonzero(~(excess <= ROUNDING_MM))
+    if len(bad):
+        named = ", ".join(f"pose {n + 1} by {excess[n]:.3f} mm" for n in bad[:NAMED])
+        raise ReachError(
+            f"{len(bad)} of {excess.size} poses are out of reach: {named}"
+            f"{', ...' if len(bad) > NAMED else ''}; move the target or choose another station"
+        )
     return joints
 
 
@@ -331,23 +338,12 @@ def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def refine_inverse(arm: Arm, pose: ArrayLike, start_rad: ArrayLike) -> Array:
-    """Return joints (..., 6) of any six-axis arm for poses (..., 4, 4), from a start (..., 6).
-
-    Levenberg-Marquardt with damping by the residual, so it also leaves singular starts. Raises
-    `ReachError` where it does not arrive.
-    """
-    poses = np.asarray(pose, dtype=float)
-    start = np.broadcast_to(np.asarray(start_rad, dtype=float), (*poses.shape[:-2], 6))
-    flat = poses.reshape(-1, 4, 4)
-    joints, arrived = refined(arm, flat, start.reshape(-1, 6))
-    left_mm = np.linalg.norm(_pose_error(flat, forward(arm, joints))[:, :3], axis=-1)
-    _refuse_unreachable(np.where(arrived, 0.0, left_mm))
-    return joints.reshape(start.shape)
-
-
 def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
-    """Return joints (N, 6) as `refine_inverse`, and which of them have arrived (N,)."""
+    """Return joints (N, 6) of any six-axis arm for poses (N, 4, 4), and which arrived (N,).
+
+    From a start (N, 6), by Levenberg-Marquardt with damping by the residual, so it also leaves
+    singular starts.
+    """
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
     length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
@@ -374,14 +370,3 @@ def _pose_error(wanted: Array, found: Array) -> Array:
     turn = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
     shift = wanted[..., :3, 3] - found[..., :3, 3]
     return np.concatenate([shift, to_rotvec(turn)], axis=-1)
-
-
-def _refuse_unreachable(excess_mm: Array) -> None:
-    excess = np.atleast_1d(excess_mm).ravel()
-    bad = np.flatnonzero(~(excess <= ROUNDING_MM))
-    if len(bad):
-        named = ", ".join(f"pose {n + 1} by {excess[n]:.3f} mm" for n in bad[:NAMED])
-        raise ReachError(
-            f"{len(bad)} of {excess.size} poses are out of reach: {named}"
-            f"{', ...' if len(bad) > NAMED else ''}; move the target or choose another station"
-        )

@@ -24,7 +24,7 @@ from hilcell.geometry.frames import (
     poses_from_zyx,
     zyx_from_pose,
 )
-from hilcell.geometry.inverse import refine_inverse
+from hilcell.geometry.inverse import refined
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.programs.arm_targets import JOINT_HEADER, joint_rows
 from tests.hilcell.commands.test_fit import write_dh, write_rows
@@ -131,7 +131,8 @@ def test_corrected_poses_bring_the_tool_to_its_targets(
     for name, path in (("before", targets), ("after", out)):
         read = read_targets if path == targets else read_corrected
         command = poses_from_zyx(read(path)[1])
-        at = refine_inverse(arm, inverse(urdf.base) @ command, joints)
+        at, arrived = refined(arm, inverse(urdf.base) @ command, joints)
+        assert arrived.all()
         missed[name] = np.linalg.norm(reached_mm(at, "SMR2") - wanted_mm(found, poses), axis=1)
     assert missed["before"].mean() > 0.2
     assert missed["after"].max() < 0.05
