@@ -50,9 +50,6 @@ BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers sl
 ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
 
 
-NOT_A_SAFETY_FUNCTION = "hilcell is not a safety function: keep the E-stop in reach."
-
-
 class OpeningScreen(BaseScreen):
     """Says what is being opened."""
 
@@ -73,7 +70,8 @@ class OpeningScreen(BaseScreen):
         """Show them."""
         self.panel("title").show(Content.styled(f"hilcell {__version__}", "bold"))
         what = f"opening run {self._run} ..." if self._run else "looking for a live run ..."
-        self.panel("what").show(f"{what}\n\n{NOT_A_SAFETY_FUNCTION}")
+        warning = "hilcell is not a safety function: keep the E-stop in reach."
+        self.panel("what").show(f"{what}\n\n{warning}")
         self.panel("notice").display = False
         super().on_mount()
 
@@ -335,7 +333,6 @@ class HilcellApp(Application):
             self._report_changes(session.view, was_lost=was_lost, trouble=trouble)
 
     def _report_changes(self, view: RunView, *, was_lost: bool, trouble: str) -> None:
-        """Report a journal that cannot be read, while it cannot, and a calibration saved."""
         if view.trouble:
             self.show_notice(view.trouble, over=False)
         elif trouble and isinstance(self.page, BaseScreen):

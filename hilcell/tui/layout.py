@@ -97,7 +97,6 @@ class Grid(Lines):
         self._columns, self._gap, self._styles = columns, gap, styles or {}
 
     def _widths(self, width: int) -> list[int]:
-        """Return the widths of the columns that there is room for."""
         needs = [
             max((each.cell_length for each in cells if isinstance(each, Content)), default=0)
             for cells in zip(*self._rows, strict=True)
@@ -134,7 +133,6 @@ class Grid(Lines):
 
 
 def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
-    """Return the lines of a cell, each of its column's width."""
     content = cell if isinstance(cell, Content) else cell.drawn(width)
     wrapped = content.wrap(width) if column.wraps and 0 < width < content.cell_length else [content]
     lines = (line.truncate(width, ellipsis=True) for line in wrapped)

@@ -208,8 +208,6 @@ class Canvas:
 
 
 BELOW = 3  # rows under the area: frame, ticks, title
-FRAME, TICK = "$stale", "$label"
-BEGIN = (0.3, 0.6, 0.5, 0.4)  # of the names, in shares of the width: apart from each other
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
@@ -273,6 +271,9 @@ def draw(
 class _Drawing:
     """One plot on its canvas; the area within the frame has its own rows and columns."""
 
+    FRAME, TICK = "$stale", "$label"
+    BEGIN = (0.3, 0.6, 0.5, 0.4)  # of the names, in shares of the width: apart from each other
+
     def __init__(self, plot: Plot, scale: Scale, width: int, height: int, look: Look) -> None:
         self._plot, self._scale, self._look = plot, scale, look
         self._canvas = Canvas(width, height, letters=look.letters)
@@ -310,10 +311,10 @@ class _Drawing:
     def _frame(self) -> None:
         canvas, left = self._canvas, self._left
         for row in range(self._height):
-            canvas.text(row, left - 1, "│", FRAME)
+            canvas.text(row, left - 1, "│", self.FRAME)
         for row, label in self._labels.items():
-            canvas.text(row, left - 1 - len(label), label, TICK)
-            canvas.text(row, left - 1, "┤", FRAME)
+            canvas.text(row, left - 1 - len(label), label, self.TICK)
+            canvas.text(row, left - 1, "┤", self.FRAME)
             for column in range(left, left + self._width, 4):
                 canvas.text(row, column, "." if self._look.plain else "·", "$track")
         for row, label in self._bold.items():
@@ -323,16 +324,16 @@ class _Drawing:
 
     def _x_axis(self) -> None:
         canvas, bottom = self._canvas, self._height
-        canvas.text(bottom, self._left - 1, "└" + "─" * self._width, FRAME)
+        canvas.text(bottom, self._left - 1, "└" + "─" * self._width, self.FRAME)
         free = 0
         for share, label in self._plot.x_ticks:
             column = self._left + self._column(share)
-            canvas.text(bottom, column, "┴", FRAME)
+            canvas.text(bottom, column, "┴", self.FRAME)
             start = min(column - len(label) // 2, canvas.width - len(label))
             if start >= free:
-                canvas.text(bottom + 1, start, label, TICK)
+                canvas.text(bottom + 1, start, label, self.TICK)
                 free = start + len(label) + 1
-        canvas.text(bottom + 2, self._left, self._plot.x_title[: self._width], TICK)
+        canvas.text(bottom + 2, self._left, self._plot.x_title[: self._width], self.TICK)
 
     def _halves(self, values: Array) -> Ints:
         """Return the half (N,) of each value, on the right side of every limit's line.
@@ -390,7 +391,7 @@ class _Drawing:
                 [*styles, "$foreground"],
                 [*lines, line],
             )
-        wanted = [*BEGIN[: len(self._plot.series)], 0.0]
+        wanted = [*self.BEGIN[: len(self._plot.series)], 0.0]
         spots = place(names, [*lines, words], wanted)
         for name, style, spot in zip(names, styles, spots, strict=True):
             if spot is not None:

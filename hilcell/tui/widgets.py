@@ -120,11 +120,10 @@ class CellScrollBar(ScrollBarRender):
     HORIZONTAL_BARS: ClassVar[list[str]] = [" "]
 
 
-MANY = 4  # words of a choice that need no count
-
-
 class Choice(TextPanel, can_focus=True):
     """Shows the chosen word between arrows, and which of many it is; posts `Turned`."""
+
+    MANY = 4  # words of a choice that need no count
 
     class Turned(Message):
         """Another word was chosen."""
@@ -162,7 +161,7 @@ class Choice(TextPanel, can_focus=True):
         self.post_message(self.Turned())
 
     def _draw(self) -> None:
-        count = f"  {self.index + 1} of {len(self.words)}" if len(self.words) > MANY else ""
+        count = f"  {self.index + 1} of {len(self.words)}" if len(self.words) > self.MANY else ""
         self.show(f"< {self._labels[self.index]} >{count}")
 
 

@@ -159,7 +159,6 @@ class Feed:
         return EngineState.ANSWERING, status
 
     def _connected(self) -> EngineClient | None:
-        """Return the client of the engine, connected where it was not."""
         if self.client is None:
             self.client = EngineClient.of_run(self.folder)
             self._answered_s = time.monotonic()

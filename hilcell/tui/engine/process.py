@@ -83,7 +83,6 @@ def _new_log(folder: Path) -> BinaryIO:
 
 
 def _last_reason(log_file: Path) -> str:
-    """Return the last reason in an engine's log, without the lines before it."""
     try:
         lines = log_file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     except OSError:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 
 BACK, ALWAYS = "back", ("stop", "alarms")  # in the line of keys of every width
-PAUSE_WORDS = {"proceed": "go on", "resume": "resume"}  # by what the key does
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +130,6 @@ class Application(App[int]):
         self.run_worker(guarded(), exit_on_error=True)
 
     def _show_error(self, error: HilcellError) -> None:
-        """Show an error as a notice, with points in words."""
         from hilcell.journal.words import in_words
 
         self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
@@ -410,7 +408,8 @@ class BaseScreen(Screen[None]):
         if name == "pause" and view is not None:
             if view.prompt is not None:
                 return "answer"
-            return PAUSE_WORDS.get(pause_command(view), "pause")
+            words = {"proceed": "go on", "resume": "resume"}
+            return words.get(pause_command(view), "pause")
         return BY_NAME[name].label
 
 
@@ -419,7 +418,6 @@ def _key(key: str, label: str) -> Content:
 
 
 def _notice_state(view: RunView | None) -> tuple[str, bool]:
-    """Return the state that a notice is about, and whether a prompt can be answered."""
     if view is None:
         return "", False
     return view.state, view.prompt is not None and view.prompt.ready

@@ -23,12 +23,11 @@ if TYPE_CHECKING:
     from hilcell.journal.index import RunRow
 
 
-TO_COMPARE = 2
-AGAIN_S = 3.0
-
-
 class HistoryPage(FilterScreen, Page):
     """Element 12. The rows come from the index; a run is read only when it is opened."""
+
+    TO_COMPARE = 2
+    AGAIN_S = 3.0
 
     title_text = "History"
     footer = ("mark", "compare", "find", "stop", "quit")
@@ -53,7 +52,7 @@ class HistoryPage(FilterScreen, Page):
         """Read the index off the thread that takes keys."""
         super().on_mount()
         self._begin()
-        self.set_interval(AGAIN_S, self._begin)  # runs begin and end
+        self.set_interval(self.AGAIN_S, self._begin)  # runs begin and end
 
     def on_resize(self) -> None:
         """Show as many columns as fit."""
@@ -100,12 +99,12 @@ class HistoryPage(FilterScreen, Page):
         if key in self._marked:
             self._marked.remove(key)
         elif key:
-            self._marked = [*self._marked, key][-TO_COMPARE:]
+            self._marked = [*self._marked, key][-self.TO_COMPARE :]
         self.filter_rows()
 
     def do_compare(self) -> None:
         """Compare the two marked runs."""
-        if len(self._marked) != TO_COMPARE:
+        if len(self._marked) != self.TO_COMPARE:
             self.show_notice(
                 f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
             )
@@ -114,19 +113,18 @@ class HistoryPage(FilterScreen, Page):
         self.app.push_screen(ComparePage(first, second))
 
 
-COLUMNS = (
-    Column("where", 16),
-    Column("what", 20),
-    Column("first", 7, right=True),
-    Column("second", 7, right=True),
-    Column("change", 8, right=True),
-    Column("limit", 7, right=True),
-    Column("verdict", 7),
-)
-
-
 class ComparePage(Page):
     """Shows the output of `hilcell compare` for two runs."""
+
+    COLUMNS = (
+        Column("where", 16),
+        Column("what", 20),
+        Column("first", 7, right=True),
+        Column("second", 7, right=True),
+        Column("change", 8, right=True),
+        Column("limit", 7, right=True),
+        Column("verdict", 7),
+    )
 
     title_text = "Comparison"
     footer = ("stop", "quit")
@@ -138,7 +136,7 @@ class ComparePage(Page):
     def body(self) -> ComposeResult:
         """Build the heading and the rows."""
         yield TextPanel("comparison_text")
-        yield Table(COLUMNS, empty="reading both journals ...")
+        yield Table(self.COLUMNS, empty="reading both journals ...")
 
     def on_mount(self) -> None:
         """Compare."""

@@ -172,9 +172,6 @@ class LogPage(FilterScreen, Page):
         self.query_one(Table).show_rows(wanted, log_columns(begun))
 
 
-FILE = "report.html"
-
-
 class ReportPage(TextPage):
     """Element 17. Both are recomputed from the journal, by the commands of the same names."""
 
@@ -216,7 +213,7 @@ class ReportPage(TextPage):
             self.show_again()
 
     async def _write(self, folder: Path) -> None:
-        path, runs = (folder / FILE).resolve(), str(folder.parent)
+        path, runs = (folder / "report.html").resolve(), str(folder.parent)
         try:
             await process.run_command("report", folder.name, "--runs", runs, "-o", str(path))
         except Exception:

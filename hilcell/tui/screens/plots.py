@@ -17,9 +17,6 @@ from hilcell.tui.terminal.themes import SIXTEEN
 from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_of
 from hilcell.tui.widgets import TextPanel
 
-REDRAW_S = 0.5
-TALL = 28  # rows, from which tabs and title stand apart
-
 
 def plot_look(screen: BaseScreen) -> Look:
     """Return what the terminal shows of a plot: letters where colours tell nothing."""
@@ -30,6 +27,9 @@ def plot_look(screen: BaseScreen) -> Look:
 
 class PlotPage(Page):
     """Draws twice a second at most, and only what is new."""
+
+    REDRAW_S = 0.5
+    TALL = 28  # rows, from which tabs and title stand apart
 
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -52,7 +52,7 @@ class PlotPage(Page):
     def __init__(self) -> None:
         super().__init__()
         self._choice = Choice()
-        self._drawn_s = -REDRAW_S
+        self._drawn_s = -self.REDRAW_S
         self._seen: tuple[object, ...] = ()
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
@@ -74,14 +74,14 @@ class PlotPage(Page):
         size, now_s = self.panel("plot").size, time.monotonic()
         turned = (self._choice.state, size, self.app.theme)
         state = (len(view.log.points), len(view.log.curves), *turned)
-        early = self._seen[2:] == turned and now_s - self._drawn_s < REDRAW_S
+        early = self._seen[2:] == turned and now_s - self._drawn_s < self.REDRAW_S
         if state == self._seen or early or not size.height:
             return
         self._seen, self._drawn_s = state, now_s
         self.panel("plot").show(self._lines(Measured(view.log), size.width, size.height))
 
     def _lines(self, of: Measured, width: int, height: int) -> Content:
-        look, gap = plot_look(self), [Content("")] if height >= TALL else []
+        look, gap = plot_look(self), [Content("")] if height >= self.TALL else []
         tabs = [*gap, tab_line(of, self._choice, width, look), *gap]
         lines = plot_lines(of, self._choice, width, height - len(tabs) - len(gap), look)
         return Content("\n").join([*tabs, *lines])

@@ -88,10 +88,6 @@ class WidePanels:
 
 
 LINES = ("identity", "step", "progress", "lamps", "interlock")
-HIDE_POINTS = ("verdict", "alarm")
-BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
-LOW = 20  # rows, below which boxes leave out what matters least
-FULL = 24  # rows of a terminal, of which boxes leave none to the table
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +101,11 @@ class PointFilter:
 
 class RunScreen(FilterScreen):
     """One run, live or past."""
+
+    HIDE_POINTS = ("verdict", "alarm")
+    BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
+    LOW = 20  # rows, below which boxes leave out what matters least
+    FULL = 24  # rows of a terminal, of which boxes leave none to the table
 
     footer = ("stop", "quit")  # while a filter is typed
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -211,29 +212,28 @@ class RunScreen(FilterScreen):
             self.show_again()
 
     def _show_middle(self, view: RunView) -> None:
-        """Show the newest point or what stands in its place, and the status under the points."""
         instead, standing = self.instead, self._standing
         glyphs, height = self.application.glyphs, self.app.size.height
-        for name in BOXES:
+        for name in self.BOXES:
             self.query_one(f"#{name}").display = name == (instead or "deviation")
         match instead:
             case "prompt":
                 if view.prompt is not None:
-                    self.query_one(PromptBox).show(view.prompt, view, glyphs, low=height < LOW)
+                    self.query_one(PromptBox).show(view.prompt, view, glyphs, low=height < self.LOW)
             case "alarm":
                 kept, context = kept_words(view.log), self.alarm_context()
-                self.query_one(AlarmBox).show(standing, kept, context, low=height < LOW)
+                self.query_one(AlarmBox).show(standing, kept, context, low=height < self.LOW)
             case "verdict":
                 self._show_verdict(view)
             case _:
                 self._show_deviation(view, rows_for(height))
         shown = view.state == "intolerant" and verdict_of(view) is not None  # by the verdict
         said = instead == "verdict" and len(standing) <= shown
-        self.panel("status").display = not said and (bool(standing) or height >= FULL - 1)
+        self.panel("status").display = not said and (bool(standing) or height >= self.FULL - 1)
         self.panel("status").show(self._status(view))
         # A table has a row at least, and would push the status out.
         rows = height - block_rows(height, live=view.live)
-        self.query_one(Table).styles.height = 0 if instead and rows <= FULL else "1fr"
+        self.query_one(Table).styles.height = 0 if instead and rows <= self.FULL else "1fr"
 
     def _status(self, view: RunView) -> Lines:
         """Return the worst alarm that is not shown, or that there is none and what comes next."""
@@ -245,7 +245,6 @@ class RunScreen(FilterScreen):
         return ends((f"{context.glyphs.stale} no alarms", "$label"), run_text.following(view))
 
     def _show_deviation(self, view: RunView, rows: int) -> None:
-        """Show the newest point of a live run, or the one that was chosen."""
         table, known = self.query_one(Table), self._table.deviation
         last = table.follow and table.cursor >= len(table.rows) - 1
         if not table.rows or (view.live and last):
@@ -265,13 +264,12 @@ class RunScreen(FilterScreen):
     def on_table_row_highlighted(self) -> None:
         """Show the point that is chosen now."""
         view = self.application.view
-        if self.instead in HIDE_POINTS:
+        if self.instead in self.HIDE_POINTS:
             self._open_points()
         elif view is not None:
             self._show_middle(view)
 
     def _open_points(self) -> None:
-        """Show the points in place of the verdict, or of the alarm."""
         self.points_open = True
         self.show(self.application.view)
 
@@ -307,7 +305,6 @@ class RunScreen(FilterScreen):
             self._chosen = ""
 
     def _show_wide(self, view: RunView) -> None:
-        """Show the panels beside and under the points, where the terminal has room for them."""
         side, below = self.panel("side"), self.panel("below")
         if side.display:
             self._wide.show_side(side, view, self._rows, plot_look(self), self.app.theme)
@@ -352,7 +349,7 @@ class RunScreen(FilterScreen):
         view = self.application.view
         if view is not None and view.prompt is not None:
             self.application.actions.answer()
-        elif self.instead in HIDE_POINTS:
+        elif self.instead in self.HIDE_POINTS:
             self._open_points()
         elif key:
             self.app.push_screen(DetailPage(key))

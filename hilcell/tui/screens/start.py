@@ -181,7 +181,6 @@ class StartScreen(BaseScreen):
         return self.app.size.height >= 22 and self.line_width >= FULL_WIDTH
 
     def _show_summary(self) -> None:
-        """Show the procedure's summary, where no notice needs its row."""
         self.panel("summary").display = self._is_roomy and not self.panel("notice").display
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
@@ -260,7 +259,6 @@ class StartScreen(BaseScreen):
     # -- the plan -------------------------------------------------------------------------------
 
     async def _check(self) -> None:
-        """Compute the plan of the fields as they stand."""
         change, entries = self._changes, self.entries()
         plan, refused = None, ""
         try:

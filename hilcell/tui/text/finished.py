@@ -418,7 +418,6 @@ def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
-    """Return how many alarms stand, or are over, and how far the floor nests moved."""
     proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerProven)]
     moved = max((max(each) for each in proofs if each), default=None)
     over = sum(alarm.cause == "over" for alarm in view.alarms)
@@ -614,7 +613,6 @@ def report_lines(found: Mapping[str, object], log: Log | None) -> Lines:
 
 
 def _words(value: object) -> str:
-    """Return a value as a person reads it; names of states have no underscores."""
     if isinstance(value, list):
         return "; ".join(map(_words, value))
     text = str(value)

@@ -475,7 +475,6 @@ def _number(value: float | str | None) -> str:
 
 
 def _figures(words: str, *rows: Row, heads: Sequence[str], title: str = "figures") -> Stack:
-    """Return a heading, a table, and under it what it means."""
     return Stack(section(title), _table(*rows, heads=heads), BLANK, (words, "$label"))
 
 

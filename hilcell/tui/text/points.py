@@ -174,7 +174,6 @@ def _bar(row: PointRow) -> tuple[str, str]:
 
 
 def _said(row: PointRow) -> tuple[str, str]:
-    """Return the word of a state and its tone."""
     judged = row.deviation is not None and row.deviation.limit_mm is not None
     return _STATES["in" if row.state == "ok" and judged else row.state]
 

@@ -104,7 +104,6 @@ def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: boo
 
 
 def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
-    """Return where the reflector is taken from and where it belongs."""
     at, layout = BLANK, view.log.cell.layout
     nests = {nest.name: nest for nest in (*layout.slide, *layout.standing)}
     if nest := nests.get(prompt.place):
@@ -351,7 +350,6 @@ class _Drawing:
         self._named(column + across, row, "robot", "$foreground")
 
     def _rail(self) -> None:
-        """Draw both rails through the whole view, and the stations beside them."""
         along, at = self._site.along, self._site.robot_mm
         steep = abs(along[1]) >= abs(along[0])
         reach_mm = self._mm * (self._columns + 2 * self._rows)
@@ -370,7 +368,6 @@ class _Drawing:
                 self._put(*self._cell((x, y)), "│" if steep else "─", "$stale")
 
     def _beam(self) -> None:
-        """Draw the line from the wanted place to the tracker."""
         (x0, y0), (x1, y1) = self._site.wanted_mm, self._site.tracker_mm
         steps = math.ceil(math.hypot(x1 - x0, (y1 - y0) / 2) / self._mm)
         for n in range(0, min(steps, 4 * self._columns), 2):

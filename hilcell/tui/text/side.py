@@ -153,8 +153,6 @@ def _means(plot: Plot, look: Look, width: int) -> Content:
     return Content("")
 
 
-ACROSS, ROWS = 38, 8  # cells of a view: along the rail's axis, and high
-LEGEND, GAP, FRAME = 15, 2, 2  # columns
 NO_POINT = -1
 Ints = NDArray[np.int64]
 
@@ -222,22 +220,23 @@ class Volume:
 
 def map_lines(of: Volume, width: int, height: int, *, plain: bool) -> Lines:
     """Return the map in at most so many rows; the views that have no room are left out."""
-    beside = width >= ACROSS + FRAME + GAP + LEGEND
-    views = Views(of, ACROSS if beside else width - FRAME, plain=plain)
+    beside = width >= Views.ACROSS + Views.FRAME + Views.GAP + Views.LEGEND
+    views = Views(of, Views.ACROSS if beside else width - Views.FRAME, plain=plain)
     legend = views.legend()
     lines = [of.heading(width), *([] if beside else views.flowing(width))]
     room = height - len(lines)
-    both = room >= 2 * (FRAME + 3) + 1
-    rows = min(ROWS, (room - 1) // 2 - FRAME if both else room - FRAME - 1)
+    both = room >= 2 * (Views.FRAME + 3) + 1
+    rows = min(Views.ROWS, (room - 1) // 2 - Views.FRAME if both else room - Views.FRAME - 1)
     if views.columns >= 8 and rows >= 2:
         first = views.above(rows)
         key: list[Text] = [("|e| in mm", "$label"), *legend, ("blank: not yet", "$label")]
         key += [""] * len(first)
-        grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=GAP)
+        grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=Views.GAP)
         lines += grid.lines(width) if beside else first
         lines.append(views.stations())
         if both:
-            sides = Grid(zip(*views.sides(rows, both=beside), strict=True), Col(), Col(), gap=GAP)
+            pairs = zip(*views.sides(rows, both=beside), strict=True)
+            sides = Grid(pairs, Col(), Col(), gap=Views.GAP)
             lines += sides.lines(width)
     return [line.truncate(width) for line in lines[: max(height, 1)]]
 
@@ -246,7 +245,8 @@ class Views:
     """The views of a volume, whose axes they share: the rail's axis has so many columns."""
 
     AXES, UP = "xyz", 2
-    ALONG = 13  # columns of the view along the rail
+    ACROSS, ROWS, ALONG = 38, 8, 13  # cells: along the rail's axis, high; of the view along it
+    LEGEND, GAP, FRAME = 15, 2, 2  # columns
 
     def __init__(self, of: Volume, columns: int, *, plain: bool) -> None:
         self.of, self.columns, self._plain = of, columns, plain
@@ -268,8 +268,8 @@ class Views:
         """Return the legend in rows of as many entries as fit."""
         rows: Lines = []
         for each in self.legend():
-            if rows and rows[-1].cell_length + GAP + each.cell_length <= width:
-                rows[-1] = rows[-1].append(" " * GAP).append(each)
+            if rows and rows[-1].cell_length + self.GAP + each.cell_length <= width:
+                rows[-1] = rows[-1].append(" " * self.GAP).append(each)
             else:
                 rows.append(each)
         return rows
@@ -294,13 +294,13 @@ class Views:
 
     def stations(self) -> Content:
         """Return the stations' names under their middle."""
-        of, width = self.of, self.columns + FRAME
+        of, width = self.of, self.columns + self.FRAME
         low_mm, high_mm = float(of.low_mm[of.rail]), float(of.high_mm[of.rail])
         line = Content("")
         for name, at_mm in of.stations:
             share = (at_mm - low_mm) / max(high_mm - low_mm, 1e-9)
             text = f"─ {name} ─"
-            start = FRAME // 2 + round(share * self.columns) - len(text) // 2
+            start = self.FRAME // 2 + round(share * self.columns) - len(text) // 2
             start = max(min(start, width - len(text)), 0)
             style = "bold $foreground" if name == of.station else "$label"
             if line.cell_length <= start:

@@ -72,7 +72,6 @@ _COLUMNS = (
 
 
 def _columns_in(width: int) -> list[_Column]:
-    """Return the columns that fit, in their order."""
     ranked = sorted((each for each in _COLUMNS if each.rank), key=attrgetter("rank"))
     taken = accumulate(each.width + 1 for each in ranked)
     most = sum(columns <= width - _ALWAYS for columns in taken)
