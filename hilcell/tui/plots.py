@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise, product
 from operator import itemgetter
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,10 +22,6 @@ from textual.content import Content
 
 from hilcell.ports import Array
 
-LEAST, MOST = 1e-4, 1e4  # of a log scale, mm: below any tracker's resolution, beyond any cell
-FINEST, LARGEST = 1e-6, 1e9  # step and value of an even scale
-LOG_LOW, LOG_HIGH = 0.01, 2.0  # of a log scale that nothing extends, mm
-ROOM = 1.5  # rows from tick to tick, in the mean
 ROUNDING = 1e-9  # relative: a step is its own multiple
 
 
@@ -32,9 +29,50 @@ ROUNDING = 1e-9  # relative: a step is its own multiple
 class Scale:
     """A scale from its lowest to its highest tick; ``step`` is 0 where it is logarithmic."""
 
+    LEAST: ClassVar = 1e-4  # of a log scale, mm: below any tracker's resolution
+    MOST: ClassVar = 1e4  # mm: beyond any cell
+    LOG_LOW: ClassVar = 0.01  # of a log scale that nothing extends, mm
+    LOG_HIGH: ClassVar = 2.0
+    FINEST: ClassVar = 1e-6  # step of an even scale
+    LARGEST: ClassVar = 1e9  # value of an even scale
+    ROOM: ClassVar = 1.5  # rows from tick to tick, in the mean
+
     low: float
     high: float
     step: float = 0.0
+
+    @classmethod
+    def log(cls, values: Array, limits: Sequence[float] = (), before: Self | None = None) -> Self:
+        """Return a log scale for values (N,) in mm, of whole steps of 1, 2 and 5."""
+        found = np.asarray(values, dtype=float).tolist()
+        known = [each for each in found if cls.LEAST <= each <= cls.MOST]
+        lows, highs = [cls.LOG_LOW], [cls.LOG_HIGH]
+        lows += [step_at_most(each) for each in known]
+        lows += [max(s for s in _around(each) if s < each * (1 - ROUNDING)) for each in limits]
+        highs += [step_at_least(each) for each in known] + [step_above(each) for each in limits]
+        if before is not None and before.is_log:
+            lows, highs = [*lows, before.low], [*highs, before.high]
+        return cls(min(lows), max(highs))
+
+    @classmethod
+    def even(
+        cls,
+        values: Array,
+        limits: Sequence[float] = (),
+        height: int = 24,
+        before: Self | None = None,
+    ) -> Self:
+        """Return an even scale for values (N,), zero among them; its step is 1, 2 or 5."""
+        found = np.asarray(values, dtype=float)
+        held = [0.0, *limits, *found[np.abs(found) <= cls.LARGEST].tolist()]
+        if before is not None and not before.is_log:
+            held += [before.low, before.high]
+        low, high = min(held), max(held)
+        step = step_at_least(max((high - low or 1.0) / max(2, height // 3), cls.FINEST))
+        first, last = math.floor(low / step + ROUNDING), math.ceil(high / step - ROUNDING)
+        first -= any(not first * step < each for each in limits)
+        last += any(not each < last * step for each in limits)
+        return cls(first * step, max(last, first + 1) * step, step)
 
     @property
     def is_log(self) -> bool:
@@ -69,7 +107,7 @@ class Scale:
             at = np.floor(self.rows(np.array(values), height)).astype(int).tolist()
             found = sorted(zip(at, values, strict=True))
             apart = all(a[0] < b[0] for a, b in pairwise(found))
-            if apart and found[-1][0] - found[0][0] >= ROOM * (len(found) - 1):
+            if apart and found[-1][0] - found[0][0] >= self.ROOM * (len(found) - 1):
                 return found
         return found[:1]
 
@@ -89,34 +127,6 @@ class Scale:
                 step = step_above(step)
         yield [self.low, self.high]
         yield [self.high]
-
-
-def log_scale(values: Array, limits: Sequence[float] = (), before: Scale | None = None) -> Scale:
-    """Return a log scale for values (N,) in mm, of whole steps of 1, 2 and 5."""
-    known = [each for each in np.asarray(values, dtype=float).tolist() if LEAST <= each <= MOST]
-    lows, highs = [LOG_LOW], [LOG_HIGH]
-    lows += [step_at_most(each) for each in known]
-    lows += [max(s for s in _around(each) if s < each * (1 - ROUNDING)) for each in limits]
-    highs += [step_at_least(each) for each in known] + [step_above(each) for each in limits]
-    if before is not None and before.is_log:
-        lows, highs = [*lows, before.low], [*highs, before.high]
-    return Scale(min(lows), max(highs))
-
-
-def even_scale(
-    values: Array, limits: Sequence[float] = (), height: int = 24, before: Scale | None = None
-) -> Scale:
-    """Return an even scale for values (N,), zero among them; its step is 1, 2 or 5."""
-    found = np.asarray(values, dtype=float)
-    held = [0.0, *limits, *found[np.abs(found) <= LARGEST].tolist()]
-    if before is not None and not before.is_log:
-        held += [before.low, before.high]
-    low, high = min(held), max(held)
-    step = step_at_least(max((high - low or 1.0) / max(2, height // 3), FINEST))
-    first, last = math.floor(low / step + ROUNDING), math.ceil(high / step - ROUNDING)
-    first -= any(not first * step < each for each in limits)
-    last += any(not each < last * step for each in limits)
-    return Scale(first * step, max(last, first + 1) * step, step)
 
 
 def step_at_least(value: float) -> float:

@@ -26,7 +26,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import AlarmBox, kept_words, newest_line, panel_is_due
-from hilcell.tui.text.finished import Result, result_lines, result_of, verdict_lines, verdict_of
+from hilcell.tui.text.finished import Result, result_of, verdict_of
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
@@ -256,10 +256,10 @@ class RunScreen(FilterScreen):
     def _show_verdict(self, view: RunView) -> None:
         glyphs, verdict, result = self.application.glyphs, verdict_of(view), self._result_of(view)
         if verdict is not None:
-            lines = verdict_lines(view, verdict, glyphs, len(self._standing))
+            lines = verdict.lines(view, glyphs, len(self._standing))
             self.panel("verdict").show(lines)
         elif result is not None:
-            self.panel("verdict").show(result_lines(view, result, glyphs))
+            self.panel("verdict").show(result.lines(view, glyphs))
 
     def on_table_row_highlighted(self) -> None:
         """Show the point that is chosen now."""

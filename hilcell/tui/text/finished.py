@@ -18,7 +18,6 @@ from typing import Self, TypeVar
 import msgspec
 from textual.content import Content
 
-from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.iso9283 import Angles, PoseTest
@@ -155,6 +154,16 @@ class Head:
         words = Content("").join([Content.styled(text, self.style), mark])
         return Stack(words, Grid(rows, *columns))
 
+    def lines(self, view: RunView, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
+        """Return the words and the figures, large where there is room; nothing without words."""
+        if not self.words:
+            return []
+        mark = simulation_block() if is_simulated(view) else BLANK
+        if is_small(width, rows):
+            return self.small(mark, glyphs).lines(width)
+        rows_of = (self.block(mark, glyphs), *(each.large(glyphs) for each in self.figures))
+        return Grid(zip(*rows_of, strict=True), Col(BLOCK), Col(25), Col(), gap=2).lines(width)
+
 
 def gravest(value_mm: float) -> float:
     """Return a length to order by: NaN and infinity are the worst."""
@@ -164,17 +173,6 @@ def gravest(value_mm: float) -> float:
 def is_small(width: int, rows: int) -> bool:
     """Whether the large head has no room."""
     return width < LEAST_WIDTH or rows < LEAST_ROWS
-
-
-def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
-    """Return the words and the figures, large where there is room; nothing without words."""
-    if not head.words:
-        return []
-    mark = simulation_block() if is_simulated(view) else BLANK
-    if is_small(width, rows):
-        return head.small(mark, glyphs).lines(width)
-    rows_of = (head.block(mark, glyphs), *(each.large(glyphs) for each in head.figures))
-    return Grid(zip(*rows_of, strict=True), Col(BLOCK), Col(25), Col(), gap=2).lines(width)
 
 
 TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
@@ -316,6 +314,63 @@ class Finished:
         numbers = [Col(width, right=True) for width in (7, 12, 8, 11, 8)]
         return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
 
+    def lines(self, view: RunView, glyphs: Glyphs, standing: int = 0) -> Lines:
+        """Return the block, the two worst figures, the stations, and what is to be known or done.
+
+        ``standing`` alarms are latched, also those that the journal raises no more.
+        """
+        facts = Stack(*self._facts(view, glyphs, standing))
+
+        def draw(width: int, height: int) -> list[Content]:
+            rows = height or TALL
+            lines, said = self.head.lines(view, glyphs, width, rows), facts.lines(width)
+            if is_small(width, rows):
+                return [*lines, *said]
+            said = said[: max(rows - len(lines) - len(self.stations) - 2, 2)]
+            room = max(rows - len(lines) - len(said), 3)
+            return [*lines, *self.table(glyphs, room).lines(width), *said]
+
+        return Drawing((repr(self), glyphs.plain, facts.state), draw)
+
+    def _facts(self, view: RunView, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
+        """Return what is to be known of a run that passed; of a failed one why, and what next."""
+        if self.outcome is not Outcome.ACCEPTED and view.alarms:
+            return self._advice(view, glyphs)
+        sure = max(self.stations, key=lambda each: gravest(each.sure_mm))
+        bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
+        floor = f"   floor: {self.floor_mm:.3f} mm" if math.isfinite(self.floor_mm) else ""
+        return [
+            _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
+            *self.orientation,
+            self._written(view, glyphs),
+            _drift(view, glyphs, standing),
+            Content.assemble((" next: ", "$label"), NEXT),
+        ]
+
+    def _advice(self, view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
+        """Return why the run failed, with the stations concerned, and the steps, each whole."""
+        alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
+        where = f"{alarm.where}: " if alarm.where else ""
+        words = in_words(f"{where}{alarm.found}", view.log)
+        if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
+            words = self.reason_words or words
+        why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
+        rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
+        rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
+        return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
+
+    def _written(self, view: RunView, glyphs: Glyphs) -> Lines | Text:
+        celsius, air = view.log.temperatures_c(), ""
+        if celsius:
+            air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {glyphs.degree}C"
+        if not view.log.calibrates:
+            return _whole((" no calibration file was to be written", "$label"), (air, "$label"))
+        if view.calibration_lost:
+            return f" {glyphs.warned} calibration.json is not written: space writes it", "$ask"
+        names = " ".join(each.name for each in self.stations)
+        head = Content.assemble((" written: ", "$label"), "calibration.json")
+        return _whole(head, (f" for {names}", "$label"), (air, "$label"))
+
 
 def verdict_of(view: RunView) -> Finished | None:
     """Return the verdict of a finished run with a validation; None for every other run.
@@ -347,74 +402,10 @@ def verdict_of(view: RunView) -> Finished | None:
     return Finished(outcome, tuple(stations), limits, max(floors, default=math.nan))
 
 
-# -- drawing ---------------------------------------------------------------------------------------
-
-
-def verdict_lines(view: RunView, found: Finished, glyphs: Glyphs, standing: int = 0) -> Lines:
-    """Return the block, the two worst figures, the stations, and what is to be known or done.
-
-    ``standing`` alarms are latched, also those that the journal raises no more.
-    """
-    facts = Stack(*_facts(view, found, glyphs, standing))
-
-    def draw(width: int, height: int) -> list[Content]:
-        rows = height or TALL
-        lines, said = head_lines(view, found.head, glyphs, width, rows), facts.lines(width)
-        if is_small(width, rows):
-            return [*lines, *said]
-        said = said[: max(rows - len(lines) - len(found.stations) - 2, 2)]
-        room = max(rows - len(lines) - len(said), 3)
-        return [*lines, *found.table(glyphs, room).lines(width), *said]
-
-    return Drawing((repr(found), glyphs.plain, facts.state), draw)
-
-
-def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
-    """Return what is to be known of a run that passed; of one that failed, why and what to do."""
-    if found.outcome is not Outcome.ACCEPTED and view.alarms:
-        gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
-        return _advice(view, found, gravest_alarm, glyphs)
-    sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
-    bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
-    floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
-    return [
-        _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
-        *found.orientation,
-        _written(view, found, glyphs),
-        _drift(view, glyphs, standing),
-        Content.assemble((" next: ", "$label"), NEXT),
-    ]
-
-
 def _whole(*phrases: Text) -> Lines:
     """Return as many phrases as fit, each whole."""
     texts = [Content.assemble(*phrases[:n]) for n in range(len(phrases), 0, -1)]
     return Grid([[Fitting((*texts, texts[-1].truncate(1)))]], Col(grows=True))
-
-
-def _advice(view: RunView, found: Finished, alarm: Alarm, glyphs: Glyphs) -> list[Lines | Text]:
-    """Return why the run failed, with the stations concerned, and the steps, each whole."""
-    where = f"{alarm.where}: " if alarm.where else ""
-    words = in_words(f"{where}{alarm.found}", view.log)
-    if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
-        words = found.reason_words or words
-    why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
-    rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
-    rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
-    return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
-
-
-def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:
-    celsius, air = view.log.temperatures_c(), ""
-    if celsius:
-        air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {glyphs.degree}C"
-    if not view.log.calibrates:
-        return _whole((" no calibration file was to be written", "$label"), (air, "$label"))
-    if view.calibration_lost:
-        return f" {glyphs.warned} calibration.json is not written: space writes it", "$ask"
-    names = " ".join(each.name for each in found.stations)
-    head = Content.assemble((" written: ", "$label"), "calibration.json")
-    return _whole(head, (f" for {names}", "$label"), (air, "$label"))
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
@@ -499,6 +490,26 @@ class Result:
         head = Head(*words[found.verdict], figures)
         return cls(head, found.text, Table(columns, worst))
 
+    def lines(self, view: RunView, glyphs: Glyphs) -> Lines:
+        """Return the word and its figures, the sentence, and as many rows of the table as fit."""
+        table = sheet_lines(self.table, view.log)
+
+        def draw(width: int, height: int) -> list[Content]:
+            rows = height or 40  # which hold most results whole
+            lines = self.head.lines(view, glyphs, width, rows)
+            if self.text:
+                said: list[Cell] = ["", (harmless(self.text), "$label")]
+                lines += Grid([said], Col(), Col(grows=True, wraps=True)).lines(width)
+            lines += table.lines(width)
+            if len(lines) > rows:
+                more = Content.styled(" o report: all of the table", "$label")
+                lines = [*lines[: max(rows - 1, 0)], more]
+            else:
+                lines.append(Content.assemble((" next: ", "$label"), NEXT))
+            return [line.truncate(width) for line in lines]
+
+        return Drawing((id(self), glyphs.plain), draw)
+
 
 def result_of(view: RunView) -> Result | None:
     """Return the result of a run that has come to its end; None for every other, or for none."""
@@ -558,30 +569,6 @@ def _worst_angles(found: Angles | None) -> tuple[str, str]:
 
 def _limit(limit_mm: float | None) -> str:
     return "-" if limit_mm is None else f"{limit_mm:.3f}"
-
-
-# -- drawing ---------------------------------------------------------------------------------------
-
-
-def result_lines(view: RunView, found: Result, glyphs: Glyphs) -> Lines:
-    """Return the word and its figures, the sentence, and as many rows of the table as fit."""
-    table = sheet_lines(found.table, view.log)
-
-    def draw(width: int, height: int) -> list[Content]:
-        rows = height or 40  # which hold most results whole
-        lines = head_lines(view, found.head, glyphs, width, rows)
-        if found.text:
-            said: list[Cell] = ["", (harmless(found.text), "$label")]
-            lines += Grid([said], Col(), Col(grows=True, wraps=True)).lines(width)
-        lines += table.lines(width)
-        if len(lines) > rows:
-            more = Content.styled(" o report: all of the table", "$label")
-            lines = [*lines[: max(rows - 1, 0)], more]
-        else:
-            lines.append(Content.assemble((" next: ", "$label"), NEXT))
-        return [line.truncate(width) for line in lines]
-
-    return Drawing((id(found), glyphs.plain), draw)
 
 
 NAMES = {  # of the summary, by the name shown

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from textual.content import Content
@@ -34,8 +34,6 @@ from hilcell.tui.plots import (
     Scale,
     Series,
     draw,
-    even_scale,
-    log_scale,
     step_at_least,
 )
 
@@ -313,8 +311,6 @@ BESIDE = 100  # columns, from which the figures stand beside the plot
 GAP = 3  # columns between both
 LEAST = 8  # rows of a plot
 WIDTH = 31  # columns of the figures
-MOST_WORST = 5
-NEAR = 0.8  # of the limit
 HEADS = "mean", "95 %", "max"
 
 
@@ -389,9 +385,9 @@ class Shown:
         name = (tab.name, is_log, pick if tab.name == "sweeps" else "")
         before, values, limits = choice.scales.get(name), whole.values, whole.limits
         scale = choice.scales[name] = (
-            log_scale(values, limits, before)
+            Scale.log(values, limits, before)
             if is_log
-            else even_scale(values, limits, height, before)
+            else Scale.even(values, limits, height, before)
         )
         return cls(tab, pick, whole, plot, scale)
 
@@ -487,6 +483,9 @@ def _three(values: Array) -> Numbers:
 class Figures:
     """The figures of a plot that is turned to its pick, as tables and words."""
 
+    MOST_WORST: ClassVar = 5
+    NEAR: ClassVar = 0.8  # of the limit
+
     of: Measured
     pick: str
     plot: Plot
@@ -544,7 +543,7 @@ class Figures:
             return _figures(words, *rows, heads=HEADS)
         worst: list[Row] = [
             ("", f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n])))
-            for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist()
+            for n in np.argsort(-now_mm, kind="stable")[: Figures.MOST_WORST].tolist()
         ]
         over = int(np.sum(~(now_mm <= bounds_mm)))
         words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
@@ -608,7 +607,7 @@ class Figures:
     def _worst(found: Errors3D) -> list[Lines | Text]:
         errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
         rows: list[Sequence[Cell]] = []
-        for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
+        for at in np.argsort(-errors, kind="stable")[: Figures.MOST_WORST].tolist():
             if errors[at] >= 0:
                 station, number = found.targets[at]
                 rows.append((f"target {number + 1}", (station, "$label"), f"{errors[at]:.3f}"))
@@ -620,10 +619,10 @@ class Figures:
         limit_mm = table.max_tolerance_mm
         errors = found.by_how[Sent.CHOSEN][np.isfinite(found.by_how[Sent.CHOSEN])]
         over = int(np.sum(~(errors <= limit_mm)))
-        near = int(np.sum(errors > NEAR * limit_mm)) - over
+        near = int(np.sum(errors > Figures.NEAR * limit_mm)) - over
         said = "No target near its limit."
         if over or near:
-            said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
+            said = f"{over} over the limit, {near} within {100 * (1 - Figures.NEAR):.0f} % of it."
         means_mm = {
             name: mean_of(found.at(name).by_how[Sent.CHOSEN])
             for name in found.stations
@@ -634,7 +633,7 @@ class Figures:
         of_means = "No station's mean near its limit."
         if not worst_mm <= limit_mm:
             of_means = f"Mean at {worst} {worst_mm:.3f}: over its limit {limit_mm:.3f}."
-        elif worst_mm > NEAR * limit_mm:
+        elif worst_mm > Figures.NEAR * limit_mm:
             of_means = f"Mean at {worst} {worst_mm:.3f}: near its limit {limit_mm:.3f}."
         sentences, mean_mm = [said, of_means], mean_of(errors)
         if Sent.BEFORE in found.by_how and mean_mm > 0:

@@ -24,7 +24,7 @@ from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section
-from hilcell.tui.plots import Look, Plot, Scale, draw, log_scale
+from hilcell.tui.plots import Look, Plot, Scale, draw
 from hilcell.tui.text.plots import (
     Errors3D,
     Measured,
@@ -60,7 +60,7 @@ def side_lines(
     room = min(MAP_ROWS, height - LEAST_PLOT)
     above = map_lines(volume_of(view.log, targets), width, room, plain=look.plain)
     plot = _plot(view.log, targets)
-    scale = log_scale(plot.values, plot.limits, before)
+    scale = Scale.log(plot.values, plot.limits, before)
     heading = section(plot.title).lines(width)
     drawn = draw(plot, scale, width, max(height - len(above) - 2, 5), look, named=False)
     return [*above, *heading, _means(plot, look, width), *drawn], scale

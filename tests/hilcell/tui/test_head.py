@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hilcell.tui.terminal.capabilities import UNICODE
-from hilcell.tui.text.finished import BAR, TO_LIMIT, Figure, Head, gravest, head_lines, is_small
+from hilcell.tui.text.finished import BAR, TO_LIMIT, Figure, Head, gravest, is_small
 from tests.hilcell.tui.views import view_of
 
 NAN = math.nan
@@ -58,7 +58,7 @@ def test_the_bar_reaches_the_limit_where_the_figure_does(
     figure = Figure("mean, mm", value_mm, "at S300", limit_mm)
     other = Figure("max, mm", 0.2, "at S1100", 0.3)
     head = Head(("PASS",), "in tolerance", "passed", (figure, other))
-    lines = head_lines(view_of("done"), head, UNICODE, 79, 16)
+    lines = head.lines(view_of("done"), UNICODE, 79, 16)
     bar = lines[5].plain[26 : 26 + BAR].replace("│", "█" if filled > TO_LIMIT else "")
     assert bar.count("█") + bar.count("▌") / 2 == filled
     [at] = [line for line in lines if "at S300" in line.plain]

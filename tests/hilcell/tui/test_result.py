@@ -17,7 +17,7 @@ from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
-from hilcell.tui.text.finished import Result, result_lines, result_of, sheet_lines
+from hilcell.tui.text.finished import Result, result_of, sheet_lines
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import SampleRun, validated
@@ -80,7 +80,7 @@ def ended(result: dict[str, Any], state: str = "done", procedure: str = "calibra
 def shown(view: RunView, width: int = 79, rows: int = ROWS) -> str:
     found = result_of(view)
     assert found is not None
-    return drawn(result_lines(view, found, UNICODE), width, rows)
+    return drawn(found.lines(view, UNICODE), width, rows)
 
 
 def test_a_pose_test_shows_its_worst_figures_large_and_a_table_by_pose() -> None:
@@ -141,7 +141,7 @@ def test_it_fits_where_there_is_little_room(result: dict[str, Any]) -> None:
     found = result_of(view)
     assert isinstance(found, Result)
     for width, rows, glyphs in product((20, 38, 58, 79), (4, 13, 30), (UNICODE, ASCII)):
-        lines = result_lines(view, found, glyphs).lines(width, rows)
+        lines = found.lines(view, glyphs).lines(width, rows)
         assert max(line.cell_length for line in lines) <= width
         assert "…" not in "".join(line.plain for line in lines)
 

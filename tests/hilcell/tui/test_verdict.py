@@ -16,7 +16,7 @@ from hilcell.model.verdicts import Judged
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
-from hilcell.tui.text.finished import verdict_lines, verdict_of
+from hilcell.tui.text.finished import verdict_of
 from hilcell.tui.text.run import banner
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import drawn, view_of
@@ -66,7 +66,7 @@ def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> 
     assert found is not None
     assert (found.worst_mean.name, found.worst_single.name) == ("S300", "S1100")
     assert [each.name for each in found.stations] == ["S300", "S1100", "S1900"]
-    text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    text = drawn(found.lines(view, UNICODE), 79, ROWS)
     for figure in ("PASS", "0.113", "0.310"):
         assert large_rows(figure)[1] in text
     for words in ("● at S300, limit 0.120", "▲ at S1100, limit 0.300", "SIMULATION"):
@@ -79,7 +79,7 @@ def test_a_failure_says_its_reason_and_steps() -> None:
     found = verdict_of(view)
     assert found is not None
     assert found.words == ("FAIL", "out of tolerance")
-    text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    text = drawn(found.lines(view, UNICODE), 79, ROWS)
     row = next(line for line in text.split("\n") if line.startswith(" S1900"))
     assert row.split() == ["S1900", "75", "1.200", "0.222", "0.400", "1.084", "▲", "FAIL"]
     assert "▲ HC-V01 S1900: mean 0.222 over 0.120, single 1.084 over 0.300" in text
@@ -93,7 +93,7 @@ def test_a_station_shows_the_figures_it_was_judged_by() -> None:
     judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
     found = verdict_of(view)
     assert found is not None
-    text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "0.310" not in text
 
 
@@ -103,7 +103,7 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
     found = verdict_of(view)
     assert found is not None
     for width, rows in ((59, 22), (79, ROWS + 5)):
-        text = " ".join(drawn(verdict_lines(view, found, UNICODE), width, rows).split())
+        text = " ".join(drawn(found.lines(view, UNICODE), width, rows).split())
         assert "…" not in text
         assert all(f"{name}: mean 0.222 over 0.120, single 1.084" in text for name in PLACES)
         assert all(step in text for step in view.alarms[0].do)
@@ -115,7 +115,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     found = verdict_of(view)
     assert found is not None
     assert found.reason_words == "S300: mean 0.113, U 0.010: not shown below 0.120"
-    assert "▲ at S300, limit 0.120" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    assert "▲ at S300, limit 0.120" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
 
 def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
@@ -123,7 +123,7 @@ def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
     judge(view, "S1100", holds=False, decided=Outcome.UNDECIDED, max_U_mm=0.005)
     found = verdict_of(view)
     assert found is not None
-    assert "▲ at S1100, limit 0.300" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    assert "▲ at S1100, limit 0.300" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
 
 def test_a_nan_is_the_worst_and_fails() -> None:
@@ -132,7 +132,7 @@ def test_a_nan_is_the_worst_and_fails() -> None:
     found = verdict_of(view)
     assert found is not None
     assert found.worst_mean.name == found.worst_single.name == "S300"
-    assert "▲ at S300" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    assert "▲ at S300" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
 
 def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
@@ -143,7 +143,7 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     assert found.words == ("UNDECIDED", "neither pass nor fail")
     assert "UNDECIDED" in drawn(banner(view, UNICODE))
     assert "OUT OF TOLERANCE" not in drawn(banner(view, UNICODE))
-    lines = drawn(verdict_lines(view, found, UNICODE), 78, ROWS).split("\n")
+    lines = drawn(found.lines(view, UNICODE), 78, ROWS).split("\n")
     assert not any("FAIL" in line for line in lines)
     assert "UNDECIDED" in lines[2]
     [row] = [line for line in lines if line.startswith(" S300")]
@@ -157,7 +157,7 @@ def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said
     view = finished("done", PLACES)
     found = verdict_of(view)
     assert found is not None
-    assert said in drawn(verdict_lines(view, found, UNICODE, standing), 79, ROWS)
+    assert said in drawn(found.lines(view, UNICODE, standing), 79, ROWS)
 
 
 def test_more_stations_than_there_is_room_for_are_counted() -> None:
@@ -165,7 +165,7 @@ def test_more_stations_than_there_is_room_for_are_counted() -> None:
     view = finished("done", many)
     found = verdict_of(view)
     assert found is not None
-    text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "P8 " in text  # the worst
     assert "more in the report" in text
 
@@ -178,7 +178,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
     found = verdict_of(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 8)):
-        text = drawn(verdict_lines(view, found, ASCII), width, rows)
+        text = drawn(found.lines(view, ASCII), width, rows)
         assert ("SIMULATION" in text) == simulated
 
 
@@ -209,7 +209,7 @@ def test_it_fits_where_there_is_little_room() -> None:
     found = verdict_of(view)
     assert found is not None
     for width, rows in product((20, 38, 58, 79), (4, 8, 13, ROWS)):
-        lines = verdict_lines(view, found, UNICODE).lines(width, rows)
+        lines = found.lines(view, UNICODE).lines(width, rows)
         assert max(line.cell_length for line in lines) <= width
         assert "PASS" in lines[0].plain or large_rows("PASS")[0] in lines[1].plain
 
@@ -229,7 +229,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
     found = verdict_of(view)
     assert found is not None
     assert found.reason_words == said
-    assert said in " ".join(drawn(verdict_lines(view, found, UNICODE), 79, ROWS + 5).split())
+    assert said in " ".join(drawn(found.lines(view, UNICODE), 79, ROWS + 5).split())
 
 
 def test_an_orientation_in_its_limit_is_shown() -> None:
@@ -237,7 +237,7 @@ def test_an_orientation_in_its_limit_is_shown() -> None:
     limited(view, max_deg=0.0123, max_U_deg=0.01)
     found = verdict_of(view)
     assert found is not None
-    text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "orientation, worst: 0.0123° at S300, limit 0.05°" in text
 
 
@@ -260,7 +260,7 @@ def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
     found = verdict_of(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 9)):
-        text = drawn(verdict_lines(view, found, UNICODE), width, rows)
+        text = drawn(found.lines(view, UNICODE), width, rows)
         assert "…, limit 0.120" in text
         assert "…, limit 0.300" in text
         assert "below 0.118 mm" in text
@@ -272,8 +272,8 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
     view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031, "p95": 0.05}
     found = verdict_of(view)
     assert found is not None
-    wide = drawn(verdict_lines(view, found, UNICODE), 79, 9)
-    small = drawn(verdict_lines(view, found, UNICODE), 59, 9)
+    wide = drawn(found.lines(view, UNICODE), 79, 9)
+    small = drawn(found.lines(view, UNICODE), 59, 9)
     assert "floor: 0.031 mm" in wide
     assert "floor:" not in small
     assert "…" not in small
@@ -293,7 +293,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
     found = verdict_of(view)
     assert found is not None
     assert [found.reason_words.count(name) for name in PLACES] == [1] * len(PLACES)
-    text = " ".join(drawn(verdict_lines(view, found, UNICODE), 79, ROWS).split())
+    text = " ".join(drawn(found.lines(view, UNICODE), 79, ROWS).split())
     assert "HC-V17" in text
     assert view.alarms[0].do[0] in text
 
@@ -327,4 +327,4 @@ def test_an_alarm_that_is_over_is_not_counted_as_one(causes: list[Cause], said: 
     ]
     found = verdict_of(view)
     assert found is not None
-    assert f" {said}" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
+    assert f" {said}" in drawn(found.lines(view, UNICODE), 79, ROWS)

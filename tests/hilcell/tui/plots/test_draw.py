@@ -18,7 +18,6 @@ from hilcell.tui.plots import (
     Scale,
     Series,
     draw,
-    log_scale,
     place,
 )
 
@@ -81,7 +80,7 @@ def test_a_value_stands_at_its_tick() -> None:
 @pytest.mark.parametrize("limit", [0.1, 0.3, 0.31, 0.7, 1.0])
 def test_a_value_is_seen_on_its_side_of_the_limit(limit: float) -> None:
     """A row is coarse: without care a value over the limit could be drawn on or under its line."""
-    scale = log_scale(np.array([0.02]), [limit])
+    scale = Scale.log(np.array([0.02]), [limit])
     over = drawn(plot_of(line("a", [limit * 1.001]), limits=(limit,)), scale=scale)
     under = drawn(plot_of(line("a", [limit]), limits=(limit,)), scale=scale)
     at = next(n for n, text in enumerate(over) if "┤──" in text or "┤▀" in text)
@@ -92,7 +91,7 @@ def test_a_value_is_seen_on_its_side_of_the_limit(limit: float) -> None:
 
 
 def test_a_letter_never_stands_on_the_limits_line() -> None:
-    scale = log_scale(np.array([0.02]), [0.3])
+    scale = Scale.log(np.array([0.02]), [0.3])
     for value in (0.2999, 0.3, 0.3001):
         lines = drawn(plot_of(line("a", [value]), limits=(0.3,)), scale=scale, look=PLAIN)
         at = next(n for n, text in enumerate(lines) if text.startswith("0.30┤"))
@@ -101,7 +100,7 @@ def test_a_letter_never_stands_on_the_limits_line() -> None:
 
 
 def test_the_limit_has_a_tick_of_its_own_off_the_frame() -> None:
-    lines = drawn(plot_of(line("a", [0.05]), limits=(0.3,)), scale=log_scale(np.zeros(1), [0.3]))
+    lines = drawn(plot_of(line("a", [0.05]), limits=(0.3,)), scale=Scale.log(np.zeros(1), [0.3]))
     (at,) = [n for n, text in enumerate(lines) if text.startswith("0.30┤─")]
     assert 0 < at < ROWS - 1
 
