@@ -257,9 +257,11 @@ def check_options(cell: Cell) -> None:
             key = "driver" if error.source == group else "options"
             unknown = unknown or key == "driver"
             problems += [f"{table}.{key}: {line}" for line in error.problems]
-    if cell.simulation is not None and not unknown:
+    if cell.simulation is not None:
         try:
-            load_entry("simulators", cell.simulation.simulator).check(cell)
+            simulator = load_entry("simulators", cell.simulation.simulator)
+            if not unknown:  # it would say the same again
+                simulator.check(cell)
         except SettingsError as error:
             key = "simulation.simulator" if error.source == "simulators" else error.source
             problems += [f"{key}: {line}" for line in error.problems]

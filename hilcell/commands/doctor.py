@@ -83,9 +83,7 @@ def doctor(args: Doctor) -> int:
 # -- this PC --------------------------------------------------------------------------------------
 
 LEAST_PYTHON = (3, 11)
-USUAL_POINTS = 1_700  # no run of a cell that comes with hilcell has more
 PLENTY_GB = 1.0  # a run takes up to 10 MB: for a hundred of them
-SHARED = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks that SQLite trusts
 WAKES, LATE_S = 200, 0.05  # a stop takes 0.02 s
 DIALOUT = "sudo usermod -a -G dialout $USER, then log in again"
 
@@ -172,9 +170,11 @@ def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
             "choose another folder with --runs",
         )
     found = f"{where}, {free / 1e9:.2f} GB free"
-    if free < (needed := bytes_needed(USUAL_POINTS)):
+    usual_points = 1_700  # no run of a cell that comes with hilcell has more
+    if free < (needed := bytes_needed(usual_points)):
         return Finding("wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it")
-    if (kind := _file_system(folder, mounts)) in SHARED:
+    shared = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks for SQLite
+    if (kind := _file_system(folder, mounts)) in shared:
         return Finding(
             "wrong",
             f"{found}, shared over a network ({kind})",

@@ -181,15 +181,10 @@ def read_measurements(path: Path) -> Measurements:
         problems.append("no measured target follows the header")
     if problems:
         raise SettingsError(str(path), problems)
+    poses, targets = map(list, zip(*labels, strict=True))
     values = np.array(rows)
-    return Measurements(
-        [pose for pose, _ in labels],
-        [target for _, target in labels],
-        np.radians(values[:, :6]),
-        values[:, 6:],
-        str(path),
-        lines,
-    )
+    joints_rad = np.radians(values[:, :6])
+    return Measurements(poses, targets, joints_rad, values[:, 6:], str(path), lines)
 
 
 def _numbers(cells: list[str], text: CsvText) -> list[float]:

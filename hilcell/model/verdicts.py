@@ -297,8 +297,8 @@ class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     orientation: str = ""
 
     def _words(self) -> str:
-        chosen = f"{self.method}, {self.reason}"
-        return "; orientation ".join(filter(None, (chosen, self.orientation)))
+        orientation = f"; orientation {self.orientation}" if self.orientation else ""
+        return f"{self.method}, {self.reason}{orientation}"
 
 
 class SignChecked(Verdict, frozen=True, kw_only=True):
