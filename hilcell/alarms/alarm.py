@@ -412,7 +412,6 @@ class Latch:
                 self._acknowledge_until(alarm.code, acknowledged)
 
     def _keep(self, code: str, latched: Latched) -> None:
-        """Keep one as it stands now, or let go of it."""
         if latched.settled:
             del self._latched[code]
         else:

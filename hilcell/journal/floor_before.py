@@ -91,6 +91,8 @@ class _Measured:
         nests = {point.id.nest: point for point in log.select("world") if point.id.number is None}
         if then.layout.floor != self.cell.layout.floor or len(nests) != len(then.layout.floor):
             return None
+        kept = self._same_robot() and then.grid == self.cell.grid
+        clouds = repeated_visits(log) if kept else []  # of places that the cell still has
         air_c = [each.temperature_c for each in nests.values() if each.temperature_c is not None]
         return FloorBefore(
             name,
@@ -99,7 +101,7 @@ class _Measured:
             self._base(),
             self._same_robot() and then.base_frame == self.cell.base_frame,
             self._stations(),
-            visits_mm=self._visits(),
+            visits_mm=[[point.xyz_mm for point in visits] for visits in clouds],
         )
 
     def _base(self) -> Frame | None:
@@ -125,12 +127,6 @@ class _Measured:
         """Whether both have one robot, whatever is stated of its repeatability."""
         now = self.cell.robot
         return msgspec.structs.replace(self.log.cell.robot, rp_mm=now.rp_mm) == now
-
-    def _visits(self) -> list[list[tuple[float, float, float]]]:
-        """Return clouds of places that the robot visited repeatedly, if the cell still has them."""
-        if not (self._same_robot() and self.log.cell.grid == self.cell.grid):
-            return []
-        return [[point.xyz_mm for point in visits] for visits in repeated_visits(self.log)]
 
 
 def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:

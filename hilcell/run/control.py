@@ -450,7 +450,6 @@ def stop_engine(folder: Path) -> bool:
 
 
 def _missing(folder: Path) -> str:
-    """Return why no engine was found."""
     try:
         is_there(folder / ENGINE)
     except OSError as error:

@@ -101,7 +101,6 @@ class Engine:
         raise NotImplementedError
 
     def _begin(self) -> None:
-        """Journal what is to be done."""
         raise NotImplementedError
 
     def _place(self) -> FolderOrder:

@@ -388,7 +388,6 @@ class Runner:
         return finish(self._plan.procedure, self._journal, result)
 
     def _fail(self, error: Exception) -> None:
-        """Enter the state that the error means."""
         if isinstance(error, Stopped):
             self._life.fire("abort")
             return

@@ -126,13 +126,9 @@ class StateMachine:
 
 def mermaid(table: Table) -> str:
     """Return the table as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", f"    [*] --> {table.states[0]}"]
-    lines += [
-        f"    {source} --> {target}: {trigger}"
-        for trigger, sources, target in table.rows
-        for source in sources
-    ]
-    return "\n".join(lines)
+    ways = [(source, to, trigger) for trigger, sources, to in table.rows for source in sources]
+    lines = [f"    {source} --> {target}: {trigger}" for source, target, trigger in ways]
+    return "\n".join(["stateDiagram-v2", f"    [*] --> {table.states[0]}", *lines])
 
 
 # -- points that may be measured again -------------------------------------------------------------

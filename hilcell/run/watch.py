@@ -184,7 +184,6 @@ class Watch:
         return [self._meter.floor_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
 
     def _controls(self) -> list[Point]:
-        """Measure all floor nests as control points."""
         log, names = self._run.log, [nest.name for nest in self._run.cell.layout.floor]
         kinds = (*PROOFS, LENGTH)
         before = Counter(point.id.nest for kind in kinds for point in log.measured(kind))
