@@ -137,26 +137,24 @@ class State(Enum):
     UNKNOWN = "no state of CiA 402"
 
 
-_BY_4F = {
-    0x00: State.NOT_READY,
-    0x40: State.SWITCH_ON_DISABLED,
-    0x0F: State.FAULT_REACTION,
-    0x08: State.FAULT,
-}
-_BY_6F = {
-    0x21: State.READY,
-    0x23: State.SWITCHED_ON,
-    0x27: State.ENABLED,
-    0x07: State.QUICK_STOP_ACTIVE,
-}
 BRAKING = frozenset({State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
 POWERED = BRAKING | {State.ENABLED}
 
 
 def state_of(statusword: int) -> State:
     """Return the state that a status word tells (CiA 402-2, table 32)."""
-    found = _BY_6F.get(statusword & 0x6F) or _BY_4F.get(statusword & 0x4F)
-    return found or State.UNKNOWN
+    seen = {
+        0x21: State.READY,
+        0x23: State.SWITCHED_ON,
+        0x27: State.ENABLED,
+        0x07: State.QUICK_STOP_ACTIVE,
+    }.get(statusword & 0x6F)
+    return seen or {
+        0x00: State.NOT_READY,
+        0x40: State.SWITCH_ON_DISABLED,
+        0x0F: State.FAULT_REACTION,
+        0x08: State.FAULT,
+    }.get(statusword & 0x4F, State.UNKNOWN)
 
 
 def next_control(state: State) -> int | None:

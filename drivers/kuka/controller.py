@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Generic, Protocol, TypeVar
 
@@ -58,13 +58,8 @@ class Access(Protocol):
 class Controller(Access, Protocol):
     """The open wires to one controller."""
 
-    @property
-    def address(self) -> str:
-        """Return where the controller is."""
-
-    @property
-    def versions(self) -> Mapping[str, int]:
-        """Return what must be installed: the number of each."""
+    address: str
+    versions: dict[str, int]  # what must be installed: the number of each
 
     @property
     def rounds(self) -> Sequence[tuple[str, ...]]:
