@@ -64,8 +64,12 @@ class CalibrationFile:
     @classmethod
     def named(cls, name: str, runs: Path) -> Self:
         """Read that of a run or a file; raises `NoCalibration`, `SettingsError`, `HilcellError`."""
-        is_file = os.path.isfile(name)  # noqa: PTH113 - Path.is_file raises for a name too long
-        path = Path(name) if is_file else written_by(find_run(runs, name))
+        path = Path(name)
+        if not os.path.isfile(path):  # noqa: PTH113 - Path.is_file raises for a name too long
+            folder = find_run(runs, name)
+            path = folder / CALIBRATION
+            if not path.is_file():
+                raise NoCalibration(f"run {folder.name} wrote no calibration; {_instead(folder)}")
         return cls(read_calibration(path), path, runs)
 
     @cached_property
@@ -184,39 +188,26 @@ def calibration_in(log: Log) -> Calibration | None:
     return None if used is None else typed(used.content, Calibration)
 
 
-def written_by(folder: Path) -> Path:
-    """Return the path of a run's calibration; raises `NoCalibration` where it wrote none."""
-    path = folder / CALIBRATION
-    if not path.is_file():
-        raise NoCalibration(f"run {folder.name} wrote no calibration; {_instead(folder)}")
-    return path
-
-
 def _instead(folder: Path) -> str:
     used = recheck = None
     with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
         log = read_log(folder)
         used, recheck = calibration_in(log), log.verdict(Rechecked)
     if used is None:
-        current = _current_beside(folder)
-        make = "name a finished `hilcell run calibrate`"
-        return f"name {current}, the current calibration of its cell" if current else make
+        with suppress(HilcellError):
+            rows = read_index(folder.parent)
+            for row in rows:
+                if row.name == folder.name and row.readable:
+                    of_cell = (row.cell, row.serial, row.simulated, row.machine_seed)
+                    if current := current_of(rows, *of_cell):
+                        return f"name {current}, the current calibration of its cell"
+        return "name a finished `hilcell run calibrate`"
     latest = used.provenance.latest
     if recheck is not None and recheck.verdict == "valid":
         return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
     if recheck is not None and recheck.verdict == "redo":
         return f"it found that the calibration of {latest} no longer holds: calibrate again"
     return f"it used that of {latest}"
-
-
-def _current_beside(folder: Path) -> str:
-    """Return the run whose calibration is current for the cell of a run; "" where there is none."""
-    with suppress(HilcellError):
-        rows = read_index(folder.parent)
-        own = next((row for row in rows if row.name == folder.name and row.readable), None)
-        if own is not None:
-            return current_of(rows, own.cell, own.serial, own.simulated, own.machine_seed)
-    return ""
 
 
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:

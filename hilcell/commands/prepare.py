@@ -12,7 +12,6 @@ from hilcell.commands.orders import Plan, Prepare
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.targets import check_settings
 from hilcell.compensation.targets import as_listed, write_rows
-from hilcell.errors import bounded
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Released
 from hilcell.programs.holes import read_holes
@@ -48,7 +47,7 @@ def plan(args: Plan) -> int:
     cell = load_cell(args.cell, dict(args.settings))
     calibrated = _calibrated(args, cell)
     holes = read_holes(Path(args.holes), tip_named(cell, args.tool).T_D_T)
-    for warning in bounded(holes.twins):
+    for warning in holes.warnings:
         print_message(warning)
     found = plan_holes(cell, holes, free=args.free, calibrated=calibrated, say=print_message)
     if args.output:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from hilcell.cell.settings import SettingsError, read_file
 from hilcell.compensation.targets import HEADER, read_named_rows
+from hilcell.errors import bounded
 from hilcell.geometry.frames import from_rotvec, from_zyx
 from hilcell.geometry.kinematics import Array
 
@@ -101,6 +102,11 @@ class Holes:
                 how = "one hole: same place, same normal"
             warnings.append(f"warning: {self.names[second]} and {self.names[first]} are {how}")
         return warnings
+
+    @property
+    def warnings(self) -> list[str]:
+        """As many of the `twins` as a person reads."""
+        return bounded(self.twins)
 
 
 def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:

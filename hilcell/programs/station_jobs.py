@@ -170,11 +170,11 @@ class StationJobs:
             raise SettingsError("--standoff", [problem])
         found = read_holes(holes, tip.T_D_T)
         released.refuse_corrected(holes, found.names, found.points_mm)
-        for warning in bounded(warnings := found.twins):
+        for warning in found.warnings:
             say(warning)
         whole = plan_holes(cell, found, calibrated=Volume(released.calibration), say=say)
         part = Part(found.points_mm, found.outward)
-        jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, warnings)
+        jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, found.twins)
         return replace(jobs, stations=[jobs._job(each) for each in whole.stations])
 
     def _job(self, plan: StationPlan) -> StationJob:

@@ -34,7 +34,7 @@ from hilcell.compensation.programs import (
     write_program,
 )
 from hilcell.compensation.targets import HEADER, csv_of, read_targets, target_rows, unit_hint
-from hilcell.errors import bounded, indented
+from hilcell.errors import indented
 from hilcell.geometry.frames import (
     apply,
     from_zyx,
@@ -228,7 +228,7 @@ def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Arra
         hint = f"no format of programs is installed for {suffix} (installed: {known})"
         raise SettingsError(error.source, [*error.problems, hint]) from error
     holes = Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None])
-    for warning in bounded(holes.twins):
+    for warning in holes.warnings:
         say(warning)
     return names, targets
 

@@ -19,7 +19,6 @@ from hilcell.calibration.in_use import (
     standing_of,
     standings_in,
     with_calibration,
-    written_by,
 )
 from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
@@ -161,8 +160,9 @@ def test_a_run_that_wrote_none_says_what_to_name(
     if verdict is not None:
         log.verdicts["recheck"] = verdict
     monkeypatch.setattr(in_use, "read_log", lambda folder: log)
+    monkeypatch.setattr(in_use, "find_run", lambda runs, name: runs / name)
     with pytest.raises(NoCalibration, match=r"r1 .*1-old"):
-        written_by(tmp_path / "r1")
+        CalibrationFile.named("r1", tmp_path)
 
 
 def test_a_changed_file_is_refused(tmp_path: Path) -> None:
