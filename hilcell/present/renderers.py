@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from xlsxwriter.format import Format
     from xlsxwriter.worksheet import Worksheet
 
-HERE = "hilcell.present"  # whose folder holds the templates
-
-
 WIDEST = 500  # columns of a table
 
 

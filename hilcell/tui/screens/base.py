@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hilcell.tui.text.alarms import AlarmContext
 
 
-BACK, ALWAYS = "back", ("stop", "alarms")  # in the line of keys of every width
+BACK = "back"  # stays in the line of keys at every width
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,7 +376,10 @@ class BaseScreen(Screen[None]):
         fixed = self.in_box if typing else self.fixed_keys()
         parts = [(_key(key, label), label == BACK) for key, label in fixed]
         parts += [
-            (_key(shown(self.application.keymap[name][0]), self.label(name)), name in ALWAYS)
+            (
+                _key(shown(self.application.keymap[name][0]), self.label(name)),
+                name in ("stop", "alarms"),
+            )
             for name in self.footer
             if self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
         ]

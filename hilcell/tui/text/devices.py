@@ -35,7 +35,6 @@ def end_remark(view: RunView) -> str:
     return f"no verdict: {measured} of {plan.points} points"
 
 
-STALE_AFTER_S = 5.0
 REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
     "HC-B30": "no fresh robot reading",
     "HC-B31": "robot moves",
@@ -69,7 +68,7 @@ def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Cont
     if device.age_s is None:
         return Content.styled(f"{glyphs.stale} {title} -", "$stale")
     age_s = device.age_s + view.status_age_s
-    aged, age = not age_s <= STALE_AFTER_S, short_age(age_s)
+    aged, age = not age_s <= 5.0, short_age(age_s)
     if device.state not in ("fresh", "moving") or view.stale or aged:
         return Content.styled(f"{glyphs.stale} {title} {age}", "$stale")
     moves = device.state == "moving"

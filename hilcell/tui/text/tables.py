@@ -74,8 +74,8 @@ _COLUMNS = (
 def _columns_in(width: int) -> list[_Column]:
     ranked = sorted((each for each in _COLUMNS if each.rank), key=attrgetter("rank"))
     taken = accumulate(each.width + 1 for each in ranked)
-    most = sum(columns <= width - _ALWAYS for columns in taken)
-    return [each for each in _COLUMNS if each.rank <= most]
+    kept = ranked[: sum(columns <= width - _ALWAYS for columns in taken)]
+    return [each for each in _COLUMNS if not each.rank or each in kept]
 
 
 def columns_for(width: int) -> tuple[Column, ...]:
