@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable
 
 from fakes.faults import Faults
-from fakes.kuka.controller import KrlController, controller_of
+from fakes.kuka.controller import KrlController
 from fakes.site import Site
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
@@ -106,4 +106,5 @@ class C3Server(Server):
 
 def serve(site: Site, port: int) -> C3Server:
     """Return the robot of a simulated cell behind C3 Bridge."""
-    return C3Server(controller_of(site), site.faults, site.time.catch_up, port=port)
+    controller = KrlController(site.cell, site.plant, site.faults)
+    return C3Server(controller, site.faults, site.time.catch_up, port=port)

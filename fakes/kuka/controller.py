@@ -19,7 +19,6 @@ from functools import partial
 import numpy as np
 
 from fakes.faults import Faults, Vanished
-from fakes.site import Site
 from fakes.time import LifeTimer
 from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.truth.noise import Dither
@@ -27,7 +26,7 @@ from fakes.truth.plant import Plant, ReplayPlant, strike
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotState
 from fakes.truth.transforms import Array
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, RailTable
 
 _AGGREGATE = re.compile(r"^\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}$", re.DOTALL)
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
@@ -99,16 +98,8 @@ class ExternalAxis:
     STOP_MM_S2 = 800.0  # on a stop
     DITHER_MM, DITHER_SCOPE = 0.001, 7
 
-    def __init__(
-        self,
-        rail: RailTruth,
-        faults: Faults,
-        lowest_mm: float,
-        highest_mm: float,
-        ramp_mm_s2: float,
-    ) -> None:
-        self._rail, self._faults, self._ramp_mm_s2 = rail, faults, ramp_mm_s2
-        self._lowest_mm, self._highest_mm = lowest_mm, highest_mm
+    def __init__(self, rail: RailTruth, faults: Faults, table: RailTable) -> None:
+        self._rail, self._faults, self._table = rail, faults, table
         self.held = True
         self.moving = False
         self._target_mm, self._speed_mm_s = 0.0, 0.0
@@ -117,7 +108,9 @@ class ExternalAxis:
 
     def inside(self, target_mm: float) -> bool:
         """Whether a target lies within the software limits."""
-        return self._lowest_mm <= target_mm <= self._highest_mm
+        limit_mm = 0.5  # they lie so far outside the travel
+        lowest_mm, highest_mm = self._table.travel_min_mm, self._table.travel_max_mm
+        return lowest_mm - limit_mm <= target_mm <= highest_mm + limit_mm
 
     def move(self, target_mm: float, percent: int, override: float) -> None:
         """Start for a target."""
@@ -133,7 +126,8 @@ class ExternalAxis:
         if not self.moving:
             return
         if share > 0:
-            self._rail.move(self._target_mm, self._speed_mm_s * share, self._ramp_mm_s2)
+            speed_mm_s, ramp_mm_s2 = self._speed_mm_s * share, self._table.acceleration_mm_s2
+            self._rail.move(self._target_mm, speed_mm_s, ramp_mm_s2)
         else:
             self._rail.quick_stop(self.STOP_MM_S2)
 
@@ -178,22 +172,22 @@ class Error(IntEnum):
 
 
 class KrlController:
-    """One robot's controller; ``read`` and ``write`` may come from several threads."""
+    """One robot's controller; ``read`` and ``write`` may come from several threads.
+
+    The slide of a cell whose rail is the robot's axis E1 is the controller's, too.
+    """
 
     PTP, SLIDE = 1, 2  # values of HC_CMD
     FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
     EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 
-    def __init__(
-        self,
-        cell: Cell,
-        plant: Plant | ReplayPlant,
-        faults: Faults,
-        slide: ExternalAxis | None = None,
-    ) -> None:
+    def __init__(self, cell: Cell, plant: Plant | ReplayPlant, faults: Faults) -> None:
         self._lock = threading.RLock()
         self._plant, self._motion, self._faults = plant, plant.robot, faults
-        self._slide, self._slide_mm = slide, 0.0  # the place at which it is held
+        self._slide: ExternalAxis | None = None
+        if cell.rail.driver == RAIL_DRIVER and isinstance(plant.rail, RailTruth):
+            self._slide = ExternalAxis(plant.rail, faults, cell.rail)
+        self._slide_mm = 0.0  # the place at which it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -203,10 +197,6 @@ class KrlController:
         life_ms = 1500
         self._integers["HC_LIFE"] = life_ms
         self._timer = LifeTimer(self._timer_ran_out)
-        self._acknowledged = self._error = 0
-        self._running: int | None = None
-        self._in_stop = False
-        self._keeps_acknowledge = self._frozen = False
         self._override, self._share = 100, 1.0
         self._stale: dict[str, str] = {}
         self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
@@ -221,11 +211,12 @@ class KrlController:
         with self._lock:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
-            self._in_stop, self._running = False, None
+            self._in_stop = False
+            self._running: int | None = None
             self._hold_slide()
             self._timer.stop()
             self._keeps_acknowledge = self._frozen = False
-            self._acknowledged, self._error = self._integers["HC_SEQ"], Error.OK
+            self._acknowledged, self._error = self._integers["HC_SEQ"], int(Error.OK)
             self._set_override(100)
 
     def read(self, name: str) -> str:
@@ -526,17 +517,3 @@ class KrlController:
             self._halt("#P_STOP")
         if take("robot.override_zero") is not None:
             self._set_override(0)
-
-
-def controller_of(site: Site) -> KrlController:
-    """Return the controller of a simulated cell, whichever wire leads to it.
-
-    The slide of a cell whose rail is the robot's axis E1 is the controller's, too.
-    """
-    plant, table, slide = site.plant, site.cell.rail, None
-    if table.driver == RAIL_DRIVER and isinstance(plant.rail, RailTruth):
-        limit_mm = 0.5  # the software limits lie so far outside the travel
-        lowest_mm, highest_mm = table.travel_min_mm - limit_mm, table.travel_max_mm + limit_mm
-        ramp_mm_s2 = table.acceleration_mm_s2
-        slide = ExternalAxis(plant.rail, site.faults, lowest_mm, highest_mm, ramp_mm_s2)
-    return KrlController(site.cell, plant, site.faults, slide)

@@ -29,7 +29,6 @@ from fakes.kuka.controller import (
     KrlController,
     KrlError,
     aggregate,
-    controller_of,
     raw_members,
 )
 from fakes.site import Site
@@ -308,4 +307,5 @@ def _add(queues: Queues, received: bytes, end: bytes) -> bytes:
 
 def serve(site: Site, port: int) -> EkiServer:
     """Return the robot of a simulated cell behind EthernetKRL."""
-    return EkiServer(controller_of(site), site.faults, site.time, port=port)
+    controller = KrlController(site.cell, site.plant, site.faults)
+    return EkiServer(controller, site.faults, site.time, port=port)
