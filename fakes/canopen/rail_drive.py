@@ -170,8 +170,7 @@ class RailDrive(CanopenSlave):
     @property
     def stopping(self) -> bool:
         """Whether the drive brings the slide to rest by itself."""
-        own = (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-        return self._busy and self.state in own
+        return self._busy and self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
     def dither(self) -> None:
         """Let the servo hunt on; once a SYNC."""

@@ -406,16 +406,13 @@ class KrlController:
         """Whether the slide moves, also on its brake."""
         return self._slide is not None and self._slide.seen_moving
 
-    @property
-    def _moves(self) -> bool:
-        return self._motion.moving or (self._slide is not None and self._slide.moving)
-
     # -- the resident program -------------------------------------------------------------------
 
     def _run_program(self) -> None:
         ready = self._program == "#P_ACTIVE" and not self._in_stop
         if self._running is not None:
-            if ready and not self._moves and not self._frozen:
+            moves = self._motion.moving or (self._slide is not None and self._slide.moving)
+            if ready and not moves and not self._frozen:
                 self._acknowledge()
         elif ready and self._integers["HC_SEQ"] != self._acknowledged:
             self._running = self._integers["HC_SEQ"]

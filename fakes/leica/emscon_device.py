@@ -201,11 +201,9 @@ class EmsconDevice:
         """Without ``streams`` the tracker measures at rest only."""
         self._lock = threading.RLock()
         self._instrument, self._faults, self._streams = instrument, faults, streams
-        names = list(OFFSETS_MM | {cell.tracker.reflector: 0.0})
-        self._reflectors = dict(
-            enumerate(sorted(names, key=lambda n: n == cell.tracker.reflector), 1)
-        )
-        self._mounted = len(names)
+        mounted = cell.tracker.reflector
+        names = [*(name for name in OFFSETS_MM if name != mounted), mounted]
+        self._reflectors, self._mounted = dict(enumerate(names, 1)), len(names)
         self._settings = {name: values for name, (*_, values) in SETTINGS.items()}
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])

@@ -88,8 +88,6 @@ class UrController:
         self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
         self._inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
         self._session = self._count = self._acknowledged = self._error = 0
-        self._program, self._moves = "", False
-        self._keeps_acknowledge = self._frozen = False
         self._timer = LifeTimer(self._life_ran_out)
         self._stale: Values | None = None
         self.restore()
