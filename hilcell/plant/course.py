@@ -11,7 +11,7 @@ principal component). It does not depend on the order of the runs, so it prefers
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Course:
     U: float
     drifts: bool
     noise: float
-    steps: list[Step] = field(default_factory=list)
+    steps: list[Step]
 
 
 def hindrance(years: Array, values: Array) -> str:
@@ -67,11 +67,7 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
     if temperatures_c is not None and float(np.ptp(temperatures_c)) >= least_span_k:
         base.append(temperatures_c - temperatures_c.mean())
     steps: list[int] = []
-    most_steps = 5
-    while len(steps) < most_steps:
-        at = _next(base, steps, values)
-        if at is None:
-            break
+    while len(steps) < 5 and (at := _next(base, steps, values)) is not None:
         steps.append(at)
     fitted = _fit(_design(base, steps), values)
     factor = float(stats.t.ppf(0.5 + CONFIDENCE / 2, fitted.degrees))
@@ -82,9 +78,9 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
     ]
     slope, slope_U = float(fitted.values[1]), float(U[1])
     sure = float(stats.t.ppf(1 - SIGNIFICANCE / 2, fitted.degrees)) / factor
-    return Course(
-        slope, slope_U, abs(slope) > sure * slope_U, fitted.noise, sorted(found, key=lambda s: s.at)
-    )
+    noise = float(np.sqrt(fitted.rest / fitted.degrees))
+    steps_found = sorted(found, key=lambda step: step.at)
+    return Course(slope, slope_U, abs(slope) > sure * slope_U, noise, steps_found)
 
 
 def main_direction(vectors: Array) -> Array:
@@ -103,10 +99,6 @@ class _Fit:
     covariance: Array
     rest: float
     degrees: int
-
-    @property
-    def noise(self) -> float:
-        return float(np.sqrt(self.rest / self.degrees))
 
 
 def _design(base: list[Array], steps: list[int]) -> Array:

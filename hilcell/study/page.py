@@ -95,7 +95,7 @@ def effects_plot(study: Study, found: Answers) -> str:
     """Return the accuracy at each level of each factor, all else averaged; "" without any."""
     return _levels(
         found,
-        lambda each: Bar(each.mean.mean, *each.mean.ends, _figure(each.mean)),
+        lambda each: _accuracy(each.mean),
         f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
         "Accuracy at each level of each factor",
     )
@@ -113,15 +113,14 @@ def coverage_plot(found: Answers) -> str:
     )
 
 
-def _figure(each: Interval) -> str:
-    return f"{each.mean:.4f}" + (f" ± {each.half:.4f}" if each.half > 0.0 else "")
+def _accuracy(each: Interval) -> Bar:
+    half = f" ± {each.half:.4f}" if each.half > 0.0 else ""
+    return Bar(each.mean, *each.ends, f"{each.mean:.4f}{half}")
 
 
 def _percent(each: Share) -> Bar:
     mean, low, high = (100.0 * share for share in (each.mean, *each.ends))
-    return Bar(
-        mean, low, high, f"{mean:.1f} ({low:.1f} .. {high:.1f})" if low < high else f"{mean:.1f}"
-    )
+    return Bar(mean, low, high, f"{mean:.1f}" + (f" ({low:.1f} .. {high:.1f})" * (low < high)))
 
 
 def _mark(frame: Frame, each: Design) -> Iterator[str]:
