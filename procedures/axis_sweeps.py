@@ -26,15 +26,7 @@ from hilcell.run.collision import below, check_sweep
 from hilcell.run.mover import SweepOrder
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
-from procedures.plan import (
-    check_range,
-    check_reach,
-    closing,
-    first_pass_percent,
-    poses_at,
-    robot_moves_s,
-    step,
-)
+from procedures import plan
 
 WAYS = ("up", "down")
 TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
@@ -100,16 +92,16 @@ class AxisSweeps:
                 path_rad = np.linspace(start_rad, end_rad, seen_at)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
                 world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
-                check_range(cell, world_mm, f"A{axis} swept {way}")
+                plan.check_range(cell, world_mm, f"A{axis} swept {way}")
                 turn_deg = float(np.degrees(np.abs(end_rad - start_rad).max()))
-                percent = first_pass_percent(cell, start_rad[None])[0]
+                percent = plan.first_pass_percent(cell, start_rad[None])[0]
                 below_rad = below(cell, start_rad)
-                seconds += float(robot_moves_s(cell, here_rad, below_rad, percent))
-                seconds += float(robot_moves_s(cell, below_rad, start_rad, percent))
+                seconds += float(plan.robot_moves_s(cell, here_rad, below_rad, percent))
+                seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
         count = len(WAYS) * len(axes_of(cell))
-        return step(self.name, 0, [Span("sweep", count, seconds), *closing(cell)])
+        return plan.step(self.name, 0, [Span("sweep", count, seconds), *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Sweep, and journal each axis's curve as soon as it is known, once."""
@@ -222,7 +214,7 @@ def cube_joints(cell: Cell) -> CubeJoints:
     grid, along_edge = grid_of(cell), 7  # places
     edges = np.linspace(grid.origin_mm, grid.far_mm, along_edge).T
     places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
-    joints_rad = check_reach(cell, poses_at(cell, places_mm), "cube")
+    joints_rad = plan.check_reach(cell, plan.poses_at(cell, places_mm), "cube")
     middle_rad = joints_rad[len(joints_rad) // 2]
     return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
-from operator import itemgetter
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from hilcell.model.events import Announced, PromiseJudged
 from hilcell.model.plan import Step
 from hilcell.model.verdicts import DriverConforms
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
-from hilcell.present.table import Column, Table
+from hilcell.present.table import Table, listed
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
@@ -263,8 +262,7 @@ def conformance_table(result: Result) -> Table:
         for port, outcomes in typed(result[NAME], dict[str, list[Outcome]]).items()
         for each in outcomes
     ]
-    names = ("port", "promise", "verdict", "why")
-    return Table([Column(name, itemgetter(n)) for n, name in enumerate(names)], rows)
+    return Table(listed("port", "promise", "verdict", "why"), rows)
 
 
 CONFORMANCE = Procedure(

@@ -33,16 +33,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
-from procedures.plan import (
-    check_targets,
-    closing,
-    flange_points,
-    joints_for,
-    leg,
-    poses_at,
-    stations_in_order,
-    step,
-)
+from procedures import plan
 
 
 class Choice(ActResult, frozen=True, kw_only=True):
@@ -116,7 +107,7 @@ def orients(log: Log) -> bool:
 
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:
-    vertex = poses_at(cell, measured.grid.grid.origin_mm[None])
+    vertex = plan.poses_at(cell, measured.grid.grid.origin_mm[None])
     return MODELS[name].learn(measured).predict(vertex).turn is not None
 
 
@@ -144,11 +135,13 @@ class SignCheck:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
         there, middles_mm = cell.reference, _middle_mm(grid, np.array(_cells(grid)))
-        joints_rad = check_targets(cell, there, poses_at(cell, middles_mm), "middle of a grid cell")
-        last = there if cell.plan.quick else stations_in_order(cell)[-1]
-        back = leg(cell, last, there)
-        both = flange_points(cell, joints_rad[[0] * len(IDS)])
-        return step(self.name, len(IDS), [*back, both, *closing(cell)])
+        joints_rad = plan.check_targets(
+            cell, there, plan.poses_at(cell, middles_mm), "middle of a grid cell"
+        )
+        last = there if cell.plan.quick else plan.stations_in_order(cell)[-1]
+        back = plan.leg(cell, last, there)
+        both = plan.flange_points(cell, joints_rad[[0] * len(IDS)])
+        return plan.step(self.name, len(IDS), [*back, both, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""
@@ -159,7 +152,7 @@ class SignCheck:
         commands = {Sent.BEFORE: target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
         for how, command in commands.items():
-            joints = joints_for(session.cell, command)[0]
+            joints = plan.joints_for(session.cell, command)[0]
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
         found = sign_errors(session.log)
@@ -176,7 +169,7 @@ class SignCheck:
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
         model = MODELS[log.method].learn(measured_of(log))
-        return corrected(grid_of(log.cell), poses_at(log.cell, target_mm), model)
+        return corrected(grid_of(log.cell), plan.poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> Result:
         """Return both errors of the target."""

@@ -34,16 +34,8 @@ from hilcell.run.collision import check_path
 from hilcell.run.mover import Straight
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
+from procedures import plan
 from procedures.base_frame import BaseFrame
-from procedures.plan import (
-    angles_deg,
-    check_targets,
-    closing,
-    measure_s,
-    poses_at,
-    robot_moves_s,
-    step,
-)
 from procedures.rail import HoldStation
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
@@ -99,13 +91,15 @@ class PoseCycle:
         before_rad = np.roll(joints_rad, 1, axis=0)
         check_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
         percent = np.full(len(joints_rad), velocity_percent(cell))
-        moves_s = robot_moves_s(cell, before_rad, joints_rad, percent)
+        moves_s = plan.robot_moves_s(cell, before_rad, joints_rad, percent)
         seats = len(cell.robot.seats_mm)
-        at_each_s = cell.settle.robot_s + seats * measure_s(cell, cell.tracker.samples)
+        at_each_s = cell.settle.robot_s + seats * plan.measure_s(cell, cell.tracker.samples)
         cycles, points = cell.iso9283.cycles, cell.iso9283.cycles * len(CYCLE) * seats
         cycle_s = float(moves_s.sum()) + len(CYCLE) * at_each_s
         spans = [Span("cycle", points, cycles * cycle_s)]
-        return step(self.name, points, [*spans, *closing(cell, carried=True, points=points)])
+        return plan.step(
+            self.name, points, [*spans, *plan.closing(cell, carried=True, points=points)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Measure every visit, prove the tracker, judge the limits that are stated."""
@@ -114,7 +108,7 @@ class PoseCycle:
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
         T_W_B = session.frames.base_in_world(station)
         nominal_mm = apply(T_W_B, at_mm)
-        nominal_deg = angles_deg(T_W_B, poses_at(session.cell, at_mm))
+        nominal_deg = plan.angles_deg(T_W_B, plan.poses_at(session.cell, at_mm))
         percent = velocity_percent(session.cell)
         for cycle, (n, name) in product(range(session.cell.iso9283.cycles), enumerate(CYCLE)):
             session.flange_point(
@@ -136,11 +130,11 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
 
     Raises `HilcellError` for poses that cannot be reached or driven to.
     """
-    poses = poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
+    poses = plan.poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
     if calibrated:
         calibration = calibration_named(cell, ISO)
         poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
-    return check_targets(cell, cell.reference, poses, "ISO 9283 pose")
+    return plan.check_targets(cell, cell.reference, poses, "ISO 9283 pose")
 
 
 COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (

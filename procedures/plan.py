@@ -164,11 +164,6 @@ def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span
     return Span("flange", each * len(joints_rad), seconds)
 
 
-def flange_count(cell: Cell, poses: int) -> int:
-    """Return how many points poses are at which all reflectors on the flange are measured."""
-    return poses * len(cell.robot.seats_mm)
-
-
 def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:
     """Return the speeds (N,) to joints (N, 6) on the first pass: no plan knows of runs before."""
     usual = cell.robot.speed_percent

@@ -33,20 +33,7 @@ from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures.plan import (
-    angles_deg,
-    check_range,
-    check_targets,
-    closing,
-    drivable,
-    flange_count,
-    flange_points,
-    joints_for,
-    more_orientations,
-    poses_at,
-    step,
-    turned,
-)
+from procedures import plan
 
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
@@ -68,29 +55,33 @@ class RobotGrid:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
         there = cell.reference
-        joints_rad = check_targets(cell, there, poses_at(cell, vertices_mm), "grid vertex")
+        joints_rad = plan.check_targets(
+            cell, there, plan.poses_at(cell, vertices_mm), "grid vertex"
+        )
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
-            check_range(cell, world_mm, f"grid at {station.name}")
+            plan.check_range(cell, world_mm, f"grid at {station.name}")
         sent_rad = [joints_rad]
         _check_orientations(cell)
-        for n, R in enumerate(more_orientations(cell)):
+        for n, R in enumerate(plan.more_orientations(cell)):
             what = f"grid vertex in orientation {_named(cell.plan.grid_orientations[n])}"
-            sent_rad.append(check_targets(cell, there, matrix(R, vertices_mm), what))
-        points = flange_count(cell, len(vertices_mm) * len(sent_rad))
-        measured = flange_points(cell, np.concatenate(sent_rad), seats=True)
-        return step(self.name, points, [measured, *closing(cell, carried=True, points=points)])
+            sent_rad.append(plan.check_targets(cell, there, matrix(R, vertices_mm), what))
+        points = len(vertices_mm) * len(sent_rad) * len(cell.robot.seats_mm)
+        measured = plan.flange_points(cell, np.concatenate(sent_rad), seats=True)
+        return plan.step(
+            self.name, points, [measured, *plan.closing(cell, carried=True, points=points)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Measure every vertex."""
         cell, station = session.cell, session.cell.reference
         vertices_mm, ids = grid_of(cell).serpentine_mm(), vertex_ids(grid_of(cell))
         T_W_B = session.frames.base_in_world(station)
-        vertices = _sent(cell, T_W_B, ids, poses_at(cell, vertices_mm))
+        vertices = _sent(cell, T_W_B, ids, plan.poses_at(cell, vertices_mm))
         self._measure_all(session, station, vertices)
         for each in self._doubtful(session, vertices):
             self._measure(session, station, each, retake=True)
-        for number, R in enumerate(more_orientations(cell), start=1):
+        for number, R in enumerate(plan.more_orientations(cell), start=1):
             again = [PointId(ORIENTED, vertex=id.vertex, place=number) for id in ids]
             self._measure_all(session, station, _sent(cell, T_W_B, again, matrix(R, vertices_mm)))
         session.close_step(carried=True)
@@ -126,7 +117,7 @@ class RobotGrid:
 def _check_orientations(cell: Cell) -> None:
     """Raise `HilcellError` for orientations that are equal, or the grid's own: they add nothing."""
     of = cell.grid.centre.matrix()[None, :3, :3]
-    found = np.concatenate([of, more_orientations(cell)])
+    found = np.concatenate([of, plan.more_orientations(cell)])
     names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
     for n, m in combinations(range(len(found)), 2):
         same_rad = 1e-4  # nearer orientations are one
@@ -145,7 +136,7 @@ def _named(angles_deg: Sequence[float]) -> str:
 
 def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
     joints_rad = cell.robot.nominal().joints_for(poses)
-    world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), angles_deg(T_W_B, poses)
+    world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), plan.angles_deg(T_W_B, poses)
     return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))
 
 
@@ -167,9 +158,9 @@ class ChosenPoses:
         if not most:
             return Step(self.name, 0, 0.0)
         joints_rad = candidates_rad(cell)[:most]
-        measured = flange_points(cell, joints_rad, seats=True)
-        points = flange_count(cell, len(joints_rad))
-        return step(self.name, points, [measured, *closing(cell)])
+        measured = plan.flange_points(cell, joints_rad, seats=True)
+        points = len(joints_rad) * len(cell.robot.seats_mm)
+        return plan.step(self.name, points, [measured, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""
@@ -208,16 +199,15 @@ class ChosenPoses:
 
 def choice(log: Log, joints_rad: Array) -> Design:
     """Return which of the candidates (N, 6) to measure; raises `IdentificationError`."""
-    plan, cell = log.cell.plan, log.cell
-    measured = measured_of(log)
+    cell, measured = log.cell, measured_of(log)
     model = Kinematic.learn(measured)
     reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
     return design(
         _rows_of(model, joints_rad, reading_mm2),
         _rows_of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
-        bound_mm=plan.bound_mm,
-        counts=plan.pose_counts,
+        bound_mm=cell.plan.bound_mm,
+        counts=cell.plan.pose_counts,
     )
 
 
@@ -240,15 +230,15 @@ def candidates_rad(cell: Cell) -> Array:
 def judged_rad(cell: Cell) -> Array:
     """Return joints (N, 6) of poses like the targets', over which predictions are to be certain."""
     if not cell.plan.tilt_deg:
-        return joints_for(cell, _places_mm(cell, _spread(64, 3)))
+        return plan.joints_for(cell, _places_mm(cell, _spread(64, 3)))
     return _driven_rad(cell, _spread(64, 6), cell.plan.tilt_deg)
 
 
 def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
     """Return joints (M, 6) of drawn poses (N, 6) that can be driven to: place and turn, 0..1."""
     turns_rad = (2.0 * drawn[:, 3:] - 1.0) * np.radians(turn_deg) / np.sqrt(3.0)
-    poses = turned(poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
-    return cell.robot.nominal().joints_for(poses[drivable(cell, cell.reference, poses)])
+    poses = plan.turned(plan.poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
+    return cell.robot.nominal().joints_for(poses[plan.drivable(cell, cell.reference, poses)])
 
 
 def _places_mm(cell: Cell, shares: Array) -> Array:

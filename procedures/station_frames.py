@@ -41,17 +41,8 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
+from procedures import plan
 from procedures.base_frame import check_circles, points_on_arc, sweep, sweeps
-from procedures.plan import (
-    check_range,
-    closing,
-    leg,
-    other_stations,
-    park_s,
-    readings,
-    stations_in_order,
-    step,
-)
 
 THREE, FEW = "three_points", 3
 THREE_SAMPLES = 3  # the paper does not state how many readings it took of each
@@ -80,14 +71,14 @@ class StationFrames:
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
-            check_range(cell, world_mm, f"slide nests at {station.name}")
+            plan.check_range(cell, world_mm, f"slide nests at {station.name}")
         here = cell.reference
-        spans = [Span("park", 0, park_s(cell))]
+        spans = [Span("park", 0, plan.park_s(cell))]
         stations = self._stations(cell)
         for station in stations:
             spans += frame_spans(cell, here, station)
             here = station
-        return step(self.name, len(stations) * nest_points(cell), spans)
+        return plan.step(self.name, len(stations) * nest_points(cell), spans)
 
     def perform(self, session: CellSession) -> None:
         """Frame the grid's station first: its slide points define {S}."""
@@ -97,7 +88,7 @@ class StationFrames:
 
     def _stations(self, cell: Cell) -> list[Station]:
         later = self._validated and cell.plan.quick
-        return [cell.reference] if later else stations_in_order(cell)
+        return [cell.reference] if later else plan.stations_in_order(cell)
 
     def result(self, log: Log) -> Result:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
@@ -118,9 +109,9 @@ def nest_points(cell: Cell) -> int:
 
 def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
     """Return the spans of going to a station and framing it."""
-    nests = readings(cell, len(cell.layout.slide), cell.nest_samples)
-    few = [] if cell.plan.quick else [readings(cell, FEW, THREE_SAMPLES)]
-    return [*leg(cell, here, there), nests, *few, *closing(cell, carried=True)]
+    nests = plan.readings(cell, len(cell.layout.slide), cell.nest_samples)
+    few = [] if cell.plan.quick else [plan.readings(cell, FEW, THREE_SAMPLES)]
+    return [*plan.leg(cell, here, there), nests, *few, *plan.closing(cell, carried=True)]
 
 
 def frame_station(session: CellSession, station: Station) -> None:
@@ -332,13 +323,13 @@ class FrameRepeatability:
             raise HilcellError(
                 "one station, wanted two or more: frames are compared between them", code="HC-C10"
             )
-        here, spans = other_stations(cell)[-1], []  # where the last step left the slide
-        six = readings(cell, SIX, MORE_READINGS * cell.nest_samples)
+        here, spans = plan.other_stations(cell)[-1], []  # where the last step left the slide
+        six = plan.readings(cell, SIX, MORE_READINGS * cell.nest_samples)
         for station in cell.station:
             check_circles(cell, station)
-            spans += [*leg(cell, here, station), six, sweeps(cell), *closing(cell)]
+            spans += [*plan.leg(cell, here, station), six, sweeps(cell), *plan.closing(cell)]
             here = station
-        return step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
+        return plan.step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
 
     def perform(self, session: CellSession) -> None:
         """Visit every station."""
@@ -388,7 +379,7 @@ def _moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
     reference_mm = _seen_from(log, kind, log.cell.reference)
     return {
         station.name: lengths_mm(_seen_from(log, kind, station) - reference_mm).tolist()
-        for station in other_stations(log.cell)
+        for station in plan.other_stations(log.cell)
     }
 
 

@@ -44,15 +44,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.plan import (
-    check_targets,
-    closing,
-    first_hold,
-    flange_points,
-    joints_for,
-    poses_at,
-    step,
-)
+from procedures import plan
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
 
@@ -79,9 +71,9 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
     if not cell.touch.poses:
         return []
-    poses = poses_at(cell, touch_targets_mm(cell, station))
-    joints_rad = check_targets(cell, station, poses, f"touch pose at {station.name}")
-    return [flange_points(cell, joints_rad)]
+    poses = plan.poses_at(cell, touch_targets_mm(cell, station))
+    joints_rad = plan.check_targets(cell, station, poses, f"touch pose at {station.name}")
+    return [plan.flange_points(cell, joints_rad)]
 
 
 def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
@@ -97,8 +89,8 @@ def touch_once(session: CellSession, station: Station, model: ErrorModel) -> Non
 def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     cell, log = session.cell, session.log
     targets_mm, T_W_B = touch_targets_mm(cell, station), session.frames.base_in_world(station)
-    poses = poses_at(cell, targets_mm)
-    joints_rad = joints_for(cell, corrected(grid_of(cell), poses, model))
+    poses = plan.poses_at(cell, targets_mm)
+    joints_rad = plan.joints_for(cell, corrected(grid_of(cell), poses, model))
     nominal_mm = apply(T_W_B, targets_mm)
     points, visit = [], -1
     while log.visit != visit:  # a retake at another station ends the visit
@@ -208,8 +200,8 @@ class TouchStation:
                 "touch.poses is 0: nothing would be touched; give --set touch.poses=8",
                 code="HC-C10",
             )
-        spans = [*first_hold(cell, station), *touch, *closing(cell, carried=True)]
-        return step(self.name, touch[0].measured, spans)
+        spans = [*plan.first_hold(cell, station), *touch, *plan.closing(cell, carried=True)]
+        return plan.step(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""

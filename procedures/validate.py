@@ -41,21 +41,8 @@ from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures import enough_targets
+from procedures import enough_targets, plan
 from procedures.fit import orients
-from procedures.plan import (
-    angles_deg,
-    check_targets,
-    closing,
-    drivable,
-    flange_points,
-    leg,
-    more_orientations,
-    poses_at,
-    stations_in_order,
-    step,
-    turned,
-)
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch_station import touch_once, touch_spans, touches
@@ -81,24 +68,26 @@ class Validate:
         T_W_T, ranges_mm = inverse(cell.tracker.pose.matrix()), list[float]()
         for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)
-            joints_rad = check_targets(cell, station, poses, f"target at {name}")
+            joints_rad = plan.check_targets(cell, station, poses, f"target at {name}")
             at_mm = apply(T_W_T @ cell.layout.nominal_base(station.strip_mm), poses[:, :3, 3])
             ranges_mm.append(float(np.linalg.norm(at_mm, axis=1).mean()))
             if cell.plan.quick and here != station:  # one stop, to frame and to validate
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
             else:
-                spans += leg(cell, here, station)
+                spans += plan.leg(cell, here, station)
             for how in BOTH if cell.plan.quick else Sent:
                 measured = touch_spans(cell, station) if how == Sent.CHOSEN else []
                 sent_rad = joints_rad[: _planned(cell, how)]
-                measured.append(flange_points(cell, sent_rad, seats=how in BOTH))
+                measured.append(plan.flange_points(cell, sent_rad, seats=how in BOTH))
                 count = sum(span.measured for span in measured)
-                proofs = closing(cell, carried=True, points=count) if how in _closed(cell) else []
+                proofs = (
+                    plan.closing(cell, carried=True, points=count) if how in _closed(cell) else []
+                )
                 spans += [*measured, *proofs]
                 points += count
             here = station
-        found = step(self.name, points, spans)
+        found = plan.step(self.name, points, spans)
         return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:
@@ -138,7 +127,7 @@ class Validate:
             return
         wanted, T_W_B = poses[numbers], session.frames.base_in_world(station)
         nominal_mm = apply(T_W_B, wanted[:, :3, 3])
-        nominal_deg = angles_deg(T_W_B, wanted)
+        nominal_deg = plan.angles_deg(T_W_B, wanted)
         joints_rad, visit = np.zeros((len(ids), 6)), -1
         for n, id in enumerate(ids):
             session.retake_waiting()  # at another station, it ends the visit
@@ -217,7 +206,7 @@ def judge_suspicions(session: CellSession) -> None:
 
 def _places(cell: Cell) -> dict[str, list[str]]:
     """Return the stations judged together by name: the grid's, all others, each other."""
-    reference, *others = (station.name for station in stations_in_order(cell))
+    reference, *others = (station.name for station in plan.stations_in_order(cell))
     together = {OTHERS: others} if others else {}
     return {reference: [reference]} | together | {name: [name] for name in others}
 
@@ -302,7 +291,7 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
 
     A target of which no drawn turn can be driven to keeps the grid's orientation.
     """
-    found = {name: poses_at(cell, at_mm) for name, at_mm in _seen(cell, seed).items()}
+    found = {name: plan.poses_at(cell, at_mm) for name, at_mm in _seen(cell, seed).items()}
     if cell.plan.grid_orientations:
         for name, poses in found.items():
             found[name] = _oriented(cell, cell.station_named(name), poses)
@@ -330,11 +319,11 @@ def _oriented(cell: Cell, station: Station, poses: Array) -> Array:
     """Return poses (N, 4, 4) in the orientations of the grid, in turn, as far as they can be
     driven to.
     """
-    poses, others = poses.copy(), more_orientations(cell)
+    poses, others = poses.copy(), plan.more_orientations(cell)
     for number, R in enumerate(others, start=1):
         rows = np.arange(number, len(poses), len(others) + 1)
         tried = matrix(R, poses[rows, :3, 3])
-        driven = drivable(cell, station, tried)
+        driven = plan.drivable(cell, station, tried)
         poses[rows[driven]] = tried[driven]
     return poses
 
@@ -345,8 +334,8 @@ def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator
     for _ in range(DRAWS):
         turns = rng.standard_normal((len(left), 3))
         turns *= np.radians(cell.plan.tilt_deg) / np.linalg.norm(turns, axis=1, keepdims=True)
-        tried = turned(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
-        driven = drivable(cell, station, tried)
+        tried = plan.turned(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
+        driven = plan.drivable(cell, station, tried)
         poses[left[driven]] = tried[driven]
         left = left[~driven]
     return poses
@@ -359,7 +348,7 @@ def targets(cell: Cell, seed: int) -> dict[str, Array]:
         low_mm, high_mm = grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM
         return enough_targets.octant_targets(cell, seed, low_mm, high_mm)
     cells = list(product(*(range(count - 1) for count in grid.shape)))
-    reference, *others = (station.name for station in stations_in_order(cell))
+    reference, *others = (station.name for station in plan.stations_in_order(cell))
     drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
     for number, name in enumerate(others):
         share = cell.validation.others // len(others)

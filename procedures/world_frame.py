@@ -23,16 +23,7 @@ from hilcell.model.results import ActResult
 from hilcell.model.verdicts import FacesCompared, LengthsChecked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures.plan import (
-    check_range,
-    closing,
-    floor_points,
-    homing_s,
-    measure_s,
-    park_s,
-    readings,
-    step,
-)
+from procedures import plan
 
 
 class Home:
@@ -46,7 +37,7 @@ class Home:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step."""
-        return Step(self.name, 0, park_s(cell) + homing_s(cell))
+        return Step(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))
 
     def perform(self, session: CellSession) -> None:
         """Reference the drive."""
@@ -102,13 +93,15 @@ class WorldFrame:
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
-        check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
+        plan.check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
         bar = cell.layout.bar  # nests on the floor are measured anyway
-        check_range(cell, np.array([nest.xyz_mm for nest in bar]).reshape(-1, 3), "bar's nests")
-        spans = [floor_points(cell)]
-        spans += [readings(cell, len(bar), cell.nest_samples)] if bar else []
-        spans += closing(cell) if self.proves else []
-        return step(self.name, len(cell.layout.floor), spans)
+        plan.check_range(
+            cell, np.array([nest.xyz_mm for nest in bar]).reshape(-1, 3), "bar's nests"
+        )
+        spans = [plan.floor_points(cell)]
+        spans += [plan.readings(cell, len(bar), cell.nest_samples)] if bar else []
+        spans += plan.closing(cell) if self.proves else []
+        return plan.step(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
@@ -150,8 +143,8 @@ class TwoFaces:
         if reason := left_out(cell):
             return Step(self.name, 0, 0.0, note=reason)
         count, face_s = len(self._nests(cell)), 4.0  # until it has turned over and looks back
-        each_s = 2.0 * face_s + measure_s(cell, SAMPLES)
-        return step(self.name, 0, [Span("second face", count, count * each_s)])
+        each_s = 2.0 * face_s + plan.measure_s(cell, SAMPLES)
+        return plan.step(self.name, 0, [Span("second face", count, count * each_s)])
 
     def perform(self, session: CellSession) -> None:
         """Measure and judge, once; an axis that is off pauses an attended run."""

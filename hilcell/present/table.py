@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Generic, NamedTuple, Never, TypeVar
 
 T = TypeVar("T")
@@ -85,6 +85,11 @@ def vector(
 
     for n, name in enumerate(names, first):
         yield Column(prefix + name, partial(element, n), unit, form)
+
+
+def listed(*names: str) -> list[Column[Sequence[Value]]]:
+    """Return columns of words for rows that are sequences."""
+    return [Column(name, itemgetter(n)) for n, name in enumerate(names)]
 
 
 class Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from hilcell.journal.log import Log
 from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.renderers import csv_of, xlsx_of
-from hilcell.present.table import Column, Table, Value, vector
+from hilcell.present.table import Column, Table, Value, listed, vector
 from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
 from hilcell.report.tables import ACCURACY, FRAMES, Tables
@@ -133,11 +133,7 @@ def points_table(facts: Facts) -> Table:
 
 def results_table(facts: Facts) -> Table:
     """Return the result as one row a figure; its path names the unit where it has one."""
-    return Table(_named("figure"), _leaves("", facts.result), "results")
-
-
-def _named(name: str) -> tuple[Column[tuple[str, Value]], ...]:
-    return Column(name, itemgetter(0)), Column("value", itemgetter(1))
+    return Table(listed("figure", "value"), _leaves("", facts.result), "results")
 
 
 def _leaves(path: str, value: object) -> Iterable[tuple[str, Value]]:
@@ -179,7 +175,7 @@ def run_table(facts: Facts) -> Table:
         rows.append(("link", facts.log.link.counts))
         if facts.log.link.warning:
             rows.append(("link_warning", facts.log.link.warning))
-    return Table(_named("name"), rows, "run")
+    return Table(listed("name", "value"), rows, "run")
 
 
 def csv_bytes(facts: Facts) -> bytes:

@@ -9,7 +9,7 @@ from operator import attrgetter, itemgetter
 from hilcell.calibration.iso9283 import ANGLES, CYCLE, Angles, Distance, Pose, PoseTest, Worst
 from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
-from hilcell.present.table import Column, Table
+from hilcell.present.table import Column, Table, listed
 from hilcell.report.facts import Facts
 from hilcell.typed import typed
 
@@ -73,10 +73,6 @@ class PoseReport:
         if not tests_poses(self.facts):
             return []
         found = self.tested()
-        columns: tuple[Column[tuple[str, str]], ...] = (
-            Column("condition", itemgetter(0)),
-            Column("in this test", itemgetter(1)),
-        )
         distance: tuple[Column[Distance], ...] = (
             Column("from", attrgetter("start")),
             Column("to", attrgetter("to")),
@@ -89,7 +85,7 @@ class PoseReport:
         )
         note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
         return [
-            Table(columns, _conditions(found), "Test conditions"),
+            Table(listed("condition", "in this test"), _conditions(found), "Test conditions"),
             Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
             Table(
                 TURNS, found.orientation.items(), "Accuracy and repeatability of angles", TURNS_NOTE

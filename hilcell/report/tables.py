@@ -36,7 +36,7 @@ from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
-from hilcell.present.table import Column, Table, vector
+from hilcell.present.table import Column, Table, listed, vector
 from hilcell.report.budgets import TargetBudget, place_words
 from hilcell.report.facts import Facts
 
@@ -213,11 +213,8 @@ class Tables:
 
     def software(self) -> Table:
         """Return the versions that measured."""
-        columns: tuple[Column[tuple[str, str]], ...] = (
-            Column("package", itemgetter(0)),
-            Column("version", itemgetter(1)),
-        )
-        return Table(columns, self.facts.inputs.versions.items(), "Software that measured")
+        versions = self.facts.inputs.versions.items()
+        return Table(listed("package", "version"), versions, "Software that measured")
 
     def groups(self) -> Table:
         """Return how many points of each kind were measured, in the order of the run."""
