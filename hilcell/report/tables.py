@@ -23,7 +23,6 @@ from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, 
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.log import Log
 from hilcell.model.events import (
     Asset,
     Invalidating,
@@ -36,7 +35,7 @@ from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
-from hilcell.present.table import Column, Table, listed, vector
+from hilcell.present.table import Column, Table, Value, listed, vector
 from hilcell.report.budgets import TargetBudget, place_words
 from hilcell.report.facts import Facts
 
@@ -279,10 +278,12 @@ class Tables:
         for first, again, why in pairs:
             turns = self._turns_deg(again.key, seats)[times[again.key] :][:2]
             times[again.key] += 1
-            which = _which(counted[again.key], first, again)
+            places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
+            kept = counted[again.key]
+            counts = (name for name, at_mm in places_mm.items() if kept and at_mm == kept.xyz_mm)
             errors_mm = self._error_mm(first), self._error_mm(again)
             both = turns if len(turns) == 2 else ()
-            found.append(Repeat(first, again, why, *errors_mm, which, *both))
+            found.append(Repeat(first, again, why, *errors_mm, next(counts, "neither"), *both))
         return found
 
     def _turns_deg(self, key: str, seats: Array | None) -> list[float]:
@@ -405,50 +406,36 @@ FRAMES: tuple[Column[Posed], ...] = (
 # -- the ten worst corrected targets, of re-measured ones both values ------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Worst:
-    """One target: its nominal place (3,), its error before and after (3,), all in {W}, mm.
-
-    ``again_mm`` is the largest error of its other measurements, None where it was measured once.
-    """
-
-    rank: int
-    name: str
-    nominal_mm: Array
-    before_mm: float | None
-    error_mm: Array
-    again_mm: float | None
-    bound_mm: float | None
-
-    @property
-    def norm_mm(self) -> float:
-        """Return the 3-D error."""
-        return float(np.linalg.norm(self.error_mm))
-
-    @property
-    def share(self) -> float | None:
-        """Return the error over its own 95 % bound."""
-        return None if self.bound_mm is None else self.norm_mm / self.bound_mm
-
-
 def worst(facts: Facts, budget: TargetBudget) -> Table:
-    """Return the corrected targets with the largest errors."""
+    """Return the corrected targets with the largest errors: places and errors in {W}."""
     log = facts.log
     if "world" not in log.frames:
         return Table((), ())
-    found = [p for station in log.cell.station for p in targets(log, station.name, Sent.CHOSEN)]
-    norms_mm = errors_of(log, found).norms_mm
-    most = 10
-    order = np.argsort(-norms_mm, kind="stable")[:most]
+    stations, most = [station.name for station in log.cell.station], 10
+    found = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
+    order = np.argsort(-errors_of(log, found).norms_mm, kind="stable")[:most]
     before = {
-        (p.station, p.id.number): p
-        for station in log.cell.station
-        for p in targets(log, station.name, Sent.BEFORE)
+        (point.station, point.id.number): float(errors_of(log, [point]).norms_mm[0])
+        for name in stations
+        for point in targets(log, name, Sent.BEFORE)
     }
-    rows = [
-        _row(log, rank, found[n], before.get((found[n].station, found[n].id.number)), budget)
-        for rank, n in enumerate(order, start=1)
-    ]
+    rows = list[tuple[Value, ...]]()
+    for rank, n in enumerate(order, start=1):
+        point, errors = found[n], errors_of(log, [found[n]])
+        norm_mm, bound_mm = float(errors.norms_mm[0]), budget.points_mm.get(point.key)
+        others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
+                  if p.xyz_mm != point.xyz_mm]  # fmt: skip
+        rows.append((
+            str(rank),
+            f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", "\N{NO-BREAK SPACE}"),
+            *errors.nominal_mm[0].tolist(),
+            before.get((point.station, point.id.number)),
+            *errors.error_mm[0].tolist(),
+            norm_mm,
+            float(errors_of(log, others).norms_mm.max()) if others else None,
+            bound_mm,
+            None if bound_mm is None else norm_mm / bound_mm,
+        ))  # fmt: skip
     note = (
         "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
         "targets are expected to be. Where a target was measured again, the larger value counts."
@@ -457,34 +444,16 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
         key = found[order[0]].key
         note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
     title = "The ten worst targets" if len(rows) == most else "The worst targets"
-    columns: tuple[Column[Worst], ...] = (
-        Column("rank", lambda row: str(row.rank)),
-        Column("target", attrgetter("name")),
-        *vector("", "xyz", "mm", "nominal_mm", ".0f"),
-        Column("before", attrgetter("before_mm"), "mm", ".3f"),
-        *vector("e", "xyz", "mm", "error_mm", "+.3f"),
-        Column("3-D", attrgetter("norm_mm"), "mm", ".3f"),
-        Column("again", attrgetter("again_mm"), "mm", ".3f"),
-        Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
-        Column("after ÷ bound", attrgetter("share"), form=".2f"),
-    )
+    shown = (
+        ("rank", "", ""), ("target", "", ""), *((axis, "mm", ".0f") for axis in "xyz"),
+        ("before", "mm", ".3f"), *((f"e{axis}", "mm", "+.3f") for axis in "xyz"),
+        ("3-D", "mm", ".3f"), ("again", "mm", ".3f"), ("95 % bound", "mm", ".3f"),
+        ("after ÷ bound", "", ".2f"),
+    )  # fmt: skip
+    columns: list[Column[tuple[Value, ...]]] = [
+        Column(name, itemgetter(n), unit, form) for n, (name, unit, form) in enumerate(shown)
+    ]
     return Table(columns, rows, title, note)
-
-
-def _row(log: Log, rank: int, point: Point, before: Point | None, budget: TargetBudget) -> Worst:
-    others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
-              if p.xyz_mm != point.xyz_mm]  # fmt: skip
-    found = errors_of(log, [point])
-    no_break = "\N{NO-BREAK SPACE}"
-    return Worst(
-        rank,
-        f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", no_break),
-        found.nominal_mm[0],
-        float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
-        found.error_mm[0],
-        float(errors_of(log, others).norms_mm.max()) if others else None,
-        budget.points_mm.get(point.key),
-    )
 
 
 # -- points measured more than once: both values, why, and which counts ----------------------------
@@ -531,9 +500,3 @@ REPEATS: tuple[Column[Repeat], ...] = (
     Column("error again", attrgetter("again_mm"), "mm", ".4f"),
     Column("apart", attrgetter("apart_mm"), "mm", ".4f"),
 )
-
-
-def _which(counted: Point | None, first: Point, again: Point) -> str:
-    places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
-    found = (name for name, at_mm in places_mm.items() if counted and at_mm == counted.xyz_mm)
-    return next(found, "neither")
