@@ -6,7 +6,7 @@ killed.
 
 from __future__ import annotations
 
-import pickle
+import importlib
 import select
 import subprocess
 import sys
@@ -15,15 +15,17 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import IO, cast
+from typing import IO, Any, Self, cast
 
 import msgspec
 
 from hilcell.cell.file import Cell
+from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS, Driver, Port
 from hilcell.conformance.trial import LOOK_S, Bench, Broken, Promises, Riding, Settings, fails, need
 from hilcell.errors import DeviceError, Stopped
+from hilcell.typed import Json, decoded
 
 PROMISES = Promises()
 STOP_S = 0.02
@@ -57,8 +59,37 @@ class Task:
         self.ended_s = time.monotonic()
 
 
-# Which driver moves which device of a cell, and the robot on which it rides.
-Order = tuple[Cell, Port, Settings, Settings | None]
+class Made(msgspec.Struct, frozen=True):
+    """A driver's class and its options."""
+
+    module: str
+    name: str
+    options: Json
+
+    @classmethod
+    def of(cls, settings: Settings, **changed: object) -> Self:
+        """Return the order for one, with ``changed`` options."""
+        kind, options = settings
+        stated = msgspec.to_builtins(msgspec.structs.replace(options, **changed))
+        return cls(kind.__module__, kind.__qualname__, stated)
+
+    def built(self, table: str) -> Driver:
+        """Return it, not connected."""
+        kind: Any = importlib.import_module(self.module)
+        for name in self.name.split("."):
+            kind = getattr(kind, name)
+        options = convert(self.options, kind.Options, table)
+        return kind(options, WallClock(threading.Event()))
+
+
+class Order(msgspec.Struct, frozen=True, kw_only=True):
+    """Which driver moves which device, and the robot on which it rides."""
+
+    cell: Json
+    port: Port
+    driver: Made
+    carrier: Made | None
+    path: list[str]
 
 
 class Child:
@@ -66,9 +97,14 @@ class Child:
 
     def __init__(self, bench: Bench) -> None:
         self._check = bench.clock.outer
-        kind, options = bench.settings()
-        settings = kind, msgspec.structs.replace(options, **bench.acts.slowly())
-        order: Order = (bench.cell, bench.port, settings, bench.carrier())
+        carrier = bench.carrier()
+        order = Order(
+            cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
+            port=bench.port,
+            driver=Made.of(bench.settings(), **bench.acts.slowly()),
+            carrier=None if carrier is None else Made.of(carrier),
+            path=sys.path,
+        )
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "hilcell.conformance.wire_faults"],
             stdin=subprocess.PIPE,
@@ -76,7 +112,7 @@ class Child:
             stderr=subprocess.PIPE,
         )
         stdin = cast("IO[bytes]", self._process.stdin)
-        stdin.write(pickle.dumps(sys.path) + pickle.dumps(order))
+        stdin.write(msgspec.json.encode(order) + b"\n")
         stdin.flush()
 
     def __enter__(self) -> Child:
@@ -327,17 +363,15 @@ def _under_way(bench: Bench) -> tuple[Driver, Task]:
 
 def main() -> None:
     """Connect, say so, and begin what takes seconds."""
-    sys.path[:] = pickle.load(sys.stdin.buffer)  # noqa: S301 - its parent's
-    order: Order = pickle.load(sys.stdin.buffer)  # noqa: S301 - its parent's
-    cell, port, (kind, options), carrier = order
-    clock = WallClock(threading.Event())
-    device = kind(options, clock)
-    if carrier is not None:
-        of_robot, robot_options = carrier
-        device = Riding(device, of_robot(robot_options, clock))
+    order = decoded(sys.stdin.buffer.readline(), Order)
+    sys.path[:] = order.path
+    cell = convert(order.cell, Cell, "cell")
+    device = order.driver.built(order.port)
+    if order.carrier is not None:
+        device = Riding(device, order.carrier.built("robot"))
     device.connect()
     print("connected", flush=True)
-    ACTS[port](cell).travel(device)
+    ACTS[order.port](cell).travel(device)
     threading.Event().wait(30.0)
 
 
