@@ -71,6 +71,15 @@ def test_help_is_quick_to_import() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_no_text_becomes_code() -> None:
+    """Whatever a file, a wire or another process holds: it is data."""
+    code = re.compile(r"\b(?:import|from) pickle\b|\b(?:eval|exec)\(|shell=True|os\.system")
+    rooms = ("hilcell", "drivers", "procedures", "fakes")
+    paths = [path for room in rooms for path in sorted((ROOT / room).rglob("*.py"))]
+    assert len(paths) > 300
+    assert [path for path in paths if code.search(path.read_text("utf-8"))] == []
+
+
 def test_words_are_plain() -> None:
     found = {
         (path.relative_to(ROOT).as_posix(), text[max(0, hit.start() - 30) : hit.end() + 30])
