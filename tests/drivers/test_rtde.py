@@ -28,7 +28,7 @@ from drivers.universal_robots.rtde import (
     UrState,
     encode,
 )
-from hilcell.ports import DeviceRefused
+from hilcell.ports import DeviceError, DeviceRefused
 from tests.drivers.peers import Server, wire_time
 from tests.drivers.rail_bed import refusal
 from tests.fakes.rail_bench import until
@@ -126,15 +126,19 @@ RATE_HZ = 125.0
 
 
 class Controller:
-    """Answers the set-up, and sends a state and ``besides``, when ``due`` returns."""
+    """Answers the set-up, and sends a state and ``besides``, when ``due`` returns.
+
+    ``wrong`` is a package that it answers with instead of the right one of the same type.
+    """
 
     def __init__(
         self,
         types: Sequence[str] = TYPES,
         due: Callable[[], object] = lambda: None,
         besides: bytes = b"",
+        wrong: bytes = b"",
     ) -> None:
-        self.types, self.due, self._besides = types, due, besides
+        self.types, self.due, self._besides, self._wrong = types, due, besides, wrong
         self.number, self.sent, self.question, self.takes = 1, 0, 0, True
         self.written: list[tuple[int, ...]] = []  # sequence, command, life, stop
 
@@ -150,7 +154,8 @@ class Controller:
                         b"INT32" if b"_int_" in each else b"DOUBLE" for each in asked
                     ),
                 }.get(Kind(kind), b"\1")  # fmt: skip
-                wire.sendall(encode(Kind(kind), answer))
+                right = encode(Kind(kind), answer)
+                wire.sendall(self._wrong if self._wrong[2:3] == right[2:3] else right)
                 if kind == Kind.START:
                     self._send_states(wire, packages)
 
@@ -268,3 +273,23 @@ def test_a_field_of_another_type_is_refused(name: str, kind: str) -> None:
     with pytest.raises(DeviceRefused, match=name) as found, link_to(Controller(types)):
         pass
     assert found.value.code == "HC-B69"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "found"),
+    [
+        ("000356", "an answer of 0 bytes, wanted 1"),
+        ("0005560101", "an answer of 2 bytes, wanted 1"),
+        ("000353", "an answer of 0 bytes, wanted 1"),
+        ("0005530101", "an answer of 2 bytes, wanted 1"),
+        ("000376", "a controller version of 0 bytes, wanted 16"),
+        ("001276" + "00000005" * 3 + "000000", "a controller version of 15 bytes, wanted 16"),
+        ("001476" + "00000005" * 4 + "00", "a controller version of 17 bytes, wanted 16"),
+    ],
+)
+def test_an_answer_of_impossible_length_is_that_of_no_controller(wrong: str, found: str) -> None:
+    """To VERSION, START and the question for the controller's version."""
+    controller = Controller(wrong=bytes.fromhex(wrong))
+    with pytest.raises(DeviceError, match=found) as caught, link_to(controller):
+        pass
+    assert caught.value.code == "HC-B02"

@@ -157,6 +157,31 @@ def test_receive_pdo_too_short_is_an_emergency() -> None:
 
 
 @pytest.mark.parametrize(
+    ("emergencies", "register", "frames"),
+    [
+        ([(0x7305, 0x00)], 0x01, ["0573010000000000"]),  # any error sets the generic bit
+        ([(0x8130, 0x10)], 0x11, ["3081110000000000"]),
+        (
+            [(0x7305, 0x20), (0x8130, 0x10), (0, 0x10)],
+            0x21,
+            ["0573210000000000", "3081310000000000", "0000210000000000"],
+        ),
+        ([(0x7305, 0x00), (0, 0x00)], 0x00, ["0573010000000000", "0000000000000000"]),
+    ],
+)
+def test_error_register(
+    emergencies: list[tuple[int, int]], register: int, frames: list[str]
+) -> None:
+    sent: list[tuple[int, str]] = []
+    identity = NodeIdentity(0, "node", vendor=1, product=2, revision=3, serial=4)
+    slave = CanopenSlave(5, identity, lambda cob_id, data: sent.append((cob_id, data.hex())))
+    for emergency in emergencies:
+        slave.emergency(*emergency)
+    assert slave.dictionary.number(0x1001) == register
+    assert sent == [(0x085, frame) for frame in frames]
+
+
+@pytest.mark.parametrize(
     ("kind", "word", "sent"),
     [
         (3, None, [b"\x50\x02"] * 2),  # every third SYNC
