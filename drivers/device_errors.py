@@ -32,7 +32,6 @@ class Device:
         act: str = "",
         **fields: object,
     ) -> DeviceError:
-        """Return the error of an operation that failed."""
         return DeviceError(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
 
     def refused(
@@ -64,11 +63,9 @@ class Device:
         return NoReading(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
 
     def unreached(self, address: str, found: str) -> DeviceError:
-        """Return the error of a wire that does not open."""
         return self.failed(self.unreachable, "connect", f"{address}: {found}", address=address)
 
     def broken(self, address: str, operation: str, found: str) -> DeviceError:
-        """Return the error that a wire's failure is."""
         return self.failed(self.lost, operation, f"{address}: {found}", address=address)
 
     def connected(self, wire: Wire | None) -> Wire:

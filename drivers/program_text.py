@@ -30,7 +30,6 @@ class Number:
 
     @property
     def value(self) -> float:
-        """Return the value."""
         return float(self.text)
 
 

@@ -19,7 +19,6 @@ class NoRail:
         self._clock = clock
 
     def connect(self) -> list[Identity]:
-        """Return no asset."""
         return []
 
     def home(self) -> None:
@@ -39,18 +38,15 @@ class NoRail:
             )
 
     def settle(self) -> RailReading:
-        """Return the reading."""
         return self.read()
 
     def read(self) -> RailReading:
-        """Return that nothing moves."""
         return RailReading(0.0, 0.0, 0.0, still=True, powered=False, taken_s=self._clock.pc_s())
 
     def hold(self) -> None:
         """Do nothing."""
 
     def statistics(self) -> LinkStatistics:
-        """Return that nothing was carried."""
         return LinkStatistics()
 
     def stop(self) -> None:

@@ -198,7 +198,6 @@ class Standing(Generic[P]):
         return self.standstill.rest
 
     def poll(self, operation: str) -> P:
-        """Look once."""
         now = self._poll(operation)
         self.now_s = self._clock.now_s()
         self.standstill.take(now, self.now_s)

@@ -64,7 +64,6 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
-    """Return the counts of two wires together."""
     counts = zip(astuple(one), astuple(other), strict=True)
     return LinkStatistics(*(ours + theirs for ours, theirs in counts))
 
@@ -97,7 +96,6 @@ class SerialStrip:
         self._answers = self._bad = 0
 
     def connect(self) -> Identity:
-        """Open the line and verify who answers."""
         self._answers = self._bad = 0
         self._check = self._clock.check
         link = open_link(STRIP, self._options.channel, self._look)
@@ -124,7 +122,6 @@ class SerialStrip:
         return LinkStatistics(frames=self._answers, bad_lines=self._bad)
 
     def close(self) -> None:
-        """Close the line."""
         lines, self._lines = self._lines, None
         if lines is not None:
             lines.link.close()
@@ -210,12 +207,10 @@ class CanopenStrip:
         return cia.alarm_text(alarms)
 
     def statistics(self) -> LinkStatistics:
-        """Return the bus's counts since `connect`, also after `close`."""
         link = self._link
         return self._statistics if link is None else link.statistics()
 
     def close(self) -> None:
-        """Close the bus."""
         link, self._link = self._link, None
         self._watch = self._inbox = None
         if link is not None:
@@ -262,7 +257,6 @@ class StripFeed:
         self._before = LinkStatistics()  # of wires that were lost
 
     def connect(self) -> Identity:
-        """Open the wire and verify the sensor."""
         self._before = LinkStatistics()
         return self._open()
 
@@ -296,13 +290,11 @@ class StripFeed:
         return summed(self._before, self._strip.statistics())
 
     def alarm_text(self, alarms: int) -> str:
-        """Return alarms in words."""
         if alarms & LOST and self._lost is not None:
             return self._lost.summary
         return self._strip.alarm_text(alarms & ~LOST)
 
     def close(self) -> None:
-        """Close the wire."""
         self._strip.close()
 
 

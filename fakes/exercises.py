@@ -102,7 +102,6 @@ where the name has a *.
 
 
 def page() -> str:
-    """Return the page as Markdown."""
     exercises = [f"- {each.title}: [{each.alarm}](alarms.md)" for each in EXERCISES]
     faults = [  # the columns of a text are those of the page
         f"| `{name}`{' *' if name in TEXTS else ''} | {text} |" for name, text in KNOWN.items()

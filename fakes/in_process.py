@@ -64,11 +64,9 @@ class EventClock:
         self.pc_s = PatientTime().now_s
 
     def now_s(self) -> float:
-        """Return the cell's seconds."""
         return self._time.now_s()
 
     def wait(self, duration_s: float) -> None:
-        """Let cell time pass."""
         self._time.advance(duration_s)
 
     def check(self) -> None:
@@ -87,19 +85,16 @@ class DirectRail:
         self._ended_s: float | None = None
 
     def connect(self) -> list[Identity]:
-        """Return the assets."""
         kinds = (("Rail", "drive"), ("Strip", "strip"))
         return [Identity(name, "direct", "1", ADDRESS, True, kind) for name, kind in kinds]
 
     def home(self) -> None:
-        """Find the drive's reference."""
         self._power(on=True)
         homing_mm_s = 100.0
         self._truth.home(homing_mm_s)
         self._rest()
 
     def move_to(self, position_mm: float) -> None:
-        """Move by the drive's encoder alone, and stand."""
         self._power(on=True)
         self._truth.move(_counted(position_mm, self.COUNTS_PER_MM), *self._ramp)
         self._rest()
@@ -109,7 +104,6 @@ class DirectRail:
         return self.read()
 
     def read(self) -> RailReading:
-        """Return drive and strip as they count."""
         state = self._truth.poll()
         return RailReading(
             _counted(state.encoder_mm, self.COUNTS_PER_MM),
@@ -122,18 +116,15 @@ class DirectRail:
         )
 
     def hold(self) -> None:
-        """Close the brake."""
         self._power(on=False)
 
     def statistics(self) -> LinkStatistics:
-        """Return that nothing was carried."""
         return LinkStatistics()
 
     def stop(self) -> None:
         """Do nothing: nothing moves between two calls."""
 
     def close(self) -> None:
-        """Close the brake."""
         self.hold()
 
     def _power(self, *, on: bool) -> None:
@@ -156,12 +147,10 @@ class DirectRobot:
         self._ended_s: float | None = None
 
     def connect(self) -> list[Identity]:
-        """Return the asset."""
         self.motion.brake()  # it stands
         return [Identity("Robot", self._arm.model, str(self._arm.serial), ADDRESS, True)]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes in step and return the reading at rest."""
         self.motion.move(joints_rad, speed_percent / 100.0)
         return self.rest()
 
@@ -172,7 +161,6 @@ class DirectRobot:
         return self.read()
 
     def read(self) -> RobotReading:
-        """Return joints and pose as the controller states them."""
         state = self.motion.state()
         pose = self._arm.chain.pose(state.joints_rad)
         return RobotReading(
@@ -181,7 +169,6 @@ class DirectRobot:
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[DirectSweep]:
-        """Prepare a motion of one axis (0 to 5) alone."""
         target_rad = self.motion.state().joints_rad.copy()
         target_rad[axis] = end_rad
         share = speed_rad_s / float(self._full_rad_s[axis])
@@ -204,17 +191,14 @@ class DirectSweep:
         self.speed_rad_s, self.ended = speed_rad_s, False
 
     def kickoff(self) -> None:
-        """Start the motion."""
         self._robot.motion.move(self._target_rad, self._share)
 
     def collect(self) -> JointSample:
-        """Return the joints now."""
         state, now_s = self._robot.motion.state(), self._robot.time.now_s()
         self.ended = not state.moving
         return JointSample(state.joints_rad.copy(), now_s, now_s)
 
     def complete(self) -> RobotReading:
-        """Return the reading at rest."""
         return self._robot.rest()
 
 
@@ -225,7 +209,6 @@ class DirectTracker:
         self._plant, self._clock, self._radius_mm = plant, clock, cell.tracker.find_radius_mm
 
     def connect(self) -> list[Identity]:
-        """Return the asset."""
         return [Identity("Tracker", "direct", "1", ADDRESS, True)]
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
@@ -254,7 +237,6 @@ class DirectTracker:
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[DirectStream]:
-        """Follow the reflector nearest to (3,)."""
         followed = self._plant.streams.follow(self._found(near_mm))
         try:
             yield DirectStream(self._plant, followed, rate_hz)
@@ -283,7 +265,6 @@ class DirectStream:
         self._looked_s: list[float] = []
 
     def kickoff(self) -> None:
-        """Start."""
         self._looked_s.append(self._plant.time.now_s())
 
     def collect(self) -> list[StreamBlock]:

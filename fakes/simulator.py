@@ -78,7 +78,6 @@ class PaperCell:
 
     @classmethod
     def check(cls, cell: Cell) -> None:
-        """Refuse a cell that cannot be simulated; raises `SettingsError`."""
         if cell.simulation is not None and cell.simulation.address:
             _host_and_port(cell.simulation.address)
         else:
@@ -86,7 +85,6 @@ class PaperCell:
             servers_of(cell)
 
     def clock(self, stop: threading.Event) -> SimulatedClock:
-        """Return the cell's clock; its waits end when ``stop`` is set."""
         return SimulatedClock(self._control, self._speed, stop)
 
     def strike(self, exercise: Exercise) -> None:
@@ -102,11 +100,9 @@ class PaperCell:
         )
 
     def heal(self) -> None:
-        """Put right what struck, as a person at the cell would."""
         self._control.ask("clear")
 
     def close(self) -> None:
-        """Let go of the cell; end its process, if it was started here."""
         self._control.close()
         if self._process is None:
             return
@@ -127,7 +123,6 @@ class ReplayCell(PaperCell):
 
     @classmethod
     def check(cls, cell: Cell) -> None:
-        """Refuse a cell that cannot be simulated; raises `SettingsError`."""
         super().check(cell)
         if cell.simulation is None or not (cell.simulation.data or cell.simulation.address):
             raise SettingsError("simulation.data", ["missing; it names the CSV to replay"])
@@ -142,11 +137,9 @@ class SimulatedClock:
         self.pc_s: Callable[[], float] = PatientTime().now_s if stepped else time.monotonic
 
     def now_s(self) -> float:
-        """Return the cell's seconds."""
         return float(self._control.ask("now")["now_s"])
 
     def wait(self, duration_s: float) -> None:
-        """Let cell time pass; raise `Stopped` within 20 ms of a stop."""
         self.check()
         if math.isinf(self._speed):
             self._control.ask("wait", s=duration_s)
@@ -155,7 +148,6 @@ class SimulatedClock:
         self.check()
 
     def check(self) -> None:
-        """Raise `Stopped` if a stop was asked for."""
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
 
@@ -199,7 +191,6 @@ class Control(AbstractContextManager["Control"]):
         return answer
 
     def close(self) -> None:
-        """Close the connection."""
         self._lines.close()
         self._socket.close()
 

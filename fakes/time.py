@@ -108,7 +108,6 @@ class PlantTime:
         return self.stepped and bool(self._followers)
 
     def unfollow(self, follower: Callable[[], None]) -> None:
-        """Call ``follower`` no longer."""
         with self._lock:
             self._followers = tuple(each for each in self._followers if each != follower)
 
@@ -147,7 +146,6 @@ class LifeTimer:
             self._zero_s = self._time.now_s() - value_ms / 1000.0
 
     def stop(self) -> None:
-        """Run no longer."""
         with self._changed:
             self._running = False
             self._changed.notify()

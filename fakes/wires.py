@@ -70,7 +70,6 @@ class Listener:
         self._accepting = threading.Thread(target=self._accept, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to accept."""
         self._accepting.start()
 
     def hang_up(self) -> None:
@@ -139,11 +138,9 @@ class SerialEnd:
         self._open = True
 
     def fileno(self) -> int:
-        """Return the descriptor to wait for."""
         return self._ours
 
     def recv(self, size: int, /) -> bytes:
-        """Return bytes that have come."""
         return os.read(self._ours, size)
 
     def sendall(self, data: bytes, /) -> None:
@@ -179,7 +176,6 @@ class SerialLine(SerialEnd):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
         self._thread.start()
 
     def close(self) -> None:
@@ -190,7 +186,6 @@ class SerialLine(SerialEnd):
         super().close()
 
     def receive(self, timeout_s: float | None) -> bytes:
-        """Return bytes, none after the timeout; raises `OSError` at the end."""
         ends_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
         look_s = 0.05
         while not self._closing.is_set():
@@ -214,7 +209,6 @@ class Connection:
         self._client, self.sendall = client, client.sendall
 
     def receive(self, timeout_s: float | None) -> bytes:
-        """Return bytes, none after the timeout; raises `OSError` at the end."""
         self._client.settimeout(timeout_s)
         try:
             data = self._client.recv(RECEIVE)
@@ -242,12 +236,10 @@ class Server:
         self._closing = threading.Event()
 
     def start(self) -> None:
-        """Begin to serve."""
         for each in self._listeners:
             each.start()
 
     def close(self) -> None:
-        """Stop serving."""
         self._closing.set()
         for each in self._listeners:
             each.close()
@@ -320,7 +312,6 @@ class LineSession:
         self.late: list[bytes] = []
 
     def say(self, line: bytes) -> None:
-        """Send a line."""
         self._segments.send(line + b"\r\n")
 
     def answer(self, line: bytes, faults: Faults) -> None:
@@ -347,6 +338,5 @@ class LineSession:
         return self.lines.pop(0) if self.lines else None
 
     def receive(self, timeout_s: float | None) -> None:
-        """Take in bytes."""
         *lines, self._pending = re.split(rb"[\r\n]", self._pending + self._wire.receive(timeout_s))
         self.lines += [line for line in lines if line]

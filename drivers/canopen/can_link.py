@@ -161,7 +161,6 @@ class CanLink:
         self._silent.set()
 
     def statistics(self) -> LinkStatistics:
-        """Return the link's counts so far."""
         bus = self._bus
         bad, refused = (bus.bad_lines, bus.refused) if isinstance(bus, SlcanBus) else (0, 0)
         return LinkStatistics(self._frames, bad, refused, self._malformed)

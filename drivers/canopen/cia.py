@@ -280,6 +280,5 @@ def is_error(code: int) -> bool:
 
 
 def error_text(code: int) -> str:
-    """Return a code with the standard's meaning."""
     meaning = ERRORS.get(code) or FAMILIES.get(code >> 8) or FAMILIES.get(code >> 8 & 0xF0)
     return f"0x{code:04X} ({meaning or 'unknown'})"

@@ -222,7 +222,6 @@ class Snapshot(Poll):
 
     @property
     def state(self) -> State:
-        """Return the state of the power drive system."""
         return cia.state_of(self.statusword)
 
     def has(self, bits: int) -> bool:

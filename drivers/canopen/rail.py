@@ -108,7 +108,6 @@ class CanopenRail:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the bus, verify both nodes, configure PDOs and the self-stop; nothing moves."""
         self._close_link()
         options = self._options
         bus = open_bus(options.interface, options.channel, options.bitrate)
@@ -125,7 +124,6 @@ class CanopenRail:
         self._move(lambda: drive.home(round((self.WINDOW_MM + past_mm) * options.counts_per_mm)))
 
     def move_to(self, position_mm: float) -> None:
-        """Move by the drive's encoder; return at standstill, the drive holding."""
         options, drive = self._options, self._used()
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._move(lambda: drive.move(round(position_mm * options.counts_per_mm)))
@@ -136,23 +134,19 @@ class CanopenRail:
         return self._reading(self._used().standing.settle())
 
     def read(self) -> RailReading:
-        """Return a reading asked for after this call began."""
         self._mend_strip()
         standing = self._used().standing
         return self._reading(standing.check_strip("read", standing.confirm("read")))
 
     def hold(self) -> None:
-        """Take the power to move away; the brake closes."""
         self._used().disable()
 
     def statistics(self) -> LinkStatistics:
-        """Return the link's counts, also after it was closed."""
         link, feed = self._link, self._feed
         of_drive = link.statistics() if link is not None else self._statistics
         return of_drive if feed is None else summed(of_drive, feed.statistics())
 
     def stop(self) -> None:
-        """Quick stop; any thread; waits for no answer."""
         if self._image is not None:
             self._image.quick_stop()
 

@@ -176,7 +176,6 @@ def refused_motion(error: int) -> DeviceError:
 
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:
-    """Return a frame's six values in words."""
     return ", ".join(f"{n} {v:.3f}" for n, v in zip(POSE, values, strict=True))
 
 
@@ -235,7 +234,6 @@ class KeepAlive(Generic[Kept]):
             raise self._failure
 
     def close(self) -> None:
-        """End the thread."""
         self._end.set()
         self._thread.join(self.JOIN_S)
 

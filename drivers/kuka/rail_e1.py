@@ -68,7 +68,6 @@ class KukaE1Rail:
         self._ended_s: float | None = None
 
     def ride(self, robot: ExternalAxis) -> None:
-        """Take the robot whose axis E1 is."""
         self._robot = robot
 
     # -- the port -----------------------------------------------------------------------------
@@ -97,7 +96,6 @@ class KukaE1Rail:
         self._ended_s = reading.taken_s
 
     def move_to(self, position_mm: float) -> None:
-        """Move by E1 alone; return at standstill."""
         options, axis = self._options, self._axis()
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._forget()
@@ -120,7 +118,6 @@ class KukaE1Rail:
         return self._standing.reading(self._standing.settle(), self._ended_s)
 
     def read(self) -> RailReading:
-        """Return a reading asked for after this call began."""
         self._strip.mend()
         standing = self._standing
         now = standing.check_strip("read", standing.confirm("read"))
@@ -143,7 +140,6 @@ class KukaE1Rail:
         return self._strip.statistics()
 
     def stop(self) -> None:
-        """Brake arm and slide; any thread; waits for no answer."""
         if self._robot is not None:
             self._robot.stop()
 

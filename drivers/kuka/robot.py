@@ -144,7 +144,6 @@ class KukaRobot:
         return [self._identity]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes (PTP); return the reading at rest, after motion ended."""
         target_deg = np.degrees(checked_target(joints_rad, speed_percent))
         self.wire().check()
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
@@ -181,7 +180,6 @@ class KukaRobot:
         return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
 
     def stop(self) -> None:
-        """Brake on the path; any thread; waits for no answer."""
         self._stopped = True
         if self._controller is not None:
             self._controller.stop()
@@ -205,7 +203,6 @@ class KukaRobot:
     # -- external axis E1 ---------------------------------------------------------------------
 
     def verify_axis(self) -> Identity:
-        """Return axis E1, found mastered; raises `DeviceError`."""
         if self.slide_mm is None:
             found = "the controller has no external axis: $EX_AX_NUM is 0"
             raise RAIL.refused("HC-R50", "connect", found, wanted="one")
@@ -228,7 +225,6 @@ class KukaRobot:
         full_mm_s: float,
         attend: Callable[[float], object],
     ) -> None:
-        """Move E1 alone; return when all axes stand."""
         controller = self._slide_wire()
         percent = max(1, min(100, int(100.0 * speed_mm_s / full_mm_s)))
         controller.check()
@@ -248,7 +244,6 @@ class KukaRobot:
             self.unwatch()
 
     def hold_axis(self) -> None:
-        """Have the program refuse every motion of E1 until the next `move_axis`."""
         self._slide_wire().hold_slide(held=True)
         self._free = False
 
@@ -453,7 +448,6 @@ class KukaRobot:
         return True
 
     def wire(self) -> Controller:
-        """Return the controller."""
         return ROBOT.connected(self._controller)
 
     def attend(self) -> None:
@@ -462,7 +456,6 @@ class KukaRobot:
         self._watch.look()
 
     def integer(self, name: str) -> int:
-        """Return a whole number that the controller has."""
         return integer(self.wire(), name)
 
     def _check_stopped(self) -> None:
@@ -573,12 +566,10 @@ class KukaSweep:
         self._give_back(error)
 
     def kickoff(self) -> None:
-        """Start the motion."""
         self._under_way = True
         self._number = self._robot.command(self._target_deg, self._velocity)
 
     def collect(self) -> JointSample:
-        """Ask for the joints once, and look whether all is well and the motion has ended."""
         controller, before_s = self._robot.wire(), self._clock.now_s()
         controller.look()
         joints_deg = controller.numbers(self._variable, JOINTS)
@@ -587,7 +578,6 @@ class KukaSweep:
         return JointSample(np.radians(joints_deg), before_s, after_s)
 
     def complete(self) -> RobotReading:
-        """Wait for the end of the motion; return the reading at rest."""
         while not self.ended:
             self._clock.wait(self.POLL_S)
             self._look()

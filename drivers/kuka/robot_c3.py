@@ -58,12 +58,10 @@ class Reply:
 
 
 def encode_read(tag: int, name: str) -> bytes:
-    """Return the request to read ``name``."""
     return _request(tag, 0, name, b"")
 
 
 def encode_write(tag: int, name: str, value: str) -> bytes:
-    """Return the request to write ``value`` into ``name``."""
     text = value.encode("latin-1")
     return _request(tag, 1, name, struct.pack(">H", len(text)) + text)
 
@@ -85,7 +83,6 @@ def decode_header(header: bytes) -> tuple[int, int]:
 
 
 def decode_body(tag: int, body: bytes) -> Reply:
-    """Return the reply that ``body`` carries."""
     kind, size = struct.unpack_from(">BH", body)
     if size != len(body) - 6:
         raise C3Error(f"a value of {size} bytes in a body of {len(body)}")
@@ -132,7 +129,6 @@ class C3Connection:
                 self._lock.release()
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()
 
     def _next_tag(self) -> int:
@@ -192,19 +188,16 @@ class C3Access:
         """Do nothing: each variable is asked for."""
 
     def value(self, name: str) -> krl.Value:
-        """Read a single value."""
         text = self._line.read(name)
         with readable(name):
             return krl.parse(text)
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        """Read components of a structure."""
         text = self._line.read(name)
         with readable(name):
             return krl.numbers(text, components)
 
     def brake(self) -> None:
-        """Write the stop."""
         self._line.write("HC_STOP", "TRUE")
 
     def release(self) -> None:
@@ -271,7 +264,6 @@ class C3Controller(C3Access):
 
     @cached_property
     def measured(self) -> str:
-        """Return the variable of measured joints, where the controller has it."""
         return self.MEASURED if self._line.knows(self.MEASURED) else PROGRESS
 
     def text(self, name: str) -> str:
@@ -290,15 +282,12 @@ class C3Controller(C3Access):
         self._start(number, axes, self.PTP_SLIDE, speed_percent)
 
     def has_slide(self) -> bool:
-        """Whether the controller counts an external axis."""
         return self._line.knows(self.SLIDES) and integer(self, self.SLIDES) > 0
 
     def mastered(self) -> bool:
-        """Whether E1 is mastered."""
         return not self._line.knows(self.MASTERED) or self.value(self.MASTERED) is True
 
     def hold_slide(self, held: bool) -> None:
-        """Write whether E1 may move."""
         self._line.write(self.HELD, "TRUE" if held else "FALSE")
 
     def slide(self) -> tuple[float, bool]:
@@ -333,11 +322,9 @@ class C3Controller(C3Access):
         self._stop_line.write_unheard("HC_STOP", "TRUE")
 
     def check(self) -> None:
-        """Raise what the keep-alive has found."""
         self._keeper.check()
 
     def close(self) -> None:
-        """Close both connections."""
         self._keeper.close()
         for line in (self._line, self._stop_line):
             line.close()

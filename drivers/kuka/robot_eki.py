@@ -120,19 +120,16 @@ class State:
     elements: Mapping[str, Mapping[str, str]]
 
     def text(self, element: str, attribute: str) -> str:
-        """Return an attribute."""
         try:
             return self.elements[element.casefold()][attribute.casefold()]
         except KeyError:
             raise EkiError(f"{element}/@{attribute} is missing") from None
 
     def single(self, name: str) -> krl.Value:
-        """Return a single variable of the controller."""
         value = krl.parse(self.text(*SINGLE[name]))
         return bool(value) if name in self.BOOLEANS and value in (0, 1) else value
 
     def numbers(self, name: str, components: Sequence[str]) -> list[float]:
-        """Return components of a structure."""
         element = self.STRUCTURES[name]
         found = ", ".join(f"{each} {self.text(element, each)}" for each in components)
         return krl.numbers(f"{{{element}: {found}}}", tuple(components))
@@ -245,7 +242,6 @@ class EkiChannel:
                 self._lock.release()
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()
 
     def _attend(self) -> None:
@@ -339,17 +335,14 @@ class EkiController:
         self._state = None
 
     def value(self, name: str) -> krl.Value:
-        """Return a single value of the state."""
         with readable(name):
             return self._known().single(name)
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        """Return components of a structure of the state."""
         with readable(name):
             return self._known().numbers(name, components)
 
     def text(self, name: str) -> str:
-        """Return a text of the state."""
         with readable(name):
             return clean(self._known().text(*SINGLE[name]).strip())
 
@@ -359,19 +352,15 @@ class EkiController:
         self._start(number, Kind.MOVE, speed_percent, axes=axes, e1=e1)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
-        """Send a motion of E1 alone."""
         self._start(number, Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
 
     def has_slide(self) -> bool:
-        """Whether the controller counts an external axis."""
         return integer(self, "$EX_AX_NUM") > 0
 
     def mastered(self) -> bool:
-        """Whether E1 is mastered."""
         return self.value("$AXIS_JUS[7]") is True
 
     def hold_slide(self, held: bool) -> None:
-        """Send whether E1 may move."""
         self._send(Kind.HOLD_SLIDE if held else Kind.FREE_SLIDE)
 
     def slide(self) -> tuple[float, bool]:
@@ -421,11 +410,9 @@ class EkiController:
         self._stop_line.send_unheard(stop_command(1, brake=True))
 
     def check(self) -> None:
-        """Raise what the keep-alive has found."""
         self._keeper.check()
 
     def close(self) -> None:
-        """Close both channels."""
         self._keeper.close()
         for line in (self._line, self._stop_line):
             line.close()

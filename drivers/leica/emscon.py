@@ -113,7 +113,6 @@ class Command(IntEnum):
         return self.name.lower().replace("_", " ")
 
     def failed(self, status: int) -> DeviceError:
-        """Return the error of a refusal of this command."""
         known = STATUS.get(status, UNKNOWN)
         kind = NoReading if known.recoverable else DeviceError
         act = "look at the tracker, then resume"
@@ -299,12 +298,10 @@ class Reflector:
 
 
 def encode(command: Command, body: bytes = b"") -> bytes:
-    """Return a command packet."""
     return struct.pack("<III", SMALLEST + len(body), Type.COMMAND, command) + body
 
 
 def status_text(status: int) -> str:
-    """Return a status code with its meaning."""
     return f"status {status} ({STATUS.get(status, UNKNOWN).text})"
 
 

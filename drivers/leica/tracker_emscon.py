@@ -104,7 +104,6 @@ class LeicaEmsconTracker:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the wire, initialise, set units, mode and reflector, and read all of them back."""
         self.close()
         options = self._options
         self._link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
@@ -118,14 +117,12 @@ class LeicaEmsconTracker:
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
         near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
         results = [self._single(near_mm) for _ in range(samples)]
         return self._reading(results, reflector)
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure as `measure` in the second face, and turn back."""
         near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
         self._turn_to(Value.SECOND_FACE)
@@ -139,17 +136,14 @@ class LeicaEmsconTracker:
         return reading
 
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
-        """Return a stream of the reflector expected at ``near_mm`` (3,), tracker frame."""
         radius_mm = self._options.find_radius_mm
         return EmsconStream(self, self._clock, near_mm, reflector, rate_hz, radius_mm)
 
     def stop(self) -> None:
-        """Stop measuring; any thread; waits for no answer."""
         if self._link is not None:
             self._link.send(emscon.encode(Command.STOP_MEASUREMENT), "stop")
 
     def close(self) -> None:
-        """Close the wire."""
         if self._link is not None:
             self._link.close()
         self._link = None
@@ -537,14 +531,12 @@ class EmsconStream:
         self._restore(error)
 
     def kickoff(self) -> None:
-        """Start; returns when the tracker has acknowledged."""
         self._emptied_s = self._clock.now_s()
         self._tracker.start(self._near_mm)
         self._running = True
         self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
 
     def collect(self) -> list[StreamBlock]:
-        """Return arrived blocks, without waiting; raises `NoReading` when the beam broke."""
         looked_s = self._clock.now_s()
         over = self._silence.over()
         samples = []

@@ -120,7 +120,6 @@ class Rpc(IntEnum):
         return self in (Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT)
 
     def failed(self, code: int) -> DeviceError:
-        """Return the error of a refused request."""
         kind = NoReading if self.measures and code not in FAULTS else DeviceError
         alarm = ALARM_OF.get(code, "HC-T24")
         act, fields = ACTS.get(alarm, ACT), {"status": code}
@@ -270,7 +269,6 @@ def possible(values: tuple[float, ...]) -> bool:
 
 
 def status_text(code: int) -> str:
-    """Return a return code with its meaning."""
     return f"code {code} ({STATUS.get(code, 'unknown')})"
 
 
@@ -351,7 +349,6 @@ class LeicaGeocomTracker:
                 )
 
         def accuracy(self, range_m: float) -> tuple[float, float]:
-            """Return 1 sigma of one reading: along the beam, mm, and across it, rad."""
             along_mm = self.distance_mm + self.distance_ppm * 1e-3 * range_m
             return along_mm, self.angle_arcsec * RAD_PER_ARCSEC
 
@@ -367,7 +364,6 @@ class LeicaGeocomTracker:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the wire, identify, set air, prism and modes, and read all of them back."""
         self.close()
         link = open_link(TRACKER, self._options.channel, self._clock.check)
         self._lines, self._given_up, self._kept = TextLines(link), set(), {}
@@ -378,7 +374,6 @@ class LeicaGeocomTracker:
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
         near_mm = checked_order(near_mm, samples)
         options = self._options
         known = options.reflector
@@ -396,12 +391,10 @@ class LeicaGeocomTracker:
         )
 
     def stop(self) -> None:
-        """Stop turning and measuring; any thread; waits for no answer."""
         if self._lines is not None:
             self._lines.send(self.ABORT, "stop")
 
     def close(self) -> None:
-        """Close the wire."""
         if self._lines is not None:
             self._lines.link.close()
         self._lines = None
@@ -559,7 +552,6 @@ class LeicaGeocomTracker:
     # -- lines --------------------------------------------------------------------------------
 
     def _numbers(self, rpc: Rpc, size: int) -> tuple[float, ...]:
-        """Ask for numbers."""
         return self._decoded(self._stated(rpc), size)
 
     def _stated(self, rpc: Rpc) -> Reply:

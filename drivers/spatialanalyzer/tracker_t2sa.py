@@ -280,7 +280,6 @@ def _limit_s(command: str) -> float:
 
 
 def _spoken(command: str) -> str:
-    """Return a command's name for messages."""
     return command.partition(":")[0].strip("!?").lower().replace("_", " ")
 
 
@@ -325,7 +324,6 @@ class T2saTracker:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the wire, set the bridge, and compare its points with the list."""
         self.close()
         options = self._options
         if self._points is None or Path(options.points).exists():
@@ -359,12 +357,10 @@ class T2saTracker:
         return TrackerReading(mean_mm, std_mm, count, reflector, None, bridge.arrived_s)
 
     def stop(self) -> None:
-        """Halt the measurement under way; any thread; waits for no answer."""
         if self._bridge is not None:
             self._bridge.stop()
 
     def close(self) -> None:
-        """Close the wire."""
         if self._bridge is not None:
             self._bridge.close()
         self._bridge = None

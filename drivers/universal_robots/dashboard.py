@@ -79,5 +79,4 @@ class Dashboard:
         return True
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()

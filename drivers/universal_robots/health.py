@@ -81,7 +81,6 @@ def refused_motion(error: int) -> DeviceError:
 
 
 def runtime_text(state: UrState) -> str:
-    """Return the state of the program in words."""
     known = {each.value: each.name.lower() for each in Runtime}
     return f"{state.runtime_state} ({known.get(state.runtime_state, 'unknown')})"
 

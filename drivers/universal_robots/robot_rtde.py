@@ -135,7 +135,6 @@ class UrRtdeRobot:
         return [identity]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes in step; return the reading at rest, after motion ended."""
         target_rad = checked_target(joints_rad, speed_percent)
         distance_deg = np.degrees(target_rad - self._rest_rad)
         planned = planned_s(distance_deg, self._speed_deg_s, speed_percent)
@@ -156,13 +155,11 @@ class UrRtdeRobot:
             self._watch.end()
 
     def read(self) -> RobotReading:
-        """Return a reading that left the controller after this call began."""
         states = self._dwell()
         still = not self._under_way and stands(states)
         return self._reading(states[-1], still=still)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> UrSweep:
-        """Return a motion of one axis (0 to 5) alone, at a speed."""
         full_rad_s = float(np.radians(self._speed_deg_s[axis])) if 0 <= axis < 6 else np.nan
         return UrSweep(self, self._clock, axis, end_rad, speed_rad_s, full_rad_s)
 
@@ -407,7 +404,6 @@ class UrRtdeRobot:
     # -- for a sweep as well ------------------------------------------------------------------
 
     def link(self) -> UrLink:
-        """Return the connection by RTDE."""
         return ROBOT.connected(self._link)
 
     def stands_at(self) -> Array:
@@ -567,7 +563,6 @@ class UrSweep:
         return JointSample(state.joints_rad, before_s, after_s, state.timestamp_s)
 
     def complete(self) -> RobotReading:
-        """Wait for the end of the motion; return the reading at rest."""
         while not self.ended:
             self._clock.wait(self.POLL_S)
             self._robot.live()

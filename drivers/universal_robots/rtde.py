@@ -74,7 +74,6 @@ class RtdeError(ValueError):
 
 
 def encode(kind: Kind, payload: bytes = b"") -> bytes:
-    """Return a package."""
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
@@ -120,7 +119,6 @@ class Recipe:
         return found
 
     def encode(self, values: Mapping[str, Numbers]) -> bytes:
-        """Return a data package."""
         flat = [number for name in self.names for number in values[name]]
         return encode(Kind.DATA, self._layout[0].pack(self.number, *flat))
 
@@ -371,7 +369,6 @@ class UrLink:
             self._write()
 
     def close(self) -> None:
-        """End the thread and the connection."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(self.JOIN_S)

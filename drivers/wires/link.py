@@ -60,7 +60,6 @@ class SerialLink:
             ) from error
 
     def send(self, data: bytes, operation: str) -> None:
-        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
         try:
             self._port.write(data)
         except (serial.SerialException, OSError, TypeError) as error:
@@ -83,7 +82,6 @@ class SerialLink:
                 return first + rest
 
     def broken(self, operation: str, found: str) -> DeviceError:
-        """Return the error that this line's failure is."""
         return self._device.broken(self.address, operation, found)
 
     def _gone(self, operation: str, error: Exception) -> DeviceError:
@@ -91,7 +89,6 @@ class SerialLink:
         return self.broken(operation, f"{found}; was its cable pulled, or its path renamed?")
 
     def close(self) -> None:
-        """Close the line; a second close does nothing."""
         self._port.close()
 
 

@@ -48,7 +48,6 @@ class TcpLink:
         self._socket.setblocking(False)  # a wait is a call of its own, and most bytes need none
 
     def send(self, data: bytes, operation: str) -> None:
-        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
         patience = Patience(SEND_S)
         rest = memoryview(data)
         while rest:
@@ -83,7 +82,6 @@ class TcpLink:
                 return data
 
     def broken(self, operation: str, found: str) -> DeviceError:
-        """Return the error that this link's failure is."""
         return self._device.broken(self.address, operation, found)
 
     def close(self) -> None:

@@ -35,7 +35,6 @@ class TextLines:
         self._bytes = b""
 
     def send(self, line: str, operation: str) -> None:
-        """Send a line."""
         self.link.send(line.encode("ascii") + self._end, operation)
 
     def receive(self, patience: Patience) -> str | None:

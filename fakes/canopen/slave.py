@@ -63,7 +63,6 @@ class Entry:
         return struct.calcsize("<" + self.kind)
 
     def encode(self) -> bytes:
-        """Return the present value as it goes over the wire."""
         value = self.value if self.read is None else self.read()
         if isinstance(value, str):
             return value.encode("ascii")
@@ -110,7 +109,6 @@ class ObjectDictionary:
         return self._entries[index, sub]
 
     def number(self, index: int, sub: int = 0) -> int:
-        """Return the stored number of an object."""
         value = self._entries[index, sub].value
         if not isinstance(value, int):
             raise TypeError(f"object {index:04X}:{sub:02X} holds {value!r}, not a number")
@@ -316,12 +314,10 @@ class Pdo:
 
     @property
     def cob_id(self) -> int:
-        """Return the identifier of its frames."""
         return self._dictionary.number(self._communication, 1) & 0x7FF
 
     @property
     def transmission(self) -> int:
-        """Return the transmission type."""
         return self._dictionary.number(self._communication, 2)
 
     @property
@@ -330,7 +326,6 @@ class Pdo:
         return self._dictionary.number(self._communication, 5) / 1000.0
 
     def mapped(self) -> list[tuple[int, int]]:
-        """Return the mapped objects in order."""
         count = self._dictionary.number(self._mapping, 0)
         values = (self._dictionary.number(self._mapping, sub) for sub in range(1, count + 1))
         return [(value >> 16, value >> 8 & 0xFF) for value in values]

@@ -115,7 +115,6 @@ class SlcanGateway:
         self._received = self._sending = b""
 
     def close(self) -> None:
-        """Stop listening and drop the client."""
         if self._listener is not None:
             self._listener.close()
         self._listener = None
@@ -226,7 +225,6 @@ class BusServer(Server):
         return self._gateway.port
 
     def start(self) -> None:
-        """Begin to serve."""
         super().start()
         self._thread.start()
 

@@ -105,6 +105,5 @@ class C3Server(Server):
 
 
 def serve(site: Site, port: int) -> C3Server:
-    """Return the robot of a simulated cell behind C3 Bridge."""
     controller = KrlController(site.cell, site.plant, site.faults)
     return C3Server(controller, site.faults, site.time.catch_up, port=port)

@@ -59,7 +59,6 @@ def raw_members(text: str) -> dict[str, str]:
 
 
 def boolean(value: bool) -> str:
-    """Return TRUE or FALSE."""
     return str(value).upper()
 
 
@@ -113,7 +112,6 @@ class ExternalAxis:
         return lowest_mm - limit_mm <= target_mm <= highest_mm + limit_mm
 
     def move(self, target_mm: float, percent: int, override: float) -> None:
-        """Start for a target."""
         factor = self._faults.number("robot.slide_fast") or 1.0
         self._rail.brake(closed=False)
         full_mm_s = 1890.0  # at 100 %

@@ -17,7 +17,6 @@ class Eki(Dialect):
     LIFE = re.compile(rb' Life="\d+"')
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
-        """Return the whole documents, and the rest."""
         ends = [0, *(found.end() for found in self.END.finditer(data))]
         return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
 
@@ -46,5 +45,4 @@ def _kept(found: re.Match[bytes]) -> bytes:
 
 
 def kuka_eki(_options: Options) -> dict[str, Dialect]:
-    """Return the dialects of a KUKA robot behind EthernetKRL."""
     return {"": Eki(), "stop": Eki()}

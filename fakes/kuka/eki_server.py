@@ -306,6 +306,5 @@ def _add(queues: Queues, received: bytes, end: bytes) -> bytes:
 
 
 def serve(site: Site, port: int) -> EkiServer:
-    """Return the robot of a simulated cell behind EthernetKRL."""
     controller = KrlController(site.cell, site.plant, site.faults)
     return EkiServer(controller, site.faults, site.time, port=port)

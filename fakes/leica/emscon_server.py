@@ -167,7 +167,6 @@ class _Session:
 
 
 def serve(site: Site, port: int) -> EmsconServer:
-    """Return the tracker of a simulated cell behind emScon."""
     plant = site.plant
     streams = None if plant.streams is None else (plant.streams, site.time)
     device = EmsconDevice(site.cell, plant.tracker, site.faults, streams)

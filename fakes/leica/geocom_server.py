@@ -116,11 +116,9 @@ class GeocomDevice:
         }
 
     def knows(self, rpc: int) -> bool:
-        """Whether there is such a procedure."""
         return rpc in self._handlers
 
     def handle(self, rpc: int, parameters: list[float]) -> Answer:
-        """Return the answer to a request."""
         if not self.knows(rpc):
             return Answer(Code.NOT_IMPLEMENTED)
         count, handler = self._handlers[rpc]
@@ -129,7 +127,6 @@ class GeocomDevice:
         return handler(*parameters)
 
     def abort(self) -> None:
-        """End a motion or a measurement."""
         self._state.started = False
 
     # -- settings -------------------------------------------------------------------------------

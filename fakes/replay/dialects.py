@@ -132,7 +132,6 @@ class StripLine(Dialect):
     STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
 
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
-        """Return the whole commands, and the rest."""
         commands = self.STRIP.findall(data)
         return commands, data[sum(map(len, commands)) :]
 
@@ -145,7 +144,6 @@ class Sized(Dialect):
         self._layout, self._at, self._more = struct.Struct(layout), at, more
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
-        """Return the whole messages, and the rest."""
         messages = []
         head = self._at + self._layout.size
         while len(data) >= head:
@@ -217,7 +215,6 @@ def dialects_of(driver: str, options: Options = NONE) -> Mapping[str, Dialect]:
 
 
 def canopen(options: Options) -> dict[str, Dialect]:
-    """Return the dialects of a rail with a drive on a CAN bus behind a gateway."""
     return {"": Slcan(), "strip": _strip(options)}
 
 
@@ -227,17 +224,14 @@ def kuka_e1(options: Options) -> dict[str, Dialect]:
 
 
 def kuka_c3(_options: Options) -> dict[str, Dialect]:
-    """Return the dialect of a KUKA robot behind a C3 Bridge."""
     return {"": C3(">H", 2, 4)}
 
 
 def leica_emscon(_options: Options) -> dict[str, Dialect]:
-    """Return the dialect of an emScon tracker."""
     return {"": Emscon("<I", 0, 0)}
 
 
 def leica_geocom(_options: Options) -> dict[str, Dialect]:
-    """Return the dialect of a Leica total station."""
     return {"": GeoCom()}
 
 

@@ -154,7 +154,6 @@ class RecordedLooks:
             self._since_s += duration_s
 
     def now_s(self) -> float:
-        """Return the cell's time, which never runs back."""
         with self._lock:
             n = bisect_right(self._at_s, self._time.heard_s)
             if n < len(self._at_s) and self._time.is_next(self._at_s[n]):

@@ -241,7 +241,6 @@ class RecordedCell:
 
     @classmethod
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
-        """Refuse another procedure or seed than was recorded; raises `SettingsError`."""
         folder = folder_of(cell)
         path = recordings(folder)[CLOCK]
         head = head_of(read_recording(path), path)
@@ -254,13 +253,11 @@ class RecordedCell:
             raise SettingsError(DATA, [f"{what}; {act}"])
 
     def clock(self, stop: Event) -> RecordedClock:
-        """Return the cell's clock."""
         act = "use the procedure, cell and settings of the recorded run, or record it again"
         again = "there the recorded run ended, and was resumed: `hilcell resume` this one, too"
         return RecordedClock(self._looks, self._time, stop, again if self._resumed else act)
 
     def close(self) -> None:
-        """Stop serving."""
         for wire in self._wires:
             wire.close()
 
@@ -277,7 +274,6 @@ class RecordedClock:
         self.now_s, self.pc_s = looks.now_s, PatientTime().now_s
 
     def wait(self, duration_s: float) -> None:
-        """Let cell time pass."""
         self._looks.wait(duration_s)
         self.check()
 

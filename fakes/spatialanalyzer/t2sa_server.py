@@ -60,7 +60,6 @@ class Answer:
 
 
 def refusal(refused: Refusal) -> Answer:
-    """Return an answer with an error."""
     code, words = refused.value
     return Answer(f"ERR-{code} {words}")
 
@@ -109,7 +108,6 @@ class T2saDevice:
         self._handlers = handlers | dict.fromkeys(kept, lambda _: Answer())
 
     def handle(self, line: str) -> Answer:
-        """Return the answer to a request."""
         name, _, values = line.partition(":")
         handler = self._handlers.get(name)
         return refusal(Refusal.REJECTED) if handler is None else handler(values)
@@ -316,7 +314,6 @@ class T2saServer(Server):
         super().__init__(address | ({"points": points} if points else {}), listener)
 
     def close(self) -> None:
-        """Stop serving."""
         super().close()
         if self._folder is not None:
             self._folder.cleanup()

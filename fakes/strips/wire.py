@@ -52,7 +52,6 @@ class StripSensor:
         self._jitter = 0
 
     def observe(self, slide: RailState) -> None:
-        """Take the slide's state of now."""
         self.velocity_mm_s = slide.velocity_mm_s
         if not self._frozen and not self.missing:
             at_mm = slide.strip_mm + self._jump_mm
@@ -143,7 +142,6 @@ class RailStrip(CanopenSlave):
         self._add_objects()
 
     def observe(self, slide: RailState) -> None:
-        """Take the slide's state of now."""
         self._sensor.observe(slide)
 
     def strike(self) -> None:

@@ -39,7 +39,6 @@ class SmoothCurve:
         self._zero = self(0.0)
 
     def __call__(self, position_mm: float) -> float:
-        """Return the curve's value."""
         total = -self._zero
         for weight, rate, phase in self._terms:
             total += weight * math.sin(rate * position_mm + phase)

@@ -40,12 +40,10 @@ class Path:
 
     @property
     def start_s(self) -> float:
-        """Return when the motion starts."""
         return self._starts_s[0]
 
     @property
     def end_s(self) -> float:
-        """Return when the motion has ended."""
         return self._starts_s[-1]
 
     @property

@@ -84,7 +84,6 @@ class TrackerTruth:
         self._offset_mm = self._warmer_k = 0.0
 
     def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
         return {
             name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
         }
@@ -176,7 +175,6 @@ class TrackerTruth:
         return self._temperature_c() - self._sizes.room_c
 
     def air(self) -> Air:
-        """Return the air now."""
         return Air(
             temperature_c=self._temperature_c(),
             pressure_mbar=1009.0 + 2.0 * self._air_wave(1),

@@ -163,7 +163,6 @@ class UrController:
                 self._error = Error.OK
 
     def ask(self, command: str) -> str:
-        """Return the dashboard's answer."""
         with self._lock:
             self._strike_on_request()
             if command == "stop":

@@ -251,6 +251,5 @@ class UrServer(Server):
 
 
 def serve(site: Site, port: int) -> UrServer:
-    """Return the robot of a simulated cell behind RTDE."""
     controller = UrController(site.cell, site.plant, site.faults, site.time)
     return UrServer(controller, site, port)

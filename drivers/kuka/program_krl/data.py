@@ -87,7 +87,6 @@ class Statement:
 
 
 def statements(text: str) -> Iterator[Statement]:
-    """Yield the statements of a file."""
     line, found = 1, list[Token]()
     for match in _TOKEN.finditer(text):
         kind = str(match.lastgroup)

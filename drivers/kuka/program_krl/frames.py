@@ -60,7 +60,6 @@ class Stated(NamedTuple):
         return self.number, self.values
 
     def same(self, other: Stated) -> bool:
-        """Whether both set the same frame."""
         return self.frame == other.frame
 
 
@@ -87,12 +86,10 @@ class FrameRule:
 
     @property
     def base(self) -> Stated | None:
-        """Return the base that the program sets."""
         return self._set.get("base") or self._form_base
 
     @property
     def tool(self) -> Stated | None:
-        """Return the tool that the program sets."""
         return self._set.get("tool") or self._form_tool
 
     @property

@@ -67,7 +67,6 @@ class Statement:
 
 
 def statements(text: str) -> Iterator[Statement]:
-    """Yield the statements of a file."""
     start = 0
     for line, whole in enumerate(text.split("\n"), start=1):
         code = _QUIET.sub(_blank, whole)
@@ -82,7 +81,6 @@ def statements(text: str) -> Iterator[Statement]:
 
 
 def comments(text: str) -> Iterator[str]:
-    """Yield what stands behind a ``#``."""
     for line in text.split("\n"):
         for match in _QUIET.finditer(line):
             if match.group().startswith("#"):
