@@ -42,7 +42,6 @@ class Signature:
     __hash__ = None  # type: ignore[assignment] # as of any class that is compared by values
 
     def replace(self, **changes: object) -> Self:
-        """Return it with other values."""
         return type(self)(**(vars(self) | changes))
 
     @property
@@ -137,7 +136,6 @@ def fields_of(takes: type[Signature]) -> Iterator[Field]:
 
 
 def is_signature(hint: object) -> bool:
-    """Whether a field is itself a signature."""
     return isinstance(hint, type) and issubclass(hint, Signature)
 
 
@@ -149,7 +147,6 @@ HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, heade
 
 
 def written(value: object) -> str:
-    """Return a value as its reader takes it."""
     if isinstance(value, tuple):
         return "=".join(map(str, value))
     return "max" if value == math.inf else str(value)
@@ -188,8 +185,6 @@ def speed_of(text: str) -> float:
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
-    """Return the reader of a whole number."""
-
     def read(text: str) -> int:
         short = len(text) <= len(str(most))
         value = int(text) if text.isascii() and text.isdecimal() and short else -1
@@ -249,12 +244,10 @@ def reason(text: str) -> str:
 
 
 def folder(text: str) -> Path:
-    """Return the path of a folder."""
     return Path(name(text))
 
 
 def name(text: str) -> str:
-    """Return a name, not empty."""
     if not text:
         raise argparse.ArgumentTypeError("expected a name, got ''")
     return text
@@ -271,7 +264,6 @@ def moment(text: str) -> datetime:
 
 
 def assignment(text: str) -> tuple[str, str]:
-    """Return key and value."""
     key, sign, value = text.partition("=")
     if not (key and sign) or "\n" in text:
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE on one line, got {text[:80]!r}")
@@ -279,7 +271,6 @@ def assignment(text: str) -> tuple[str, str]:
 
 
 def scheduler_of(text: str) -> str:
-    """Return the address of a Dask scheduler."""
     if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
         raise argparse.ArgumentTypeError(f"expected tcp://HOST:PORT, got {clean(text[:80])!r}")
     return text

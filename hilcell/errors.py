@@ -125,12 +125,10 @@ class DeviceError(HilcellError):
         return f"{self.device}: {self.operation}: {self.found}{wanted}"
 
     def __str__(self) -> str:
-        """Return the message; causes stand below it as a tree."""
         tree = "".join(f"\n  {name}\n    {error}" for name, error in self.causes.items())
         return self.summary + (f"; {self.act}" if self.act else "") + tree
 
     def facts(self) -> Json:
-        """Return what the journal keeps of the error, plain enough for JSON."""
         return {
             "code": self.code,
             "device": self.device,

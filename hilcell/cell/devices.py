@@ -165,7 +165,6 @@ def abilities(cell: Cell) -> dict[str, bool]:
 
 
 def rides_on_robot(cell: Cell) -> bool:
-    """Whether the slide is an external axis of the robot."""
     return issubclass(load_entry("rails", cell.rail.driver), ports.RidesOnRobot)
 
 

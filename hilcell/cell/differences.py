@@ -27,7 +27,6 @@ def differences(before: Cell, now: Cell, *, without: str = "") -> str:
 
 
 def _different(before: object, now: object, key: str = "") -> Iterator[str]:
-    """Yield each key that differs, with both values."""
     if isinstance(before, dict) and isinstance(now, dict):
         for name in sorted(before.keys() | now.keys()):
             inner = f"{key}.{name}" if key else str(name)

@@ -62,7 +62,6 @@ class Layout(Frozen, frozen=True, kw_only=True):
         refuse(problem for check in self.checks() for problem in check())
 
     def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
-        """Return the checks of several fields."""
         return (
             self._bad_direction,
             self._bad_names,

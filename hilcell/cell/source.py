@@ -62,7 +62,6 @@ def _tables(text: str) -> Json:
 
 
 def built_in_cells() -> list[str]:
-    """Return the names of the cells that come with hilcell."""
     folder = resources.files("hilcell.cells")
     return sorted(
         p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")

@@ -48,7 +48,6 @@ class Trainer:
         self._struck: Exercise | None = None
 
     def menu(self) -> None:
-        """Print the faults."""
         rows = [f"{n:3d}  {each.title}" for n, each in enumerate(self._cell.exercises, start=1)]
         print_message("\n".join(["training:", *rows, HELP]))
 
@@ -106,14 +105,12 @@ def train(cell: Training, ended: threading.Event) -> None:
 
 
 def _read(lines: SimpleQueue[str | None]) -> None:
-    """Hand on the lines of the keyboard, and its end."""
     for line in sys.stdin:
         lines.put(line)
     lines.put(None)
 
 
 def check(args: Check) -> int:
-    """Check a cell file, the drivers' options and the calibration's plan."""
     cell = _sound(args.cell, dict(args.settings))
     if warning := check_copied(args.cell, cell):
         print_message(warning)
@@ -169,7 +166,6 @@ def _sound(where: str, overrides: dict[str, str]) -> Cell:
 
 
 def sim(args: Sim) -> int:
-    """Run the simulated cell by itself and print where its devices listen."""
     cell = load_cell(args.cell, dict(args.settings))
     simulated = start_simulation(
         cell,
@@ -211,7 +207,6 @@ def sim(args: Sim) -> int:
 
 
 def diagram(args: Diagram) -> int:
-    """Print the state machines as Mermaid diagrams."""
     for table in (RUN, CALIBRATION):
         print_data(f"%% {table.name}\n{mermaid(table)}\n")
     return 0

@@ -114,7 +114,6 @@ PLANT: Commands = {
 
 @cache
 def whole_parser() -> Parser:
-    """Return the parser of all commands."""
     codes = "; ".join(f"{code} {words}" for code, words in enumerate(EXITS))
     parser = Parser(
         prog="hilcell",

@@ -221,7 +221,6 @@ def _is_synchronized() -> bool:
 
 
 def locks() -> Finding:
-    """Check the folder of the devices' locks."""
     try:
         folder, warning = locks_folder()
     except StorageError as error:

@@ -27,12 +27,10 @@ from hilcell.run.control import Command, order
 
 
 def pause(args: Pause) -> int:
-    """Ask a live run to pause after the point in flight."""
     return _command(args, "pause")
 
 
 def stop(args: Stop) -> int:
-    """Ask a live run to stop now."""
     return _command(args, "stop")
 
 

@@ -67,7 +67,6 @@ _hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 
 
 def completion(args: Completion) -> int:
-    """Print the script of one shell."""
     parser = deepcopy(cli.whole_parser())  # it is written into
     for action in _actions(parser):
         if action.dest == "procedure":
@@ -113,7 +112,6 @@ STATED = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the hel
 
 
 def page() -> str:
-    """Return the page as Markdown."""
     parts = [HEAD]
     for title, commands in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")

@@ -39,7 +39,6 @@ class Parser(argparse.ArgumentParser):
         self.groups: Mapping[str, Iterable[str]] = {}  # of commands by title, as the help lists
 
     def add_commands(self) -> argparse._SubParsersAction[Parser]:
-        """Return where commands are added."""
         self.commands = self.add_subparsers(metavar="COMMAND", required=True)
         return self.commands
 

@@ -141,7 +141,6 @@ def _summary(row: RunRow, standing: Standing | None) -> Json:
 
 
 def show(args: Show) -> int:
-    """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
     if args.check:
         return _check(folder, as_json=args.json)
@@ -292,7 +291,6 @@ def report(args: Report) -> int:
 
 
 def export(args: Export) -> int:
-    """Write points as CSV, tables as a workbook, the certificate as a DCC, or all as JSON."""
     from hilcell.report.dcc import dcc_bytes
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 

@@ -274,7 +274,6 @@ def _print_robots(robots: list[RobotCourse]) -> None:
 
 
 def export(args: PlantExport) -> int:
-    """Write a cell's record with a signed manifest."""
     _require_packages(["cryptography"])
     from hilcell.plant.audit import read_private_key
     from hilcell.plant.export import export as export_cell

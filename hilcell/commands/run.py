@@ -35,7 +35,6 @@ UNASKED = "nobody can be asked whether the robot may go on, for this is no termi
 
 
 def run(args: Order) -> int:
-    """Perform a procedure on a cell."""
     plan = args.check(print_message)
     if args.dry_run:
         print_dry_run(plan.cell, plan.procedure, plan.steps, as_json=args.json)
@@ -46,7 +45,6 @@ def run(args: Order) -> int:
 
 
 def resume(args: Resume) -> int:
-    """Let a paused run go on, or continue one that ended early."""
     folder = find_run(args.runs, args.run)
     if live_engine(folder) is not None:
         return _resume_live(folder, args)

@@ -62,7 +62,6 @@ class RunOutput:
         self.lost: NotPrinted | None = None  # why data are missing on stdout
 
     def __enter__(self) -> Self:
-        """Start printing."""
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -96,11 +95,9 @@ class JsonOutput(RunOutput):
         self._run = run
 
     def print_record(self, record: Record) -> None:
-        """Print the record as an event."""
         self._write(record.event(self._run))
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
-        """Print the end where the journal could not store it."""
         if log.end is None and not self._closed:
             end: Json = {"run": self._run, "kind": "end", "state": log.state, "exit": code}
             error = {} if fault is None else {"error": facts_of(fault)}
@@ -148,7 +145,6 @@ class ProgressOutput(RunOutput):
             self._progress.stop()
 
     def skip_measured(self, keys: Iterable[str]) -> None:
-        """Advance the bar."""
         self._measured.update(keys)
         self._show_measured()
 
@@ -344,6 +340,5 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
 
 
 def print_warnings(plan: Plan) -> None:
-    """Print what the run can hardly end with."""
     for warning in plan.warnings:
         print_message(f"warning: {warning}")

@@ -29,7 +29,6 @@ REPORT = "report"
 
 
 def study(args: RunStudy) -> int:
-    """Perform a study, or report the results of one."""
     _check_words(args)
     try:
         return _report(args) if args.file == REPORT else _perform(args)

@@ -167,16 +167,13 @@ class AtPoints:
 
     @property
     def base(self) -> Array:
-        """Return the base in the tracker's frame (4, 4)."""
         return self.placement.T_L_B
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
-        """Return the reflectors (3,) on the flange."""
         return self.placement.smr_mm
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
-        """Return positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
         poses, found_mm = self.placement.nominal(rows), self.placement.predicted_mm(rows)
         covariance_mm2 = np.empty((len(rows), 3, 3))
         of_row = np.array(rows.target)
@@ -259,12 +256,10 @@ class FittedArm:
 
     @property
     def base(self) -> Array:
-        """Return the base in the tracker's frame (4, 4)."""
         return self.estimate.state.T
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
-        """Return the reflectors (3,) on the flange."""
         return dict(zip(self.targets, self.estimate.state.smr_mm, strict=True))
 
     @property
@@ -410,7 +405,6 @@ def in_mm(figures: Figures) -> dict[str, float]:
 
 
 def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
-    """Return the figures of each method."""
     names = Figures._fields
     columns: list[Column[Mapping[str, str | float]]] = [
         Column("method", itemgetter("method")),

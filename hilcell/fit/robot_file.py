@@ -139,7 +139,6 @@ class Measurements:
         return self.at(first.values())
 
     def at(self, rows: Iterable[int]) -> Measurements:
-        """Return these rows only."""
         chosen = list(rows)
         return Measurements(
             [self.pose[n] for n in chosen],

@@ -246,7 +246,6 @@ class Urdf:
 
     @property
     def name(self) -> str:
-        """Return the robot's name."""
         return clean(self.text.name)
 
     @cached_property
@@ -255,12 +254,10 @@ class Urdf:
         return arm_of(self.chain)
 
     def arm(self) -> Arm:
-        """Return the arm, its tool point on the flange behind the sixth row."""
         return replace(self.rows[1], tool=np.eye(4))
 
     @property
     def base(self) -> Array:
-        """Return the arm's base in the root link (4, 4)."""
         return self.rows[0]
 
     @property

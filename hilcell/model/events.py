@@ -38,7 +38,6 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
 
     @property
     def what(self) -> str:
-        """Return the tag."""
         return str(type(self).__struct_config__.tag)
 
     @property
@@ -55,7 +54,6 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
 
     @property
     def text(self) -> str:
-        """Return it in words, points by their keys; "" where there is nothing to say."""
         return self._text()
 
     def _text(self) -> str:
@@ -73,7 +71,6 @@ class OtherEvent(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return it in words."""
         subject = next((self.fields[name] for name in SUBJECTS if name in self.fields), "")
         words = " ".join(filter(None, (self.what, str(subject))))
         return words + after(str(self.fields.get("reason") or ""))
@@ -222,7 +219,6 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
     @property
     def counts(self) -> str:
-        """Return all counts in words."""
         return (
             f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
             f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
@@ -289,7 +285,6 @@ class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
 
     @property
     def why(self) -> str:
-        """Return its reason."""
         return f"{self.command} is not possible while {self.state}"
 
 
@@ -305,7 +300,6 @@ class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
 
     @property
     def subject(self) -> str:
-        """Return the codes."""
         return ", ".join(self.codes)
 
     def refusal(self, newest: int) -> str:
@@ -546,7 +540,6 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
 
     @property
     def words(self) -> str:
-        """Return the result as one short line."""
         if not self.holds:
             return f"A{self.axis} not used: {self.reason}"
         sizes = sorted(zip(self.amplitudes_urad, self.cycles, strict=True), reverse=True)

@@ -96,5 +96,4 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def serial(self) -> str:
-        """Return the cell's serial number."""
         return str(self.cell["serial"])

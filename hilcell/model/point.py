@@ -36,7 +36,6 @@ class Sent(StrEnum):
 
     @property
     def text(self) -> str:
-        """Return the way in words."""
         return HOW[self]
 
     @property

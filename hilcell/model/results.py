@@ -180,7 +180,6 @@ class PaperRow(ActResult, frozen=True, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Return the verdict in words."""
         return "set" if self.set else "holds" if self.holds else "does not hold"
 
     @property

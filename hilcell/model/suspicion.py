@@ -54,7 +54,6 @@ class Suspicion(msgspec.Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """Return cause and size."""
         return f"{self.cause} ({self.size:.4g} {self.unit})"
 
     @property

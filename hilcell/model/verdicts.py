@@ -49,7 +49,6 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def outcome(self) -> Outcome:
-        """Return its outcome."""
         return Outcome.ACCEPTED if self.holds else Outcome.REJECTED
 
     @property
@@ -59,7 +58,6 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """Return it in words: its figures, where a type says no more."""
         return self._words()
 
     def _words(self) -> str:
@@ -82,7 +80,6 @@ class OtherVerdict(Verdict, frozen=True, kw_only=True):
 
     @property
     def suspects(self) -> Sequence[str]:
-        """Return its fact of that name."""
         return [str(each) for each in self.facts.get("suspected", ())]
 
     def _words(self) -> str:
@@ -423,7 +420,6 @@ class Parameter(msgspec.Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """Return both values and the limit."""
         return (
             f"{self.name} {self.now:.3f} {self.unit}, {self.then:.3f} then, "
             f"limit of the difference {self.limit:.3f}"
@@ -474,7 +470,6 @@ class LengthFound(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return it in words."""
         return (
             f"{' to '.join(self.nests)} was measured {self.found_mm:.3f} mm, certified "
             f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+z.0f} ppm"
@@ -541,7 +536,6 @@ class ReflectorSeen(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return it in words."""
         return (
             f"the reflector of {self.place} is seen {self.along_mm:+.3f} mm along the beam and "
             f"{self.across_mm:.3f} mm across it from the others, limit {self.limit_mm:.3f} mm"
@@ -571,7 +565,6 @@ class Within(Verdict, frozen=True, kw_only=True):
 
     @property
     def figures(self) -> Sequence[Figure]:
-        """Return the length."""
         return [Figure(self.of, self.found_mm, "mm", self.limit_mm)]
 
 

@@ -124,7 +124,6 @@ class Database:
         return before or ""
 
     def close(self) -> None:
-        """Close all connections."""
         self.engine.dispose()
 
     def _check_place(self) -> None:

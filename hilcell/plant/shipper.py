@@ -45,7 +45,6 @@ class Forked(PlantError):
 
 
 def there(connection: Connection, keys: Iterable[Key]) -> set[Key]:
-    """Return which revisions of runs the database has."""
     runs = sorted({run for run, _ in keys})
     found: set[Key] = set()
     for start in range(0, len(runs), BATCH):

@@ -23,18 +23,15 @@ class Utc(sa.TypeDecorator[datetime]):
     cache_ok = True
 
     def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
-        """Return what is stored."""
         return self.in_utc(value)
 
     def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
-        """Return what was stored, with its zone."""
         if value is None:
             return None
         return value.astimezone(UTC) if value.tzinfo else value.replace(tzinfo=UTC)
 
     @staticmethod
     def in_utc(value: datetime | None) -> datetime | None:
-        """Return a moment as it is kept."""
         return None if value is None else value.astimezone(UTC)
 
 

@@ -329,7 +329,6 @@ def _by(rows: Rows, of: Literal["point", "machine"]) -> dict[int, list[Row]]:
 
 
 def designs(study: Study, done: Rows) -> list[Design]:
-    """Return the designs of rows that were done."""
     found = []
     for own in _by(done, "point").values():
         machines = _by(own, "machine").values()

@@ -74,7 +74,6 @@ def packed(cell: Cell) -> bytes:
 
 
 def unpacked(content: bytes) -> Cell:
-    """Return the cell of such bytes."""
     stated = typed(_stated(decoded(content, dict[str, object])), dict[str, object])
     return convert(stated, Cell, "cell")
 

@@ -26,12 +26,10 @@ class Choice:
 
     @property
     def cost(self) -> float:
-        """Return the money."""
         return self._of(self.factor.costs)
 
     @property
     def minutes(self) -> float:
-        """Return the minutes of people."""
         return self._of(self.factor.minutes)
 
     @property
@@ -58,7 +56,6 @@ class Point:
 
     @property
     def values(self) -> Mapping[str, object]:
-        """Return the settings."""
         return dict(
             setting for each in self.choices for setting in each.factor.settings(each.value).items()
         )

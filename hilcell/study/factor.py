@@ -44,12 +44,10 @@ class Distribution(Frozen, frozen=True, kw_only=True):
 
     @property
     def stated(self) -> Mapping[str, float]:
-        """Return its parameters."""
         return {key: getattr(self, key) for key in PARAMETERS if getattr(self, key) is not None}
 
     @property
     def words(self) -> str:
-        """Return it in words."""
         return ", ".join([self.kind, *(f"{key} {each:g}" for key, each in self.stated.items())])
 
     def problems_between(self, low: float, high: float) -> Iterator[str]:
@@ -156,7 +154,6 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a range of whole numbers."""
         return self.is_range and all(isinstance(each, int) for each in self.ends)
 
     @property
@@ -199,7 +196,6 @@ class Factor(Frozen, frozen=True, kw_only=True):
         return list(dict.fromkeys(key for each in tables for key in each))
 
     def settings(self, value: object) -> Mapping[str, object]:
-        """Return the settings of one of its values."""
         return {self.setting: value} if self.setting else typed(value, dict[str, object])
 
     def drawn(self, share: float) -> float:

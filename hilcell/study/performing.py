@@ -85,13 +85,11 @@ class Batch:
         self._since_s = time.monotonic()
 
     def add(self, row: Row) -> None:
-        """Take a row."""
         self._rows.append(row)
         if len(self._rows) >= 64 or time.monotonic() - self._since_s >= 1.0:
             self.keep()
 
     def keep(self) -> None:
-        """Write what waits."""
         rows, self._rows = self._rows, []
         self._results.add(rows)
         self._since_s = time.monotonic()

@@ -69,7 +69,6 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def asked(study: Study) -> Asked:
-    """Return what a study asks here and now."""
     text = read_source(study.cell)
     plain = {key: each for key, each in msgspec.to_builtins(study).items() if key != "cell"}
     # A path may be another one on another day: the cell's text counts.
@@ -130,7 +129,6 @@ class Results:
         return whole.take(pa.array([kept[case] for case in sorted(kept)], pa.int64()))
 
     def rows(self) -> list[Row]:
-        """Return them as types."""
         return [_row(self.study, each) for each in self.table().to_pylist()]
 
     def finished(self) -> set[int]:

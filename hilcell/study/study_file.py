@@ -115,7 +115,6 @@ class Study(Frozen, frozen=True, kw_only=True):
 
     @property
     def has_costs(self) -> bool:
-        """Whether any factor costs money."""
         return any(factor.costs is not None for factor in self.factor)
 
     def _results_known(self) -> Iterator[str]:

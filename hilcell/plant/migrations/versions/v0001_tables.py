@@ -31,7 +31,6 @@ END $$
 
 
 def upgrade() -> None:
-    """Make all tables."""
     TABLES.create_all(op.get_bind(), checkfirst=False)
     if op.get_bind().dialect.name == "postgresql":
         op.execute("CREATE TABLE point_other PARTITION OF point DEFAULT")
