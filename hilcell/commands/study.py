@@ -24,6 +24,7 @@ from hilcell.writing import check_output, write_whole
 if TYPE_CHECKING:
     from hilcell.study.cluster import Workers
     from hilcell.study.results import Results
+    from hilcell.study.tables import Summary
 
 REPORT = "report"
 
@@ -71,6 +72,7 @@ def _perform(args: RunStudy) -> int:
     if args.dry_run:
         return _dry_run(asked, as_json=args.json)
     from hilcell.study.results import Results
+    from hilcell.study.tables import Summary
 
     results = Results(folder, asked)
     planned = asked.most_cases
@@ -95,7 +97,7 @@ def _perform(args: RunStudy) -> int:
             print_message(", ".join(f"{n} {state}" for state, n in sorted(counts.items())))
         else:
             results.merge()
-    return _answer(results, planned, as_json=args.json)
+    return _answer(Summary(asked, results.rows()), as_json=args.json)
 
 
 def _dry_run(asked: Study, *, as_json: bool) -> int:
@@ -167,33 +169,28 @@ def _report(args: RunStudy) -> int:
     results = open_results(folder)
     place = Path(args.output) if args.output else folder / "report.html"
     check_output(place, (".html", ".htm"), "a report", inputs=results.files())
-    from hilcell.study.analysis import answers
+    from hilcell.study.tables import Summary
 
-    rows = results.rows()
-    planned = results.study.most_cases
-    html = page(results.study, answers(results.study, rows), rows, planned)
-    write_whole(place, html.encode(), inputs=results.files())
-    code = _answer(results, planned, as_json=args.json)
+    summary = Summary(results.study, results.rows())
+    write_whole(place, page(summary).encode(), inputs=results.files())
+    code = _answer(summary, as_json=args.json)
     print_message(f"report of study {results.study.name} in {place}")
     return code
 
 
-def _answer(results: Results, planned: int, *, as_json: bool) -> int:
+def _answer(summary: Summary, *, as_json: bool) -> int:
     """Print the answers; return whether every case was done, or cannot be."""
-    from hilcell.study.analysis import answers
     from hilcell.study.case import DONE, FAILED
-    from hilcell.study.tables import count_words, facts, sheets
 
-    rows = results.rows()
-    found = answers(results.study, rows)
     if as_json:
-        print_json(facts(results.study, found, planned))
+        print_json(summary.facts())
     else:
-        for each in filter(None, sheets(results.study, found, rows).values()):
+        for each in filter(None, summary.tables().values()):
             print_data(harmless_lines(f"\n{each.title}"))
             print_table(each)
             if each.note:
                 print_data(harmless_lines(each.note))
-    print_message(count_words(results.study, found, planned))
-    bad = found.counts.get(FAILED, 0) or not found.counts.get(DONE, 0)
+    print_message(summary.counts())
+    counts = summary.found.counts
+    bad = counts.get(FAILED, 0) or not counts.get(DONE, 0)
     return EXIT_OUT_OF_TOLERANCE if bad else EXIT_OK

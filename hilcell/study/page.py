@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from hilcell import __version__
 from hilcell.present.renderers import environment
@@ -26,24 +26,25 @@ from hilcell.report.drawings.drawing import (
     text,
     wide_mm,
 )
-from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows, Share
+from hilcell.study.analysis import Answers, Design, Effect, Interval, Share
 from hilcell.study.case import RESULTS
 from hilcell.study.study_file import Study
-from hilcell.study.tables import count_words, sheets
+from hilcell.study.tables import Summary
 
 
-def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
+def page(summary: Summary) -> str:
     """Return the page, the same from the same rows."""
+    study, found = summary.study, summary.found
     return (
         environment("hilcell.study", "hilcell.report")
         .get_template("study.html.j2")
         .render(
             study=study,
             version=__version__,
-            counts=count_words(study, found, planned),
+            counts=summary.counts(),
             meaning=RESULTS[study.accuracy][0],
             settings=[f"{key} = {value}" for key, value in study.settings.items()],
-            **sheets(study, found, rows),
+            **summary.tables(),
             front_plot=front_plot(study, found),
             effects_plot=effects_plot(study, found),
             coverage_plot=coverage_plot(found),
@@ -64,6 +65,23 @@ class Bar(NamedTuple):
     low: float
     high: float
     shown: str
+
+    @classmethod
+    def of_accuracy(cls, each: Interval) -> Self:
+        half = f" ± {each.half:.4f}" if each.half > 0.0 else ""
+        return cls(each.mean, *each.ends, f"{each.mean:.4f}{half}")
+
+    @classmethod
+    def in_percent(cls, each: Share) -> Self:
+        mean, low, high = (100.0 * share for share in (each.mean, *each.ends))
+        return cls(mean, low, high, f"{mean:.1f}" + (f" ({low:.1f} .. {high:.1f})" * (low < high)))
+
+    def drawn(self, scale: Scale, y: float) -> Iterator[str]:
+        x = scale.one(self.mean)
+        if self.low < self.high:
+            yield path([(scale.one(self.low), y), (scale.one(self.high), y)], AFTER, 0.5)
+        yield circle(x, y, 1.1, AFTER, AFTER)
+        yield text(WIDTH_MM, y + 1.0, self.shown, "end", AFTER)
 
 
 def front_plot(study: Study, found: Answers) -> str:
@@ -95,7 +113,7 @@ def effects_plot(study: Study, found: Answers) -> str:
     """Return the accuracy at each level of each factor, all else averaged; "" without any."""
     return _levels(
         found,
-        lambda each: _accuracy(each.mean),
+        lambda each: Bar.of_accuracy(each.mean),
         f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
         "Accuracy at each level of each factor",
     )
@@ -105,22 +123,12 @@ def coverage_plot(found: Answers) -> str:
     """Return the share of targets within their bound at each level; "" without any."""
     return _levels(
         found,
-        lambda each: _percent(each.covered),
+        lambda each: Bar.in_percent(each.covered),
         "targets within their 95 % bound, %; bars: 95 % interval over machines",
         "Coverage of bounds at each level of each factor",
         line=95.0,
         most=100.0,
     )
-
-
-def _accuracy(each: Interval) -> Bar:
-    half = f" ± {each.half:.4f}" if each.half > 0.0 else ""
-    return Bar(each.mean, *each.ends, f"{each.mean:.4f}{half}")
-
-
-def _percent(each: Share) -> Bar:
-    mean, low, high = (100.0 * share for share in (each.mean, *each.ends))
-    return Bar(mean, low, high, f"{mean:.1f}" + (f" ({low:.1f} .. {high:.1f})" * (low < high)))
 
 
 def _mark(frame: Frame, each: Design) -> Iterator[str]:
@@ -176,7 +184,7 @@ def _levels(
             room_mm = levels_mm - BESIDE_MM
             word = shortened(each.word, room_mm)
             parts.append(text(names_mm, y + n * ROW_MM + 1.0, word, most_mm=room_mm))
-            parts += _level(scale, value(each), y + n * ROW_MM)
+            parts += value(each).drawn(scale, y + n * ROW_MM)
         y += ROW_MM * len(own) + GAP_MM
     return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)
 
@@ -184,14 +192,6 @@ def _levels(
 def _column(words: Iterable[str]) -> float:
     """Return how wide a column of words is, with the space beside it."""
     return min(40.0, max(map(wide_mm, words)) + BESIDE_MM)
-
-
-def _level(scale: Scale, each: Bar, y: float) -> Iterator[str]:
-    x = scale.one(each.mean)
-    if each.low < each.high:
-        yield path([(scale.one(each.low), y), (scale.one(each.high), y)], AFTER, 0.5)
-    yield circle(x, y, 1.1, AFTER, AFTER)
-    yield text(WIDTH_MM, y + 1.0, each.shown, "end", AFTER)
 
 
 def _ticks(scale: Scale, top: float, bottom: float, name: str) -> Iterator[str]:

@@ -17,7 +17,7 @@ from hilcell.study.case import Row
 from hilcell.study.design import Case, Point, placed, points
 from hilcell.study.page import page
 from hilcell.study.study_file import Study
-from hilcell.study.tables import effects_sheet, facts
+from hilcell.study.tables import Summary
 from hilcell.typed import Json, typed
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_analysis import FOUR, ended, rows, shares
@@ -54,6 +54,7 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     """No effect of it; the other factor's is what it is, and so are the errors at its levels."""
     asked = study(tmp_path, RANGE + READINGS, FOUR)
     found, measured = judged(asked, errors, lambda row: typed(row.levels["x"], float) == 1900.0)
+    summary = Summary(asked, measured)
     assert changes_of(found) == pytest.approx({("readings", "5"): 0.02, ("readings", "9"): 0.04})
     means = {each.word: each.mean.mean for each in found.effects}
     assert means["2"] == pytest.approx(0.1 + 0.025 + 0.01)
@@ -61,16 +62,16 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     assert math.isnan(means["1800"])
     assert len(found.not_estimable) == 2
     assert "1900" in found.not_estimable[0]
-    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 24)))
+    said: Json = msgspec.json.decode(msgspec.json.encode(summary.facts()))
     none = {"mean": None, "half95": None}
     low, high = said["effects"][:2]
     assert (low["accuracy_mm"], low["change_mm"], low["minutes"]) == (none, none, None)
     assert low["covered"] == {"mean": None, "low95": None, "high95": None}
     assert (high["change_mm"], high["minutes"]) == (none, None)
     assert said["not_estimable"] == found.not_estimable
-    sheet = effects_sheet(asked, found)
+    sheet = summary.effects()
     assert sheet.texts()[0] == ["x mm", "1800", "–", "", "–", "–"]
-    html = page(asked, found, measured, 24)
+    html = page(summary)
     for line in found.not_estimable:
         assert f'<p class="note">{line}</p>' in html
     assert not re.search(r"\bnan\b", html)
@@ -80,12 +81,12 @@ def test_a_first_level_without_a_result(tmp_path: Path) -> None:
     """Changes, minutes and money are counted from the first that has one."""
     costly = PITCH + "\ncosts = [10, 30, 70]\n"
     asked = study(tmp_path, costly + READINGS, FOUR)
-    found, _ = judged(asked, errors, lambda row: row.levels["pitch"] != 450.0)
+    found, measured = judged(asked, errors, lambda row: row.levels["pitch"] != 450.0)
     assert changes_of(found)["pitch", "225"] == pytest.approx(0.01)
     step = next(each for each in found.purchases if each.word == "225")
     assert (step.start, step.cost) == ("300", 40.0)
     assert step.minutes == pytest.approx(3.0)
-    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 36)))
+    said: Json = msgspec.json.decode(msgspec.json.encode(Summary(asked, measured).facts()))
     assert said["effects"][0]["from"] == "300"
 
 

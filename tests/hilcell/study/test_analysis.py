@@ -18,13 +18,7 @@ from hilcell.study.design import Case, cases
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
-from hilcell.study.tables import (
-    count_words,
-    facts,
-    front_sheet,
-    purchases_sheet,
-    sheets,
-)
+from hilcell.study.tables import Summary
 from hilcell.typed import Json
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES, SOBOL
@@ -100,14 +94,13 @@ def test_intervals_cover_as_often_as_they_promise() -> None:
 
 def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     asked = study(tmp_path, head="machines = 1")
-    measured = rows(asked, additive)
-    found = answers(asked, measured)
-    assert all(math.isnan(each.change.half) for each in found.effects)
-    sheet = purchases_sheet(asked, found)
+    summary = Summary(asked, rows(asked, additive))
+    assert all(math.isnan(each.change.half) for each in summary.found.effects)
+    sheet = summary.purchases()
     assert [row[4] for row in sheet.texts()] == ["no", "no"]
-    said: Json = msgspec.json.decode(msgspec.json.encode(facts(asked, found, 4)))
+    said: Json = msgspec.json.decode(msgspec.json.encode(summary.facts()))
     assert said["effects"][0]["accuracy_mm"]["half95"] is None
-    assert "<svg" in page(asked, found, measured, 4)
+    assert "<svg" in page(summary)
 
 
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
@@ -127,9 +120,9 @@ def test_the_shown_gain_comes_first(tmp_path: Path) -> None:
         gain_mm = 0.15 if case.machine % 2 == 0 else -0.05
         return 0.3 - 0.01 * readings - gain_mm * place
 
-    found = answers(asked, rows(asked, swinging))
-    assert [each.factor.name for each in found.purchases] == ["readings", "place"]
-    sheet = purchases_sheet(asked, found)
+    summary = Summary(asked, rows(asked, swinging))
+    assert [each.factor.name for each in summary.found.purchases] == ["readings", "place"]
+    sheet = summary.purchases()
     assert [(row[0], row[4]) for row in sheet.texts()] == [("readings", "gain"), ("place", "no")]
 
 
@@ -140,11 +133,11 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     measured = [
         ended(row, "cannot be", reason) if row.levels["place"] == "far" else row for row in measured
     ]
-    found = answers(asked, measured)
-    known = {each.word: math.isfinite(each.mean.mean) for each in found.effects}
+    summary = Summary(asked, measured)
+    known = {each.word: math.isfinite(each.mean.mean) for each in summary.found.effects}
     assert known == {"2": True, "5": True, "near": True, "far": False}
-    assert count_words(asked, found, 16) == "16 cases: 8 done, 8 cannot be"
-    reasons = sheets(asked, found, measured)["reasons"]
+    assert summary.counts() == "16 cases: 8 done, 8 cannot be"
+    reasons = summary.tables()["reasons"]
     assert reasons.texts() == [["cannot be", "grid: out of reach", "8"]]
 
 
@@ -166,8 +159,7 @@ def test_the_front_in_the_table(tmp_path: Path) -> None:
     """Minutes grow with the number of the point: a point is on it only where it is better."""
     asked = study(tmp_path, head=FOUR)
     errors_mm = (0.1, 0.09, 0.2, 0.05)
-    found = answers(asked, rows(asked, lambda c: errors_mm[c.point.number - 1]))
-    sheet = front_sheet(asked, found)
+    sheet = Summary(asked, rows(asked, lambda c: errors_mm[c.point.number - 1])).front()
     assert [row[0] for row in sheet.texts()] == ["1", "2", "4"]
     assert "EUR" in sheet.headers
 
@@ -197,7 +189,7 @@ def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
         ended(row, "failed", f"slide {-n / 2:+.2f} mm off; put it right")
         for n, row in enumerate(rows(asked, additive), start=-3)
     ]
-    tables = sheets(asked, answers(asked, measured), measured)
+    tables = Summary(asked, measured).tables()
     (reasons,) = filter(None, tables.values())
     assert reasons.texts() == [["failed", "slide +1.50 mm off", "16"]]
 

@@ -19,7 +19,7 @@ from hilcell.study.page import page
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, open_results
 from hilcell.study.study_file import Study
-from hilcell.study.tables import count_words, sheets
+from hilcell.study.tables import Summary
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES
 from tests.hilcell.study.test_study_file import factor, refused
@@ -95,22 +95,20 @@ def test_a_limit_on_minutes_is_kept(tmp_path: Path) -> None:
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
     assert best(asked, results)["readings"] == 3
-    found = answers(asked, results.rows())
-    assert count_words(asked, found, 120).endswith(" done")
+    assert Summary(asked, results.rows()).counts().endswith(" done")
 
 
 def test_no_design_within_the_limit(tmp_path: Path) -> None:
     asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "5.0"))
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
-    rows = results.rows()
-    found = answers(asked, rows)
-    assert found.best is None
-    assert [each.title for each in sheets(asked, found, rows).values() if each] == ["Pareto front"]
-    words = count_words(asked, found, 120)
+    summary = Summary(asked, results.rows())
+    assert summary.found.best is None
+    assert [each.title for each in summary.tables().values() if each] == ["Pareto front"]
+    words = summary.counts()
     assert "5 minutes" in words
     assert words.endswith(" 18")
-    assert words.partition("; ")[2] in page(asked, found, rows, 120)
+    assert words.partition("; ")[2] in page(summary)
 
 
 def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
