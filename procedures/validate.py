@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from hilcell.calibration.budget import coverages
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.errors import OTHERS, validation
+from hilcell.calibration.errors import judged_places, validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
@@ -37,7 +37,7 @@ from hilcell.model.plan import Step
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import Place, SentErrors, TargetBounds
 from hilcell.model.suspicion import Cause
-from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
+from hilcell.model.verdicts import OTHERS, VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
@@ -144,7 +144,7 @@ class Validate:
 
     def _judge(self, session: CellSession) -> None:
         limits = limits_of(session.cell)
-        for where, stations in _places(session.cell).items():
+        for where, stations in judged_places(session.cell).items():
             place = _place_of(session.log, where, stations)
             turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
             found = judged(
@@ -173,7 +173,7 @@ class Validate:
 
     def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
-        places, touched = _places(log.cell), touches(log)
+        places, touched = judged_places(log.cell), touches(log)
         found = {where: _place_of(log, where, stations) for where, stations in places.items()}
         for where, bounds in _bounds(log, places).items():
             place = found[where]
@@ -202,13 +202,6 @@ def judge_suspicions(session: CellSession) -> None:
             compared=len(changes),
         )
         session.judge("since", changed)
-
-
-def _places(cell: Cell) -> dict[str, list[str]]:
-    """Return the stations judged together by name: the grid's, all others, each other."""
-    reference, *others = (station.name for station in plan.stations_in_order(cell))
-    together = {OTHERS: others} if others else {}
-    return {reference: [reference]} | together | {name: [name] for name in others}
 
 
 def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:

@@ -19,9 +19,8 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.journal.log import Log, noise_at, of_measured, positions_mm, repeated_visits, run_noise
 from hilcell.model.point import Point, Sent
+from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array
-
-OTHERS = "others"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +85,18 @@ def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
     return series
 
 
-def places(cell: Cell) -> dict[str, list[str]]:
+def judged_places(cell: Cell) -> dict[str, list[str]]:
     """Return the places of validation with their stations: the grid's, all others, each other."""
     reference = cell.grid.station
     others = [station.name for station in cell.station if station.name != reference]
-    found = {reference: [reference]}
-    if len(others) > 1:
-        found[OTHERS] = others
-    return found | {name: [name] for name in others}
+    together = {OTHERS: others} if others else {}
+    return {reference: [reference]} | together | {name: [name] for name in others}
+
+
+def places(cell: Cell) -> dict[str, list[str]]:
+    """Return the places of validation, without the others where that is one station twice."""
+    found = judged_places(cell)
+    return {name: each for name, each in found.items() if name != OTHERS or len(each) > 1}
 
 
 def grid_errors(log: Log) -> Errors | None:

@@ -90,10 +90,11 @@ class CalibrationFile:
         folder = self.folder
         if folder is None:
             return None
-        found, here = standing_of(folder), (self.runs / folder.name).resolve()
+        found = standing_of(folder) or _unproven(row_of(folder))
+        here = (self.runs / folder.name).resolve()
         if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
             return found
-        there = standing_of(here)
+        there = standing_of(here) or _unproven(row_of(here))
         return found if there.usable else there
 
     @cached_property
@@ -262,20 +263,26 @@ def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance
         return None
 
 
-def standing_of(folder: Path) -> Standing:
-    """Return how a run's calibration stands; in doubt where the run did not end with it."""
-    rows = read_index(folder.parent)
-    found = standings_in(folder.parent, rows).get(folder.name)
-    return found or next(_unproven(row) for row in rows if row.name == folder.name)
+def standing_of(folder: Path) -> Standing | None:
+    """Return how a run's calibration stands, as `standings_in` does; None where it has none."""
+    folder = folder.resolve()
+    return standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
 
 
 def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
-    """Return standings by journals and files: one before an unread later one is in doubt."""
+    """Return standings by journals and files: one before an unread later one is in doubt.
+
+    So is a calibration with which its run did not end.
+    """
     readable = {row.name for row in rows if row.readable}
-    return {
+    found = {
         name: _proven(each, runs / name, readable) if each.state == "current" else each
         for name, each in standings(rows).items()
     }
+    for row in rows:
+        if row.name not in found and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
+            found[row.name] = _unproven(row)
+    return found
 
 
 def _proven(found: Standing, folder: Path, readable: Collection[str]) -> Standing:

@@ -149,7 +149,7 @@ def show(args: Show) -> int:
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
     result = procedure.result(log) if finished else log.result
-    standing = standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
+    standing = standing_of(folder)
     summary = _summary(row_of(folder), standing) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
@@ -347,12 +347,12 @@ def revoke(args: Revoke) -> int:
             journal.append("event", "", revoked)
         finally:
             journal.close()
-    standing = standing_of(folder.resolve())
-    current = standing.current
+    standing = standing_of(folder)
+    current = standing.current if standing else ""
     if args.json:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
         return 0
-    machine = f" ({standing.machine})" if standing.machine else ""
+    machine = f" ({standing.machine})" if standing and standing.machine else ""
     none = f"{cell}{machine} has no current calibration any more"
     left = f"current is {current}" if current else none
     print_message(f"the calibration of run {folder.name} is revoked; {left}")

@@ -34,13 +34,13 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.journal.states import WAITING
-from hilcell.journal.words import OTHERS, verdict_words
+from hilcell.journal.words import verdict_words
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
 from hilcell.model.plan import Step
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
 from hilcell.model.suspicion import suspected_in
-from hilcell.model.verdicts import VALIDATION, Verdict
+from hilcell.model.verdicts import OTHERS, VALIDATION, Verdict
 from hilcell.ports import RecordingEnded
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Plan, Procedure

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from hilcell.journal.log import Log
 from hilcell.model.events import Event, OtherEvent, StepBegun
 from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
-from hilcell.model.verdicts import VALIDATION, verdict_title
+from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
 from hilcell.typed import Json
 
 _PROCEDURES = {
@@ -35,7 +35,6 @@ _STEPS = {
     "two-face-closing": "Tracker in both faces, at the end",
     "iso9283": "ISO 9283 test",
 }
-OTHERS = "others"  # stations that are judged together
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
 _NUMBERED = re.compile(

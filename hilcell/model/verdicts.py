@@ -20,6 +20,7 @@ from hilcell.model.suspicion import Suspicion
 from hilcell.typed import Json, typed
 
 VALIDATION = "validation."  # the key of a verdict on one place is this and the place
+OTHERS = "others"  # the place of all stations but the grid's, judged together
 RISK = 0.001  # that poses which have not changed are judged to have
 UNITS = {
     "mm": " mm", "s": " s", "c": " °C", "k": " K", "deg": "°", "urad": " µrad", "percent": " %",

@@ -17,9 +17,8 @@ from sqlalchemy import Connection, and_, func, or_, select
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import other_assets
-from hilcell.journal.words import OTHERS
 from hilcell.model.events import Asset
-from hilcell.model.verdicts import VALIDATION
+from hilcell.model.verdicts import OTHERS, VALIDATION
 from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.course import (
     CONFIDENCE,

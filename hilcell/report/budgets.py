@@ -20,13 +20,14 @@ from hilcell.calibration.budget import (
     validated,
     validation_points,
 )
-from hilcell.calibration.errors import OTHERS, places
+from hilcell.calibration.errors import places
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
 from hilcell.calibration.measurement_budget import Budget, Contribution
 from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.journal.log import Log
+from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 

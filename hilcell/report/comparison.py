@@ -16,7 +16,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import OTHERS, Errors, places, validation, visits_mm
+from hilcell.calibration.errors import Errors, places, validation, visits_mm
 from hilcell.calibration.frames import (
     floor_points,
     has_own_place,
@@ -40,6 +40,7 @@ from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, differing
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent
+from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array
 from hilcell.present.table import Column
 

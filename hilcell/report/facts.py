@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.in_use import standings_in
+from hilcell.calibration.in_use import standing_of
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable, harmless
 from hilcell.journal.calibration_facts import facts_of
-from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
@@ -151,13 +150,11 @@ def read_facts(folder: Path) -> Facts:
     log, run = Log(records), encodable(folder.resolve().name)
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     result = _result(run, procedure, log)
-    runs = folder.resolve().parent
-    stands = standings_in(runs, read_index(runs)).get(folder.resolve().name)
     digest = b""
     for record in records:
         digest = chain(digest, record)
     return Facts(run, records, log, log.cell, procedure, result, digest.hex(),
-                 file_digest_of(folder, log), stands)  # fmt: skip
+                 file_digest_of(folder, log), standing_of(folder))  # fmt: skip
 
 
 def file_digest_of(folder: Path, log: Log) -> str:

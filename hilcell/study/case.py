@@ -16,12 +16,12 @@ from typing import TypeAlias
 import msgspec
 
 from hilcell import __version__
-from hilcell.calibration.errors import OTHERS
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.errors import HilcellError
 from hilcell.model.results import Calibrated, Place, TargetBounds
+from hilcell.model.verdicts import OTHERS
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.typed import decoded, typed

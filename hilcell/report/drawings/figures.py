@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hilcell.calibration.errors import OTHERS, Errors, places, validation
+from hilcell.calibration.errors import Errors, places, validation
 from hilcell.calibration.grid import binned, grid_pairs
 from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
 from hilcell.model.results import FramesRepeated, SurveyedRail, WithU
-from hilcell.model.verdicts import AP, ISO, RP
+from hilcell.model.verdicts import AP, ISO, OTHERS, RP
 from hilcell.ports import Array
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import PoseReport, tests_poses

@@ -30,8 +30,9 @@ from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
+from hilcell.report.facts import read_facts
 from tests.hilcell.calibration.calibrations import calibration
-from tests.hilcell.commands.finished_runs import FIT, MADE, finished
+from tests.hilcell.commands.finished_runs import FIT, MADE, finished, text_of
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.verdicts import RECHECKED, REDO
 
@@ -213,18 +214,37 @@ def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doub
     for name, day in (("1-old", "01"), ("2-new", "02")):
         known = calibration(run=name, simulated=True, written=f"2026-01-{day}T00:00:00+00:00")
         finished(tmp_path, name, MADE, provenance=known.provenance)
-    assert standing_of(tmp_path / "1-old").text == "superseded by 2-new"
+    assert text_of(tmp_path / "1-old") == "superseded by 2-new"
     journal = tmp_path / "2-new" / JOURNAL
     content = journal.read_bytes()
     journal.unlink()
     if cut is not None:
         journal.write_bytes(content[:cut])
     found = standing_of(tmp_path / "1-old")
+    assert found is not None
     assert (found.state, found.usable) == ("in doubt", False)
     assert "run 2-new wrote a later calibration" in found.reason
     assert standings_in(tmp_path, read_index(tmp_path))["1-old"] == found  # as listed
     (tmp_path / "2-new" / CALIBRATION).unlink()
-    assert standing_of(tmp_path / "1-old").state == "current"
+    assert text_of(tmp_path / "1-old") == "current"
+
+
+def test_a_calibration_with_which_its_run_did_not_end_is_in_doubt_wherever_it_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lists, one run's page, its report and what uses it say the same; without a file, nothing."""
+    folder = tmp_path / "1-none"
+    finished(tmp_path, "1-none", {})
+    text = "in doubt: its run made no calibration by its journal"
+    used = CalibrationFile.named(str(folder / CALIBRATION), tmp_path).standing
+    assert used is not None
+    assert used.text == text_of(folder) == text
+    assert standings_in(tmp_path, read_index(tmp_path)) == {"1-none": used}
+    assert read_facts(folder).stands == used
+    monkeypatch.chdir(folder)
+    assert text_of(Path()) == text
+    (folder / CALIBRATION).unlink()
+    assert standing_of(folder) is read_facts(folder).stands is None
 
 
 def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -> None:
@@ -247,10 +267,10 @@ def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -
 def test_a_copied_folder_is_the_run_that_it_was_copied_from(tmp_path: Path) -> None:
     finished(tmp_path, "1-made", MADE)
     shutil.copytree(tmp_path / "1-made", tmp_path / "1-made-backup")
-    assert standing_of(tmp_path / "1-made").state == "current"
-    assert standing_of(tmp_path / "1-made-backup").text == "copy: the run is 1-made"
+    assert text_of(tmp_path / "1-made") == "current"
+    assert text_of(tmp_path / "1-made-backup") == "copy: the run is 1-made"
     finished(tmp_path, "2-made", MADE)
-    assert standing_of(tmp_path / "1-made").text == "superseded by 2-made"
+    assert text_of(tmp_path / "1-made") == "superseded by 2-made"
 
 
 @pytest.mark.parametrize(
@@ -265,4 +285,4 @@ def test_a_folder_without_a_journal_that_is_older_or_a_copy_leaves_no_doubt(
     other = calibration(run=run, simulated=True, written=f"{written}T00:00:00+00:00")
     (tmp_path / name).mkdir()
     write_calibration(other, tmp_path / name / CALIBRATION)
-    assert standing_of(tmp_path / "1-made").state == "current"
+    assert text_of(tmp_path / "1-made") == "current"

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from hilcell.calibration.file import write_calibration
+from hilcell.calibration.in_use import standing_of
 from hilcell.journal.runs import CALIBRATION
 from hilcell.model.verdicts import Verdict
 from tests.hilcell import verdicts
@@ -39,6 +40,12 @@ def finished(
     writer.journal.close()
     made = msgspec.structs.replace(calibration(run=name, simulated=True), **changes)
     write_calibration(made, runs / name / CALIBRATION)
+
+
+def text_of(folder: Path) -> str | None:
+    """Return how a run's calibration stands, in words."""
+    found = standing_of(folder)
+    return None if found is None else found.text
 
 
 FIT: dict[str, Verdict] = {"fit": verdicts.FITTED}

@@ -117,11 +117,14 @@ def test_a_re_check_with_redo_leaves_none(runs: Path) -> None:
 
 def test_runs_and_show_say_how_it_stands(runs: Path) -> None:
     finished(runs, "2-made", MADE)
-    finished(runs, "3-home", {})
+    for name in ("3-home", "4-file-of-no-calibration"):
+        finished(runs, name, {})
+    (runs / "3-home" / CALIBRATION).unlink()
     found = listed(runs)
     assert found["1-made"]["state"] == "superseded"
     assert found["1-made"]["by"] == found["1-made"]["current"] == "2-made"
     assert (found["2-made"]["state"], found["3-home"]) == ("current", {})
+    assert found["4-file-of-no-calibration"]["state"] == "in doubt"
     shown = command("runs", "--runs", runs).stdout
     assert "superseded by 2-made" in " ".join(shown.split())
 

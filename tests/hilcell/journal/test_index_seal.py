@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.calibration.in_use import standing_of
 from hilcell.journal.index import NAME
-from tests.hilcell.commands.finished_runs import MADE, finished
+from tests.hilcell.commands.finished_runs import MADE, finished, text_of
 from tests.hilcell.journal.test_index import settled
 from tests.whole.bench import command
 
@@ -25,7 +24,7 @@ def revoked(tmp_path: Path) -> Path:
     finished(tmp_path, "1-made", MADE)
     assert command("revoke", "1-made", "--runs", tmp_path, "--reason", "a nest").returncode == 0
     settled(tmp_path / "1-made")
-    assert standing_of(tmp_path / "1-made").text == "revoked: a nest"
+    assert text_of(tmp_path / "1-made") == "revoked: a nest"
     return tmp_path / "1-made"
 
 
@@ -38,7 +37,7 @@ def stored(index: Path) -> tuple[int, int]:
     return start, start + len(content)
 
 
-def flips(folder: Path, step: int) -> list[str]:
+def flips(folder: Path, step: int) -> list[str | None]:
     """Return the standings that were found with one bit of the row flipped."""
     index = folder.parent / NAME
     sound = index.read_bytes()
@@ -48,7 +47,7 @@ def flips(folder: Path, step: int) -> list[str]:
         damaged = bytearray(sound)
         damaged[bit // 8] ^= 1 << bit % 8
         index.write_bytes(damaged)
-        found.append(standing_of(folder).text)
+        found.append(text_of(folder))
     return found
 
 
@@ -64,7 +63,7 @@ def test_no_flipped_bit_of_a_row_changes_a_standing(revoked: Path) -> None:
 def test_a_row_that_was_changed_with_care_is_no_row(revoked: Path) -> None:
     with closing(sqlite3.connect(revoked.parent / NAME)) as base, base:
         base.execute("UPDATE run SET row = CAST(replace(CAST(row AS TEXT), 'a nest', '') AS BLOB)")
-    assert standing_of(revoked).state == "revoked"
+    assert text_of(revoked) == "revoked: a nest"
     with closing(sqlite3.connect(revoked.parent / NAME)) as base, base:
         base.execute("UPDATE run SET seal = NULL")
-    assert standing_of(revoked).state == "revoked"
+    assert text_of(revoked) == "revoked: a nest"
