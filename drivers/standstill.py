@@ -28,7 +28,6 @@ from hilcell.ports import Clock, DeviceError, RailReading, StripLost
 
 STRIP_SPREAD_MM = 0.02  # at rest
 READINGS = 5  # at least, of one dwell; the reading is their median
-LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,8 @@ class Poll:
 class Windows:
     """Bounds of a slide at rest, in units of its polls: a second, from lowest to highest."""
 
+    LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unattended
+
     speed: float
     spread: float
     strip_spread: int
@@ -55,7 +56,7 @@ class Windows:
     @property
     def apart_s(self) -> float:
         """Return how far apart the polls of a dwell are at most: a long dwell has more of them."""
-        return min(self.dwell_s / (READINGS - 1), LONGEST_PAUSE_S) + 0.001
+        return min(self.dwell_s / (READINGS - 1), self.LONGEST_PAUSE_S) + 0.001
 
     @property
     def polls(self) -> int:

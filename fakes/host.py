@@ -90,7 +90,7 @@ class Host:
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
             for table, serve in servers_of(cell).items():
-                device = _served(table, partial(serve, site, ports.get(table, 0)))
+                device = self._served(table, partial(serve, site, ports.get(table, 0)))
                 made.callback(device.close)
                 self._devices[table] = device
             self._control = Listener(
@@ -186,21 +186,21 @@ class Host:
         self._plant.seat(str(order["place"]))
         return {}
 
-
-def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:
-    """Return a simulated device; raises `HilcellError` where a package's one is broken."""
-    duties = ("address", "start", "restore", "close")
-    try:
-        device = serve()
-        lacking = [name for name in duties if not hasattr(device, name)]
-    except HilcellError:
-        raise
-    except Exception as error:
-        raise HilcellError(f"simulated {table}: {with_place(error)}") from error
-    if lacking:
-        what = f"{type(device).__name__} has no {', '.join(lacking)}"
-        raise HilcellError(f"simulated {table}: {what}; see fakes.site.SimulatedDevice")
-    return device
+    @staticmethod
+    def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:
+        """Return a simulated device; raises `HilcellError` where a package's one is broken."""
+        duties = ("address", "start", "restore", "close")
+        try:
+            device = serve()
+            lacking = [name for name in duties if not hasattr(device, name)]
+        except HilcellError:
+            raise
+        except Exception as error:
+            raise HilcellError(f"simulated {table}: {with_place(error)}") from error
+        if lacking:
+            what = f"{type(device).__name__} has no {', '.join(lacking)}"
+            raise HilcellError(f"simulated {table}: {what}; see fakes.site.SimulatedDevice")
+        return device
 
 
 def main() -> int:

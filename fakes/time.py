@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import count
 
-EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
 PAUSE_S = 0.1
 
 
@@ -57,6 +56,8 @@ class OwnTime:
 class PlantTime:
     """Seconds since power-on, for one plant; safe to use from several threads."""
 
+    EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
+
     def __init__(self, speed: float = math.inf) -> None:
         self.speed = speed
         self.stepped = math.isinf(speed)  # time passes only when it is made to
@@ -88,7 +89,7 @@ class PlantTime:
         """Return now, after a poll of something that moves from ``start_s`` to ``end_s``."""
         if self.stepped:
             with self._lock:
-                step_s = EXCHANGE_S if self._followers else (end_s - start_s) / 3.0
+                step_s = self.EXCHANGE_S if self._followers else (end_s - start_s) / 3.0
                 self._stepped_s = max(self._stepped_s, min(end_s, self._stepped_s + step_s))
         return self.now_s()
 

@@ -54,14 +54,9 @@ class LinkTime:
         self.counted_s = now_s
 
 
-HEARTBEAT_PERIOD_S = 0.05
-
-Callback = Callable[[int, bytearray, float], None]
-
-
 def heartbeat_period_s(bitrate: int) -> float:
     """Return the period of the PC's and the nodes' heartbeats on a bus."""
-    return max(HEARTBEAT_PERIOD_S, 2500 / bitrate)  # on a slow bus, 65 of so many bits
+    return max(0.05, 2500 / bitrate)  # s; on a slow bus, 65 of so many bits
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
@@ -123,7 +118,7 @@ class CanLink:
         self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
         self._threads[0].start()
 
-    def subscribe(self, cob_id: int, callback: Callback) -> None:
+    def subscribe(self, cob_id: int, callback: Callable[[int, bytearray, float], None]) -> None:
         """Call ``callback(cob_id, data, time)`` in the receiving thread for frames ``cob_id``."""
         self.network.subscribe(cob_id, callback)
 

@@ -50,7 +50,6 @@ SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing 
 _FRAME = re.compile(
     rb"(?:([tr])([0-9A-Fa-f]{3})|([TR])([0-9A-Fa-f]{8}))([0-8])((?:[0-9A-Fa-f]{2})*)"
 )
-_BELL = b"\a"
 
 
 class SlcanBus(can.BusABC):
@@ -60,6 +59,7 @@ class SlcanBus(can.BusABC):
     where the gateway refuses the bit rate or to open.
     """
 
+    _BELL = b"\a"
     ANSWER_S = 0.3  # to a command; many gateways send none
     LONGEST_LINE = 64
 
@@ -104,7 +104,7 @@ class SlcanBus(can.BusABC):
         while True:
             while (found := self._line()) is not None:
                 line, end = found
-                if end == _BELL:
+                if end == self._BELL:
                     return False
                 if not line:
                     return True
@@ -120,7 +120,7 @@ class SlcanBus(can.BusABC):
         while True:
             while (found := self._line()) is not None:
                 line, end = found
-                self.refused += end == _BELL
+                self.refused += end == self._BELL
                 if (message := self._message(line)) is not None:
                     return message, False
             left_s = max(0.0, deadline_s - time.monotonic())

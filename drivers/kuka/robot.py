@@ -70,7 +70,6 @@ from hilcell.wire.channel import Host
 POLL_S = 0.03
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
-AXIS_TOLERANCE_DEG = 0.005
 STILL_DEG, STILL_MM = 0.0005, 0.01
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
 BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
@@ -91,6 +90,7 @@ class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class KukaRobot:
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
+    AXIS_TOLERANCE_DEG = 0.005
     STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
     ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
     MAX_SEQUENCE = 1_000_000_000
@@ -333,7 +333,11 @@ class KukaRobot:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
         controller = self.wire()
         controller.look()
-        give_back_left_behind(controller)
+        if controller.lowered_override():  # by a dead engine, whose sweep is braked first
+            if self.integer("HC_SEQ") != self.integer("HC_ACK"):
+                controller.brake()
+                await_rest(controller)
+            controller.give_back_override()
         controller.release()
         patience = Patience(self.CATCH_UP_S, self.POLL_LOOK_S)
         self._sequence = self.integer("HC_SEQ")
@@ -415,7 +419,7 @@ class KukaRobot:
             if over:
                 break
             over = patience.over()
-        tolerance = f"{joints_text(wanted)} +-{AXIS_TOLERANCE_DEG}"
+        tolerance = f"{joints_text(wanted)} +-{self.AXIS_TOLERANCE_DEG}"
         raise stopped_short(joints_text(axes), tolerance, axes, wanted)
 
     # -- for a sweep as well ------------------------------------------------------------------
@@ -543,7 +547,7 @@ class KukaSweep:
         self._variable, self._round = controller.measured, cycle(controller.rounds)
         found = integer(controller, "$OV_PRO")
         share = self._speed_deg_s / self._full_deg_s
-        self._velocity, self._override = split_speed(share, found)
+        self._velocity, self._override = self.split_speed(share, found)
         self.speed_rad_s = float(
             np.radians(self._full_deg_s) * self._velocity * self._override / 100**2
         )
@@ -621,30 +625,20 @@ class KukaSweep:
                 raise
             error.add_note(f"not all was taken back: {failure}; the next connect does it")
 
+    @staticmethod
+    def split_speed(share: float, override: int) -> tuple[int, int]:
+        """Return HC_VEL and $OV_PRO whose product is the next to a share of full speed from below.
 
-def split_speed(share: float, override: int) -> tuple[int, int]:
-    """Return HC_VEL and $OV_PRO whose product comes nearest to a share of full speed from below.
-
-    The operator's ``override`` is never raised; of equal ones the highest is taken.
-    """
-    wanted = share * 100**2 * (1.0 + 1e-9)
-    pairs = [
-        (velocity * lowered, lowered, velocity)
-        for velocity in range(1, 100 + 1)
-        if (lowered := min(override, int(wanted / velocity))) >= 1
-    ]
-    _, lowered, velocity = max(pairs)
-    return velocity, lowered
-
-
-def give_back_left_behind(access: Access) -> None:
-    """Give back an override that a dead engine left lowered; its sweep is braked first."""
-    if not access.lowered_override():
-        return
-    if integer(access, "HC_SEQ") != integer(access, "HC_ACK"):
-        access.brake()
-        await_rest(access)
-    access.give_back_override()
+        The operator's ``override`` is never raised; of equal ones the highest is taken.
+        """
+        wanted = share * 100**2 * (1.0 + 1e-9)
+        pairs = [
+            (velocity * lowered, lowered, velocity)
+            for velocity in range(1, 100 + 1)
+            if (lowered := min(override, int(wanted / velocity))) >= 1
+        ]
+        _, lowered, velocity = max(pairs)
+        return velocity, lowered
 
 
 def await_rest(

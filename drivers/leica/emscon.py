@@ -25,9 +25,6 @@ from drivers.device_errors import TRACKER
 from hilcell.ports import DeviceError, NoReading
 
 SMALLEST, LARGEST = 12, 65536  # bytes of a packet
-OTHER_UNITS_MM = {
-    "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
-}  # fmt: skip
 FARTHEST = 1e9  # in every unit beyond the reach of any tracker; figures above are no positions
 
 

@@ -379,7 +379,10 @@ class LeicaEmsconTracker:
             raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=AIR, act=act)
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
-        for unit, unit_mm in emscon.OTHER_UNITS_MM.items():
+        units_mm = {
+            "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
+        }  # fmt: skip
+        for unit, unit_mm in units_mm.items():
             of_unit_mm = float(np.linalg.norm(unit_mm * np.array(result.xyz) - near_mm))
             if of_unit_mm <= self._options.find_radius_mm:
                 return TRACKER.failed(

@@ -52,7 +52,6 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import SerialLine, parse_channel
 
-RAD_PER_ARCSEC = math.pi / 648_000
 MM_PER_M = 1000.0
 PLACES = 15  # decimal places that the instrument is to send
 FARTHEST = 1e5  # m or rad; figures above are no reading
@@ -350,7 +349,7 @@ class LeicaGeocomTracker:
 
         def accuracy(self, range_m: float) -> tuple[float, float]:
             along_mm = self.distance_mm + self.distance_ppm * 1e-3 * range_m
-            return along_mm, self.angle_arcsec * RAD_PER_ARCSEC
+            return along_mm, self.angle_arcsec * (math.pi / 648_000)
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock

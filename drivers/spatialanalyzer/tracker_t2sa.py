@@ -193,7 +193,7 @@ class T2saBridge:
 
     def ask(self, command: str) -> Reply:
         """Request, again while the bridge is busy; raises the error of a refusal."""
-        limit_s = _limit_s(command)
+        limit_s = self._limit_s(command)
         patience = Patience(limit_s, limit_s)
         while (reply := self.exchange(command)).code == BUSY:
             if patience.over():
@@ -204,7 +204,9 @@ class T2saBridge:
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(MEASURE)
             kind = NoReading if again else DeviceError
             act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
-            raise kind(alarm, TRACKER.name, _spoken(command), reply.found, act=act, fields=fields)
+            raise kind(
+                alarm, TRACKER.name, self._spoken(command), reply.found, act=act, fields=fields
+            )
         return reply
 
     def position(self, command: str, path: str) -> Array:
@@ -220,16 +222,16 @@ class T2saBridge:
 
     def exchange(self, command: str) -> Reply:
         """Request once and return the reply; results that nobody asked for are dropped."""
-        limit_s = _limit_s(command)
-        self._wire().send(command, _spoken(command))
+        limit_s = self._limit_s(command)
+        self._wire().send(command, self._spoken(command))
         patience = Patience(limit_s)
         while (reply := self._reply(patience)) is not None:
             if command.startswith((MEASURE, POSITION)) or not reply.is_result:
                 return reply
         if not command.startswith(MEASURE):
-            raise self.lost("no answer in time", _spoken(command))
+            raise self.lost("no answer in time", self._spoken(command))
         self._give_up()
-        found = f"no answer to {_spoken(command)} in {limit_s:.1f} s"
+        found = f"no answer to {self._spoken(command)} in {limit_s:.1f} s"
         raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
 
     def lost(self, found: str, operation: str) -> DeviceError:
@@ -244,12 +246,12 @@ class T2saBridge:
 
     def _after(self, command: str, answers: Callable[[Reply], bool]) -> None:
         """Request, and drop all replies up to the one that answers."""
-        self._wire().send(command, _spoken(command))
+        self._wire().send(command, self._spoken(command))
         patience = Patience(REPLY_S)
         while (reply := self._reply(patience)) is not None:
             if answers(reply):
                 return
-        raise self.lost("no answer in time", _spoken(command))
+        raise self.lost("no answer in time", self._spoken(command))
 
     def _reply(self, patience: Patience) -> Reply | None:
         """Return the next reply, None when ``patience`` is over; a line that failed is closed."""
@@ -274,13 +276,13 @@ class T2saBridge:
             raise TRACKER.failed("HC-T34", "use", found)
         return self._lines
 
+    @staticmethod
+    def _limit_s(command: str) -> float:
+        return MEASURE_S if command.startswith(MEASURE) else REPLY_S
 
-def _limit_s(command: str) -> float:
-    return MEASURE_S if command.startswith(MEASURE) else REPLY_S
-
-
-def _spoken(command: str) -> str:
-    return command.partition(":")[0].strip("!?").lower().replace("_", " ")
+    @staticmethod
+    def _spoken(command: str) -> str:
+        return command.partition(":")[0].strip("!?").lower().replace("_", " ")
 
 
 class T2saTracker:

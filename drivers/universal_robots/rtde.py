@@ -77,11 +77,6 @@ def encode(kind: Kind, payload: bytes = b"") -> bytes:
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
-def request_fields(kind: Kind, names: Sequence[str], head: bytes = b"") -> bytes:
-    """Return the request for data packages of these fields, or to write them."""
-    return encode(kind, head + ",".join(names).encode("ascii"))
-
-
 @dataclass(frozen=True)
 class Recipe:
     """Fields of data packages in their order, with their types, under the controller's number."""
@@ -89,6 +84,11 @@ class Recipe:
     number: int
     names: tuple[str, ...]
     types: tuple[str, ...]
+
+    @staticmethod
+    def request(kind: Kind, names: Sequence[str], head: bytes = b"") -> bytes:
+        """Return the request for data packages of these fields, or to write them."""
+        return encode(kind, head + ",".join(names).encode("ascii"))
 
     @classmethod
     def from_answer(cls, names: Sequence[str], payload: bytes) -> Recipe:
@@ -409,7 +409,7 @@ class UrLink:
         return answer == b"\x01"
 
     def _recipe(self, kind: Kind, names: tuple[str, ...], head: bytes = b"") -> Recipe:
-        answer = self._ask(kind, request_fields(kind, names, head))
+        answer = self._ask(kind, Recipe.request(kind, names, head))
         try:
             recipe = Recipe.from_answer(names, answer)
         except RtdeError as error:

@@ -63,6 +63,17 @@ class Command(Enum):
     QUICK_STOP = "quick stop"
     FAULT_RESET = "fault reset"
 
+    @staticmethod
+    def of(word: int) -> Command:
+        """Return the command that bits 0-3 of a controlword give."""
+        if not word & 0x02:
+            return Command.DISABLE_VOLTAGE
+        if not word & 0x04:
+            return Command.QUICK_STOP
+        if not word & 0x01:
+            return Command.SHUTDOWN
+        return Command.ENABLE_OPERATION if word & 0x08 else Command.SWITCH_ON
+
 
 # CiA 402-2, figure of the state machine, by the number of each transition. 0, 1, 13 and 14 are the
 # drive's own; ENABLE OPERATION in READY TO SWITCH ON passes through SWITCHED ON (3, then 4).
@@ -105,17 +116,6 @@ class Status(IntEnum):
     INTERNAL_LIMIT = 1 << 11
     MODE_DONE = 1 << 12
     MODE_ERROR = 1 << 13
-
-
-def command_of(word: int) -> Command:
-    """Return the command that bits 0-3 of a controlword give."""
-    if not word & 0x02:
-        return Command.DISABLE_VOLTAGE
-    if not word & 0x04:
-        return Command.QUICK_STOP
-    if not word & 0x01:
-        return Command.SHUTDOWN
-    return Command.ENABLE_OPERATION if word & 0x08 else Command.SWITCH_ON
 
 
 class RailDrive(CanopenSlave):
@@ -287,7 +287,7 @@ class RailDrive(CanopenSlave):
         if rising & Control.FAULT_RESET:
             self._clear_fault()
         if self.state is not State.FAULT:
-            self._walk(command_of(self._word))
+            self._walk(Command.of(self._word))
         elif rising & Control.FAULT_RESET:
             self._walk(Command.FAULT_RESET)
         if not self._word & Control.NEW_SET_POINT:

@@ -69,20 +69,6 @@ def parse_boolean(text: str) -> bool:
     return word == "TRUE"
 
 
-def parse_aggregate(text: str, kind: str) -> dict[str, float]:
-    """Return the members of a structure of ``kind``, which the text may leave out."""
-    match = _AGGREGATE.match(text.strip())
-    if match is None or (match[1] or kind).upper() != kind:
-        raise KrlError(text)
-    found: dict[str, float] = {}
-    for part in match[2].split(","):
-        name, _, number = part.strip().partition(" ")
-        if not _NUMBER.match(number.strip()):
-            raise KrlError(text)
-        found[name.upper()] = float(number)
-    return found
-
-
 RAIL_DRIVER = "kuka-e1"
 AXES = tuple(f"A{n}" for n in range(1, 7))
 FRAME = ("X", "Y", "Z", "A", "B", "C")
@@ -243,7 +229,7 @@ class KrlController:
         with self._lock:
             self._strike_on_request()
             if name == "HC_TGT":
-                self._target_deg |= parse_aggregate(text, "E6AXIS")
+                self._target_deg |= self._aggregate_of(text, "E6AXIS")
             elif name in self._integers:
                 self._integers[name] = int(text)
             elif name == "$TIMER[10]":
@@ -512,3 +498,17 @@ class KrlController:
             self._halt("#P_STOP")
         if take("robot.override_zero") is not None:
             self._set_override(0)
+
+    @staticmethod
+    def _aggregate_of(text: str, kind: str) -> dict[str, float]:
+        """Return the members of a structure of ``kind``, which the text may leave out."""
+        match = _AGGREGATE.match(text.strip())
+        if match is None or (match[1] or kind).upper() != kind:
+            raise KrlError(text)
+        found: dict[str, float] = {}
+        for part in match[2].split(","):
+            name, _, number = part.strip().partition(" ")
+            if not _NUMBER.match(number.strip()):
+                raise KrlError(text)
+            found[name.upper()] = float(number)
+        return found

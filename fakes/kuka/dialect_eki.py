@@ -26,18 +26,18 @@ class Eki(Dialect):
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
         """Whether both have one Id: a state may come once more, with the next."""
-        return _id(answer) == _id(asked)
+        return self._id(answer) == self._id(asked)
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the state with the Id of this command, where it has the recorded one's."""
-        if _id(answer) != _id(recorded):
+        if self._id(answer) != self._id(recorded):
             return answer
-        return _ASKED.sub(rb"\g<1>" + _id(asked) + rb"\g<3>", answer, count=1)
+        return _ASKED.sub(rb"\g<1>" + self._id(asked) + rb"\g<3>", answer, count=1)
 
-
-def _id(message: bytes) -> bytes:
-    found = _ASKED.search(message)
-    return b"" if found is None else found[2]
+    @staticmethod
+    def _id(message: bytes) -> bytes:
+        found = _ASKED.search(message)
+        return b"" if found is None else found[2]
 
 
 def _kept(found: re.Match[bytes]) -> bytes:

@@ -35,7 +35,6 @@ from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
-QUEUE = 16  # values; one more closes the connection
 RECEIVED = (
     *(f"RobotCommand/@{name}" for name in ("Id", "Type", "Percent", "Life")),
     *(f"RobotCommand/Pos/@{name}" for name in (*AXES, "E1")),
@@ -48,6 +47,8 @@ class Overflow(Exception):
 
 class Queues:
     """The received values of one channel, by their paths."""
+
+    LENGTH = 16  # values; one more closes the connection
 
     def __init__(self, paths: tuple[str, ...]) -> None:
         self._queues: dict[str, deque[str]] = {path: deque() for path in paths}
@@ -67,7 +68,7 @@ class Queues:
                 queue = self._queues.get(f"{'/'.join(path)}/@{name}")
                 if queue is not None:
                     queue.append(text)
-                    if len(queue) > QUEUE:
+                    if len(queue) > self.LENGTH:
                         raise Overflow
 
         parser = expat.ParserCreate()

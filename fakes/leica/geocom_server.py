@@ -160,7 +160,7 @@ class GeocomDevice:
             return Answer(Code.INVALID)
         state = self._state
         state.face = int(v > math.pi)
-        state.pointing = (hz % math.tau, v) if not state.face else _other_face(hz, v)
+        state.pointing = (hz % math.tau, v) if not state.face else self._other_face(hz, v)
         state.target = None
 
         sight_rad = 1e-3  # beside which the distance meter still hits a prism
@@ -257,8 +257,8 @@ class GeocomDevice:
         distance_m = float(np.linalg.norm(found.xyz_mm)) / mm
         distance_m += state.prism_m - self._prism_m
         (_, pressure_mbar, dry_c, _), air = state.atmosphere, self._instrument.air()
-        true_ppm = _ppm(air.pressure_mbar, air.temperature_c)
-        distance_m *= 1.0 + 1e-6 * (_ppm(pressure_mbar, dry_c) - true_ppm)
+        true_ppm = self._ppm(air.pressure_mbar, air.temperature_c)
+        distance_m *= 1.0 + 1e-6 * (self._ppm(pressure_mbar, dry_c) - true_ppm)
         state.measured = (hz, v, distance_m)
         code = self._faults.number("tracker.geocom_code")
         answer = form(*state.measured)
@@ -268,7 +268,7 @@ class GeocomDevice:
 
     def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
         if self._state.face:
-            hz, v = _other_face(hz, v)
+            hz, v = self._other_face(hz, v)
         values = self._reals(hz, v, distance_m).values
         bad = self._faults.take("tracker.bad_number")
         if bad is not None:
@@ -285,7 +285,7 @@ class GeocomDevice:
     def _angles(self) -> Answer:
         hz, v = self._state.pointing
         if self._state.face:
-            hz, v = _other_face(hz, v)
+            hz, v = self._other_face(hz, v)
         time = str(self._time_ms())
         tilt = self._reals(0.0, 0.0, 0.0).values
         values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
@@ -298,6 +298,15 @@ class GeocomDevice:
     def _reals(self, *values: float) -> Answer:
         return Answer(values=tuple(f"{value:.{self._state.places}f}" for value in values))
 
+    @staticmethod
+    def _other_face(hz: float, v: float) -> tuple[float, float]:
+        return (hz + math.pi) % math.tau, math.tau - v
+
+    @staticmethod
+    def _ppm(pressure_mbar: float, dry_c: float) -> float:
+        """Return the atmospheric correction of dry air; zero at 12 C and 1013.25 mbar, nearly."""
+        return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)
+
 
 def _whole(*values: int) -> Answer:
     return Answer(values=tuple(map(str, values)))
@@ -307,15 +316,6 @@ def _direction(at_mm: Array) -> tuple[float, float]:
     """Return Hz and V of a place in face 1: Hz turns from x to -y."""
     x, y, z = at_mm
     return math.atan2(-y, x) % math.tau, math.acos(z / math.hypot(x, y, z))
-
-
-def _other_face(hz: float, v: float) -> tuple[float, float]:
-    return (hz + math.pi) % math.tau, math.tau - v
-
-
-def _ppm(pressure_mbar: float, dry_c: float) -> float:
-    """Return the atmospheric correction of dry air; zero at 12 C and 1013.25 mbar, nearly."""
-    return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)
 
 
 class GeocomServer(Server):

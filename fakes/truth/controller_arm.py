@@ -32,8 +32,8 @@ class ControllerArm:
         """Return the status of joints (6,)."""
         lines = self.chain.lines(joints_rad)
         (axis_2, shoulder_mm), (axis_3, elbow_mm), (_, wrist_mm) = lines[1], lines[2], lines[4]
-        ahead = _cross(axis_2, np.array([0.0, 0.0, 1.0]))
-        bent = _cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3
+        ahead = self._cross(axis_2, np.array([0.0, 0.0, 1.0]))
+        bent = self._cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3
         behind, beyond, flipped = 1, 2, 4
         status = behind * bool(ahead @ wrist_mm < 0) + beyond * bool(bent >= 0)
         return int(status + flipped * bool(joints_rad[4] < 0))
@@ -42,11 +42,11 @@ class ControllerArm:
         """Return the turn of joints (6,)."""
         return sum(1 << joint for joint, angle in enumerate(joints_rad) if angle < 0)
 
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of two vectors (3,); numpy's takes ten times as long for two."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    @staticmethod
+    def _cross(a: Array, b: Array) -> Array:
+        """Return the cross product of two vectors (3,); numpy's takes ten times as long for two."""
+        (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+        return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def controller_arm(cell: Cell) -> ControllerArm:

@@ -68,7 +68,7 @@ class Plant:
             for number, at_mm in enumerate(from_first_mm, start=2)
         }
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
-        self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
+        self._floor |= self._bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self._stood: tuple[RobotState | None, Array] = (None, np.zeros(6))  # the true joints
         self._bolts: tuple[float, Array, dict[str, Array]] = (math.nan, np.eye(4), {})
@@ -180,20 +180,20 @@ class Plant:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""
         return self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
 
+    @staticmethod
+    def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+        """Return the nests of bars: each certified length is true between them."""
+        found = _placed(layout.bar, sigma_mm, rng)
+        for each in layout.length:
+            one, other = each.nests
+            if one in found and other in found:
+                way_mm = found[other] - found[one]
+                found[other] = found[one] + each.length_mm * way_mm / np.linalg.norm(way_mm)
+        return found
+
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
     return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
-
-
-def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the nests of bars: each certified length is true between them."""
-    found = _placed(layout.bar, sigma_mm, rng)
-    for each in layout.length:
-        one, other = each.nests
-        if one in found and other in found:
-            way_mm = found[other] - found[one]
-            found[other] = found[one] + each.length_mm * way_mm / np.linalg.norm(way_mm)
-    return found
 
 
 def _limited(rng: np.random.Generator, size: int) -> Array:

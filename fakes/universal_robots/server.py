@@ -94,7 +94,7 @@ class _Session:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
             self._outputs = _names(payload[8:])
             layouts = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
-            known = TYPES | {name: _register(name) for name in self._server.controller.inputs}
+            known = TYPES | {name: self._register(name) for name in self._server.controller.inputs}
             types = [known.get(name, "NOT_FOUND") for name in self._outputs]
             self._layout = struct.Struct("!B" + "".join(layouts.get(each, "") for each in types))
             answer = b"\x01" + ",".join(types).encode()
@@ -112,7 +112,7 @@ class _Session:
         """Return the number of a new recipe, 0 where there is none, and its types."""
         free, known = self._server.claim(self), self._server.controller.inputs
         types = [
-            "NOT_FOUND" if name not in known else _register(name) if free else "IN_USE"
+            "NOT_FOUND" if name not in known else self._register(name) if free else "IN_USE"
             for name in names
         ]
         if not set(types) <= {"INT32", "DOUBLE"}:
@@ -161,14 +161,14 @@ class _Session:
         else:
             self._segments.send(package)
 
+    @staticmethod
+    def _register(name: str) -> str:
+        return "INT32" if "_int_" in name else "DOUBLE"
+
 
 def _names(payload: bytes) -> list[str]:
     """Return the names of a request; some clients end the list with a comma."""
     return payload.decode("ascii", "replace").removesuffix(",").split(",")
-
-
-def _register(name: str) -> str:
-    return "INT32" if "_int_" in name else "DOUBLE"
 
 
 class UrServer(Server):

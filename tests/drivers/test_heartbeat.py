@@ -116,7 +116,7 @@ def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) ->
         return attended.is_set()
 
     link = CanLink(open_bus("slcan", peer.channel, 500_000), DrivenClock())
-    link.start_heartbeat(127, attends, can_link.HEARTBEAT_PERIOD_S)
+    link.start_heartbeat(127, attends, can_link.heartbeat_period_s(1_000_000))
     soon(lambda: next(asked) > 10)  # its own looks count, too
     assert len(peer.frames(BEAT)) <= 1
     attended.set()

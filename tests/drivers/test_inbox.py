@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Callable
 from typing import cast
 
 import pytest
 
 from drivers.canopen import process_image
-from drivers.canopen.can_link import Callback, CanLink, LinkTime
+from drivers.canopen.can_link import CanLink, LinkTime
 from drivers.canopen.process_image import REPLY_S, Inbox, Mapping, Transmission
 from drivers.supervision import go_on
 from tests.clocks import DrivenClock
@@ -26,9 +27,9 @@ class SlowLink:
         self.late_s = 0.0
         self.lost: deque[bool] = deque()
         self._answers: deque[tuple[float, int]] = deque()
-        self._take: Callback | None = None
+        self._take: Callable[[int, bytearray, float], None] | None = None
 
-    def subscribe(self, _cob_id: int, callback: Callback) -> None:
+    def subscribe(self, _cob_id: int, callback: Callable[[int, bytearray, float], None]) -> None:
         self._take = callback
 
     def send(self, _cob_id: int, _data: bytes) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.kuka.robot import split_speed
+from drivers.kuka.robot import KukaSweep
 from drivers.kuka.robot_c3 import KukaC3Robot
 from hilcell.ports import DeviceError, JointSample, NoReading, Stopped, Sweep, Sweeps
 from tests.drivers.kuka_bed import peer, robot, robot_for, time
@@ -225,7 +225,7 @@ def test_an_impossible_sweep_is_refused(
 
 @given(share=st.floats(1e-4, 1.0), found=st.integers(1, 100))
 def test_the_speed_is_the_next_from_below(share: float, found: int) -> None:
-    velocity, lowered = split_speed(share, found)
+    velocity, lowered = KukaSweep.split_speed(share, found)
     assert 1 <= velocity <= 100
     assert 1 <= lowered <= found
     possible = (v * o for v in range(1, 101) for o in range(1, found + 1))

@@ -94,7 +94,7 @@ def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
 def test_a_long_dwell_is_no_lack_of_progress(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standstill, "LONGEST_PAUSE_S", 0.01)
+    monkeypatch.setattr(standstill.Windows, "LONGEST_PAUSE_S", 0.01)
     monkeypatch.setattr(drive.Drive, "STALL_S", 0.1)
     monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 0.1)
     with connected(peer, time, standstill_dwell_s=0.3) as rail:

@@ -43,7 +43,7 @@ def test_golden_bytes() -> None:
     assert answer == (Kind.VERSION, b"\x01")
     assert rtde.encode(Kind.START).hex() == "000353"
     rate = struct.pack(">d", 125.0)
-    outputs = rtde.request_fields(Kind.OUTPUTS, ("timestamp", "actual_q"), rate)
+    outputs = Recipe.request(Kind.OUTPUTS, ("timestamp", "actual_q"), rate)
     assert outputs == b"\x00\x1d\x4f\x40\x5f\x40\x00\x00\x00\x00\x00timestamp,actual_q"
 
 

@@ -677,6 +677,6 @@ def test_angles_lead_back_to_their_place(x: float, y: float, z: float) -> None:
 
 
 def test_the_class_of_accuracy_is_a_length_along_and_an_angle_across() -> None:
-    arcsec = geocom.RAD_PER_ARCSEC
+    arcsec = math.pi / 648_000
     std_mm = geocom.class_std_mm(np.array([10_000.0, 0.0, 0.0]), 0.6, 1.0 * arcsec)
     np.testing.assert_allclose(std_mm, [0.6, 0.0485, 0.0485], atol=1e-4)

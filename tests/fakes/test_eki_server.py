@@ -10,7 +10,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController, KrlError
-from fakes.kuka.eki_server import QUEUE, RECEIVED, EkiServer, Overflow, Queues
+from fakes.kuka.eki_server import RECEIVED, EkiServer, Overflow, Queues
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -245,7 +245,7 @@ def test_a_client_that_goes_after_its_motion_stops_nothing(robot: Robot) -> None
 
 def test_a_full_queue_closes_the_connection() -> None:
     queues = Queues(RECEIVED)
-    for _ in range(QUEUE):
+    for _ in range(Queues.LENGTH):
         queues.add(b'<RobotCommand Id="1"/>')
     with pytest.raises(Overflow):
         queues.add(b'<RobotCommand Id="1"/>')

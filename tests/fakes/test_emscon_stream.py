@@ -12,7 +12,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.leica.emscon_device import EmsconDevice, SampleStream
 from fakes.leica.emscon_server import EmsconServer
-from fakes.time import EXCHANGE_S, PlantTime
+from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import Array
@@ -210,11 +210,11 @@ def test_while_it_streams_a_poll_is_an_exchange(tracker: Streaming) -> None:
     robot.move(robot.state().joints_rad + 0.2, 0.01)
     before_s = tracker.time.now_s()
     robot.poll()
-    assert tracker.time.now_s() - before_s == pytest.approx(EXCHANGE_S)
+    assert tracker.time.now_s() - before_s == pytest.approx(PlantTime.EXCHANGE_S)
     tracker.stop()
     before_s = tracker.time.now_s()
     robot.poll()
-    assert tracker.time.now_s() - before_s > 10 * EXCHANGE_S
+    assert tracker.time.now_s() - before_s > 10 * PlantTime.EXCHANGE_S
 
 
 def test_an_impossible_separation_is_refused(tracker: Streaming) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from fakes.canopen.rail_drive import Command, RailDrive, State, command_of
+from fakes.canopen.rail_drive import Command, RailDrive, State
 from fakes.faults import Faults
 from fakes.truth.rail_truth import RailState, RailTruth
 from tests.fakes.rail_bench import (
@@ -103,8 +103,8 @@ def test_whole_matrix_of_states_and_commands() -> None:
 def test_bits_of_the_controlword() -> None:
     for command, word in WORDS.items():
         if command is not Command.FAULT_RESET:
-            assert command_of(word) is command
-            assert command_of(word | 0x170) is command, "operation bits change nothing"
+            assert Command.of(word) is command
+            assert Command.of(word | 0x170) is command, "operation bits change nothing"
 
 
 def test_fault_is_reset_by_the_edge_only() -> None:

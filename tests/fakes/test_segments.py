@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from fakes import wires
-from fakes.wires import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
+from fakes.wires import LATE_EVERY, LATE_S, Segments
 
 
 class Wire:
@@ -36,7 +36,7 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_nothing_is_lost_and_every_seventh_packet_is_split() -> None:
     pieces = sent(70)
     assert b"".join(pieces) == b"".join(bytes([number]) * 20 for number in range(70))
-    assert len(pieces) == 70 + 70 // SPLIT_EVERY
+    assert len(pieces) == 70 + 70 // Segments.SPLIT_EVERY
     assert sent(70) == pieces
     assert len({len(piece) for piece in pieces}) > 5  # cut at many places
 

@@ -163,13 +163,25 @@ class Datum:
     def status(self) -> int | None:
         """Return S where it is stated; raises `KrlError`."""
         fields = self.fields()
-        return _bits("S", fields["S"]) if "S" in fields else None
+        return self._bits("S", fields["S"]) if "S" in fields else None
 
     def posture(self) -> int | None:
         """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
         fields = self.fields()
-        stated = {name: _bits(name, fields[name]) for name in MOST if name in fields}
+        stated = {name: self._bits(name, fields[name]) for name in MOST if name in fields}
         return stated["S"] if len(stated) == len(MOST) else None
+
+    @staticmethod
+    def _bits(name: str, tokens: Sequence[Token]) -> int:
+        """Return ``6`` or ``'B110'``."""
+        text = text_of(tokens)
+        try:
+            value = int(text[2:-1], 2) if text.startswith("'B") else int(text)
+        except ValueError as error:
+            raise KrlError(f"{name} {text} is not a whole number") from error
+        if not 0 <= value <= MOST[name]:
+            raise KrlError(f"{name} {text} is not 0 to {MOST[name]}")
+        return value
 
 
 def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
@@ -208,18 +220,6 @@ def pose(name: str, fields: Mapping[str, Sequence[Token]]) -> dict[str, Number]:
             "all of X Y Z A B C"
         )
     return {each: number(each, fields[each]) for each in POSE}
-
-
-def _bits(name: str, tokens: Sequence[Token]) -> int:
-    """Return ``6`` or ``'B110'``."""
-    text = text_of(tokens)
-    try:
-        value = int(text[2:-1], 2) if text.startswith("'B") else int(text)
-    except ValueError as error:
-        raise KrlError(f"{name} {text} is not a whole number") from error
-    if not 0 <= value <= MOST[name]:
-        raise KrlError(f"{name} {text} is not 0 to {MOST[name]}")
-    return value
 
 
 def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]]]]:

@@ -294,7 +294,7 @@ class _Reader:
 
     def _take(self, statement: Statement) -> None:
         tokens = statement.tokens
-        if _is_header(statement):
+        if self._is_header(statement):
             self._surely.begin(statement.begins)
             return
         self._surely.take(statement)
@@ -304,9 +304,9 @@ class _Reader:
             self._frames.stroke(statement.line)
             self._relative += self._stands.take(statement)
             return
-        _refuse_motions(statement)
+        self._refuse_motions(statement)
         self._relative += self._stands.pass_by(statement)
-        colons = any(token.text == ":" for token in _outside_braces(tokens))
+        colons = any(token.text == ":" for token in self._outside_braces(tokens))
         if colons and not statement.is_label:
             raise KrlError("the geometric operator ':' computes a frame at run time")
         if statement.head in ABSOLUTE:
@@ -319,7 +319,7 @@ class _Reader:
         self._stands.stands_at(())
         self._moves_in.setdefault(self._surely.program, statement.line)
         target, rest = _target(statement.tokens)
-        clause = _clause(rest)
+        clause = self._clause(rest)
         name = text_of(target)
         if target[0].text == "{":
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
@@ -436,7 +436,7 @@ class _Reader:
     # -- the second pass ----------------------------------------------------------------------
 
     def _check_uses(self, used: Set[str], statement: Statement) -> None:
-        if _is_header(statement):
+        if self._is_header(statement):
             return
         for at, token in enumerate(statement.tokens):
             if token.word in used and token.start not in self._places:
@@ -464,21 +464,46 @@ class _Reader:
                     f"{name}, in a file of its own"
                 )
 
+    @staticmethod
+    def _refuse_motions(statement: Statement) -> None:
+        """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
+        for at, token in enumerate(statement.tokens):
+            word = token.word
+            if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, "CIRC", "SCIRC"):
+                raise KrlError(f"{word} is a relative motion: where it goes is not known")
+            if word in ("CIRC", "SCIRC"):
+                raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
+            if word in ("SPLINE", "PTP_SPLINE", "SPL"):
+                raise KrlError(f"{word}: splines are not corrected")
+            if word == "ASYPTP":
+                raise KrlError(f"{word} moves external axes: the slide would leave its station")
+            if word in ABSOLUTE and at:
+                raise KrlError(f"{word} within another statement is not understood")
 
-def _refuse_motions(statement: Statement) -> None:
-    """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
-    for at, token in enumerate(statement.tokens):
-        word = token.word
-        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, "CIRC", "SCIRC"):
-            raise KrlError(f"{word} is a relative motion: where it goes is not known")
-        if word in ("CIRC", "SCIRC"):
-            raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
-        if word in ("SPLINE", "PTP_SPLINE", "SPL"):
-            raise KrlError(f"{word}: splines are not corrected")
-        if word == "ASYPTP":
-            raise KrlError(f"{word} moves external axes: the slide would leave its station")
-        if word in ABSOLUTE and at:
-            raise KrlError(f"{word} within another statement is not understood")
+    @staticmethod
+    def _is_header(statement: Statement) -> bool:
+        """Whether it declares programs and their parameters, where ``:`` states a way."""
+        words = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
+        return statement.head in words or bool(statement.begins)
+
+    @staticmethod
+    def _clause(rest: Sequence[Token]) -> Sequence[Token]:
+        """Return what follows ``WITH`` after a target; refuse all else but approximations."""
+        approximations = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
+        while rest and (rest[0].word in approximations or rest[0].text == ","):
+            rest = rest[1:]
+        if rest and rest[0].word != "WITH":
+            raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
+        return rest[1:]
+
+    @staticmethod
+    def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
+        outside, depth = list[Token](), 0
+        for token in tokens:
+            depth += (token.text == "{") - (token.text == "}")
+            if depth == 0:
+                outside.append(token)
+        return outside
 
 
 def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
@@ -493,22 +518,6 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
     return tokens[1:end], tokens[end:]
 
 
-def _is_header(statement: Statement) -> bool:
-    """Whether the statement declares programs and their parameters, where ``:`` states a way."""
-    words = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
-    return statement.head in words or bool(statement.begins)
-
-
-def _clause(rest: Sequence[Token]) -> Sequence[Token]:
-    """Return what follows ``WITH`` after a target; refuse all else but approximations."""
-    approximations = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
-    while rest and (rest[0].word in approximations or rest[0].text == ","):
-        rest = rest[1:]
-    if rest and rest[0].word != "WITH":
-        raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
-    return rest[1:]
-
-
 def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
     """Return the statements of each own program and subprogram below its header."""
     blocks: dict[str, list[Statement]] = {}
@@ -518,15 +527,6 @@ def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
         if not statement.begins:
             blocks.setdefault(current, []).append(statement)
     return blocks
-
-
-def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
-    outside, depth = list[Token](), 0
-    for token in tokens:
-        depth += (token.text == "{") - (token.text == "}")
-        if depth == 0:
-            outside.append(token)
-    return outside
 
 
 def _local(statement: Statement) -> list[str]:

@@ -61,7 +61,7 @@ class Flow(Generic[State]):
         key: Callable[[State], Hashable] = lambda state: state,
     ) -> None:
         self._blocks, self._step, self._key = blocks, step, key
-        self._next = {name: _successors(block) for name, block in blocks.items()}
+        self._next = {name: self._successors(block) for name, block in blocks.items()}
         self._done: dict[tuple[str, Hashable], list[State]] = {}
         self._depth = 0
         found = [each for block in blocks.values() for each in block]
@@ -129,46 +129,48 @@ class Flow(Generic[State]):
         pairs = zip(statement.tokens, statement.tokens[1:], strict=False)
         return [one.word for one, other in pairs if other.text == "(" and one.word in self._blocks]
 
+    @staticmethod
+    def _close(
+        begun: _Open, end: int, block: Sequence[Statement], following: list[list[int]]
+    ) -> None:
+        """Lead the ways of a branch or loop that ends at ``end`` to where they go on."""
+        at, parts = begun.at, begun.parts
+        if begun.word in LOOPS:
+            following[end] = [at] if begun.word != "REPEAT" else [at, end + 1]
+            if begun.word in ("FOR", "WHILE"):
+                following[at].append(end + 1)
+            for each in begun.exits:
+                following[each] = [end + 1]
+            return
+        for each in parts:
+            following[each] = [end]
+        first = [] if begun.word == "SWITCH" else [at + 1]
+        whole = any(block[each].head in ("ELSE", "DEFAULT") for each in parts)
+        following[at] = [*first, *(each + 1 for each in parts), *([] if whole else [end])]
 
-def _successors(block: Sequence[Statement]) -> list[list[int]]:
-    """Return for each statement the places of those that may follow; the block's end is one."""
-    following = [[n + 1] for n in range(len(block))]
-    labels = {each.head: n for n, each in enumerate(block) if each.is_label}
-    opened: list[_Open] = []
-    for n, each in enumerate(block):
-        if each.head in (*LOOPS, "IF", "SWITCH"):
-            opened.append(_Open(each.head, n, [], []))
-        elif each.head in PARTS and opened and opened[-1].word == PARTS[each.head]:
-            opened[-1].parts.append(n)
-        elif each.head in ENDS and opened and opened[-1].word == ENDS[each.head]:
-            _close(opened.pop(), n, block, following)
-        elif each.head == "EXIT":
-            loops = [one for one in opened if one.word in LOOPS]
-            following[n] = []
-            (loops[-1].exits if loops else []).append(n)
-        elif each.head == "GOTO":
-            label = each.tokens[1].word if len(each.tokens) > 1 else ""
-            following[n] = [labels.get(label, len(block))]
-        elif each.head in ("RETURN", "RESUME", "END", "ENDFCT"):
-            following[n] = [len(block)]
-    return following
-
-
-def _close(begun: _Open, end: int, block: Sequence[Statement], following: list[list[int]]) -> None:
-    """Lead the ways of a branch or loop that ends at ``end`` to where they go on."""
-    at, parts = begun.at, begun.parts
-    if begun.word in LOOPS:
-        following[end] = [at] if begun.word != "REPEAT" else [at, end + 1]
-        if begun.word in ("FOR", "WHILE"):
-            following[at].append(end + 1)
-        for each in begun.exits:
-            following[each] = [end + 1]
-        return
-    for each in parts:
-        following[each] = [end]
-    first = [] if begun.word == "SWITCH" else [at + 1]
-    whole = any(block[each].head in ("ELSE", "DEFAULT") for each in parts)
-    following[at] = [*first, *(each + 1 for each in parts), *([] if whole else [end])]
+    @staticmethod
+    def _successors(block: Sequence[Statement]) -> list[list[int]]:
+        """Return for each statement the places of those that may follow; the block's end is one."""
+        following = [[n + 1] for n in range(len(block))]
+        labels = {each.head: n for n, each in enumerate(block) if each.is_label}
+        opened: list[_Open] = []
+        for n, each in enumerate(block):
+            if each.head in (*LOOPS, "IF", "SWITCH"):
+                opened.append(_Open(each.head, n, [], []))
+            elif each.head in PARTS and opened and opened[-1].word == PARTS[each.head]:
+                opened[-1].parts.append(n)
+            elif each.head in ENDS and opened and opened[-1].word == ENDS[each.head]:
+                Flow._close(opened.pop(), n, block, following)
+            elif each.head == "EXIT":
+                loops = [one for one in opened if one.word in LOOPS]
+                following[n] = []
+                (loops[-1].exits if loops else []).append(n)
+            elif each.head == "GOTO":
+                label = each.tokens[1].word if len(each.tokens) > 1 else ""
+                following[n] = [labels.get(label, len(block))]
+            elif each.head in ("RETURN", "RESUME", "END", "ENDFCT"):
+                following[n] = [len(block)]
+        return following
 
 
 class Stop(NamedTuple):
@@ -297,6 +299,17 @@ class Bits(NamedTuple):
     known: int = 0
     status: int = 0
 
+    @staticmethod
+    def of_joints(values: Mapping[str, float]) -> Bits:
+        """Return the bits that joints in deg tell without the arm's links."""
+        a3_deg, a5_deg = ((values.get(name, 0.0) + 180.0) % 360.0 - 180.0 for name in ("A3", "A5"))
+        elbow, wrist, known, status = 0b010, 0b100, 0, 0
+        if abs(a3_deg) > 15.0:  # an arm is stretched at some degrees beside zero, by its links
+            known, status = known | elbow, status | elbow * (a3_deg > 0)
+        if abs(a5_deg) > 0.01812:  # so near to zero the next motion may take either side
+            known, status = known | wrist, status | wrist * (a5_deg < 0)
+        return Bits(known, status)
+
 
 def kept_postures(
     file: str,
@@ -313,7 +326,7 @@ def kept_postures(
         for stop in stops.get(statement.line, ()):
             taken = before
             if not stop.key:
-                taken = _of_joints(stop.values or {})
+                taken = Bits.of_joints(stop.values or {})
             elif stop.status is not None:
                 taken = Bits(0b111, stop.status & 0b111)
             else:
@@ -330,14 +343,3 @@ def kept_postures(
         for each in sorted(bits)
         if each.known
     ]
-
-
-def _of_joints(values: Mapping[str, float]) -> Bits:
-    """Return the bits that joints in deg tell without the arm's links."""
-    a3_deg, a5_deg = ((values.get(name, 0.0) + 180.0) % 360.0 - 180.0 for name in ("A3", "A5"))
-    elbow, wrist, known, status = 0b010, 0b100, 0, 0
-    if abs(a3_deg) > 15.0:  # an arm is stretched at some degrees beside zero, by its links
-        known, status = known | elbow, status | elbow * (a3_deg > 0)
-    if abs(a5_deg) > 0.01812:  # so near to zero the next motion may take either side
-        known, status = known | wrist, status | wrist * (a5_deg < 0)
-    return Bits(known, status)

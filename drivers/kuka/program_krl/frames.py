@@ -114,7 +114,7 @@ class FrameRule:
 
     def move(self, line: int, clause: Sequence[Token] = ()) -> None:
         """Take a motion to a Cartesian target and its ``WITH`` clause; raises `KrlError`."""
-        own = _form_of(clause)
+        own = self._form_of(clause)
         form = (own, line) if own else self._form
         tool_too = any(token.word == "$TOOL" for token in clause)
         self.motions[line] = (own, own * tool_too)
@@ -278,6 +278,26 @@ class FrameRule:
         if set(TABLES) <= set(self._set) and self._forms_used is None:
             self._form = None  # that of a home move, which no longer counts
 
+    @staticmethod
+    def _form_of(clause: Sequence[Token]) -> str:
+        """Return the frame data that ``WITH`` names for base and tool alike, "" for none."""
+        parts = [text_of(part) for part in split(clause, ",")]
+        framing = [p for p in parts if p.startswith(("$BASE", "$TOOL", "$IPO_MODE", *NEVER_SET))]
+        form = (
+            r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)"
+            r"|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
+        )
+        matches = [re.fullmatch(form, part) for part in framing]
+        names = {match[match.lastindex or 0] if match else "" for match in matches}
+        if not names:
+            return ""
+        if len(names) > 1 or "" in names or not any(p.startswith("$BASE") for p in framing):
+            raise KrlError(
+                f"WITH {', '.join(framing)}: a motion's own base or tool; expected both from one "
+                "frame data, as inline forms write them: set $BASE and $TOOL before the motions"
+            )
+        return names.pop()
+
 
 def assigned_at(tokens: Sequence[Token], at: int) -> bool:
     """Whether the name at ``at`` is assigned: ``NAME=``, ``NAME.X=``, ``NAME[I].X=``."""
@@ -287,26 +307,6 @@ def assigned_at(tokens: Sequence[Token], at: int) -> bool:
     while at < len(tokens) and tokens[at].text in (".", "["):
         at = closing(tokens, at) + 1 if tokens[at].text == "[" else at + 2
     return at < len(tokens) and tokens[at].text == "="
-
-
-def _form_of(clause: Sequence[Token]) -> str:
-    """Return the frame data that a ``WITH`` clause names for base and tool alike, "" for none."""
-    parts = [text_of(part) for part in split(clause, ",")]
-    framing = [p for p in parts if p.startswith(("$BASE", "$TOOL", "$IPO_MODE", *NEVER_SET))]
-    form = (
-        r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)"
-        r"|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
-    )
-    matches = [re.fullmatch(form, part) for part in framing]
-    names = {match[match.lastindex or 0] if match else "" for match in matches}
-    if not names:
-        return ""
-    if len(names) > 1 or "" in names or not any(p.startswith("$BASE") for p in framing):
-        raise KrlError(
-            f"WITH {', '.join(framing)}: a motion's own base or tool; expected both from one frame "
-            "data, as inline forms write them: set $BASE and $TOOL before the motions"
-        )
-    return names.pop()
 
 
 class Modal(NamedTuple):

@@ -134,7 +134,7 @@ class Program:
             f"{stem}{Path(file).suffix}: {word} names the module {name} (line {line}), and a KUKA "
             f"wants module and file alike: name the file {name}, or change {word}"
             for file, text in self.texts.items()
-            for word, name, line in _module(text)
+            for word, name, line in self._module(text)
             if name.lower() != stem.lower()
         ]
 
@@ -160,26 +160,26 @@ class Program:
                 text = formatted(float(value), number.text, decimals=3)
                 edits[target.file].append(Edit(number.start, number.end, text))
         for name, text in self.texts.items():
-            edits[name] += [_remark(text, remark)] if remark and text else []
+            edits[name] += [self._remark(text, remark)] if remark and text else []
         return {
             name: edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
         }
 
+    @staticmethod
+    def _module(text: str) -> Iterator[tuple[str, str, int]]:
+        """Yield the word that begins the module, the module's name, and the line; once at most."""
+        for statement in statements(text):
+            words = [each for each in statement.tokens if each.word != "GLOBAL"]
+            if words[0].word in ("DEF", "DEFDAT") and len(words) > 1:
+                yield words[0].word, words[1].text, statement.line
+                return
 
-def _module(text: str) -> Iterator[tuple[str, str, int]]:
-    """Yield the word that begins the module, the module's name, and the line; once at most."""
-    for statement in statements(text):
-        words = [each for each in statement.tokens if each.word != "GLOBAL"]
-        if words[0].word in ("DEF", "DEFDAT") and len(words) > 1:
-            yield words[0].word, words[1].text, statement.line
-            return
-
-
-def _remark(text: str, remark: str) -> Edit:
-    """Return a comment below ``DEF`` or ``DEFDAT``, the first statement; on top without one."""
-    first = next(statements(text), None)
-    line = f"; {plain(remark)}"
-    return line_below(text, first.tokens[0].start, line) if first else Edit(0, 0, f"{line}\n")
+    @staticmethod
+    def _remark(text: str, remark: str) -> Edit:
+        """Return a comment below ``DEF`` or ``DEFDAT``, the first statement; on top without one."""
+        first = next(statements(text), None)
+        line = f"; {plain(remark)}"
+        return line_below(text, first.tokens[0].start, line) if first else Edit(0, 0, f"{line}\n")
 
 
 class TurnError(HilcellError):

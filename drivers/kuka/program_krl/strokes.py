@@ -46,7 +46,7 @@ class StrokeRule:
         self._drills = {
             name: strokes
             for name, block in blocks.items()
-            if (strokes := _only_strokes(block, moving)) and _is_called(name, blocks)
+            if (strokes := self._only_strokes(block, moving)) and self._is_called(name, blocks)
         }
         self._read_at_calls = {each.line for block in self._drills.values() for each in block}
         self._keys: Sequence[str] = ()
@@ -78,7 +78,7 @@ class StrokeRule:
     def _from(self, statement: Statement) -> list[Relative]:
         """Return the strokes from where the robot stands now."""
         keys, self._keys = self._keys, ()  # where it leads is not known if it is refused
-        shift_mm = _shift(statement)
+        shift_mm = self._shift(statement)
         if self._interrupted:
             raise KrlError(
                 f"{statement.head} is a relative motion, and the interrupt or trigger of line "
@@ -94,53 +94,56 @@ class StrokeRule:
         self._keys, self._shift_mm = keys, (x, y, z)
         return [Relative(statement.head, statement.line, key, begin, (x, y, z)) for key in keys]
 
-
-def _only_strokes(block: Sequence[Statement], moving: Set[str]) -> list[Statement]:
-    """Return the strokes of a subprogram that moves by them alone, without a branch; else none."""
-    strokes = [each for each in block if each.head in STROKES]
-    others = [each for each in block if each.head not in (*STROKES, "END")]
-    straight = all(
-        each.head not in BRANCHES
-        and not each.is_label
-        and not any(token.word in {*moving, *STROKES, *MOTIONS} for token in each.tokens)
-        for each in others
-    )
-    return strokes if straight else []
-
-
-def _is_called(name: str, blocks: Mapping[str, Sequence[Statement]]) -> bool:
-    """Whether a subprogram is called, and only by statements of their own: ``NAME( )``."""
-    calls = [each for block in blocks.values() for each in block for token in each.tokens
-             if token.word == name]  # fmt: skip
-    return bool(calls) and all(
-        each.head == name and len(each.tokens) == 3 and each.tokens[1].text == "(" for each in calls
-    )
-
-
-def _shift(statement: Statement) -> tuple[float, float, float]:
-    """Return X, Y, Z of a relative motion along the tool; raises `KrlError`."""
-    head, tokens = statement.head, statement.tokens[1:]
-    if not tokens or tokens[0].text != "{":
-        raise KrlError(f"{head} is a relative motion by what is no structure of numbers")
-    end = closing(tokens, 0) + 1
-    fields = aggregate(tokens[:end])
-    rest = tokens[end:]  # approximations may stand around its frame
-    words = [token.word for token in rest if token.text != ","]
-    frames = [word for word in words if word in ("#TOOL", "#BASE")]
-    left = set(words) - {"#TOOL", "#BASE", "C_DIS", "C_VEL", "C_ORI", "C_SPL"}
-    if left or len(frames) > 1:
-        raise KrlError(f"{head} is a relative motion with {quoted(rest)}, which is not understood")
-    others = [name for name in fields if name not in ("X", "Y", "Z")]
-    if others:
-        raise KrlError(
-            f"{head} is a relative motion that changes {', '.join(others)}: only strokes in X, Y, "
-            "Z keep the correction of the point before them"
+    @staticmethod
+    def _only_strokes(block: Sequence[Statement], moving: Set[str]) -> list[Statement]:
+        """Return the strokes of a subprogram of strokes alone, without a branch; else none."""
+        strokes = [each for each in block if each.head in STROKES]
+        others = [each for each in block if each.head not in (*STROKES, "END")]
+        straight = all(
+            each.head not in BRANCHES
+            and not each.is_label
+            and not any(token.word in {*moving, *STROKES, *MOTIONS} for token in each.tokens)
+            for each in others
         )
-    if frames != ["#TOOL"]:
-        raise KrlError(
-            f"{head} is a relative motion in the base: only strokes along the tool, #TOOL, keep "
-            "the correction of the point before them"
+        return strokes if straight else []
+
+    @staticmethod
+    def _is_called(name: str, blocks: Mapping[str, Sequence[Statement]]) -> bool:
+        """Whether a subprogram is called, and only by statements of their own: ``NAME( )``."""
+        calls = [each for block in blocks.values() for each in block for token in each.tokens
+                 if token.word == name]  # fmt: skip
+        return bool(calls) and all(
+            each.head == name and len(each.tokens) == 3 and each.tokens[1].text == "("
+            for each in calls
         )
-    values = {name: number(name, each).value for name, each in fields.items()}
-    x, y, z = (values.get(name, 0.0) for name in "XYZ")
-    return x, y, z
+
+    @staticmethod
+    def _shift(statement: Statement) -> tuple[float, float, float]:
+        """Return X, Y, Z of a relative motion along the tool; raises `KrlError`."""
+        head, tokens = statement.head, statement.tokens[1:]
+        if not tokens or tokens[0].text != "{":
+            raise KrlError(f"{head} is a relative motion by what is no structure of numbers")
+        end = closing(tokens, 0) + 1
+        fields = aggregate(tokens[:end])
+        rest = tokens[end:]  # approximations may stand around its frame
+        words = [token.word for token in rest if token.text != ","]
+        frames = [word for word in words if word in ("#TOOL", "#BASE")]
+        left = set(words) - {"#TOOL", "#BASE", "C_DIS", "C_VEL", "C_ORI", "C_SPL"}
+        if left or len(frames) > 1:
+            raise KrlError(
+                f"{head} is a relative motion with {quoted(rest)}, which is not understood"
+            )
+        others = [name for name in fields if name not in ("X", "Y", "Z")]
+        if others:
+            raise KrlError(
+                f"{head} is a relative motion that changes {', '.join(others)}: only strokes in "
+                "X, Y, Z keep the correction of the point before them"
+            )
+        if frames != ["#TOOL"]:
+            raise KrlError(
+                f"{head} is a relative motion in the base: only strokes along the tool, #TOOL, "
+                "keep the correction of the point before them"
+            )
+        values = {name: number(name, each).value for name, each in fields.items()}
+        x, y, z = (values.get(name, 0.0) for name in "XYZ")
+        return x, y, z

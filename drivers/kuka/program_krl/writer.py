@@ -21,7 +21,6 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
-CLEAR_RAD = 1e-4
 STRAIGHT_M_S = 0.1  # in to a hole and out of it
 
 
@@ -113,7 +112,7 @@ def _via(program: StationProgram, number: int) -> list[str]:
 def _points(places: Places) -> Iterator[str]:
     """Yield the points; one with an axis at zero leaves out S and T, whose bit rounding turns."""
     turns = turn_of(places.joints_rad)
-    sure = np.abs(places.joints_rad).min(axis=1) >= CLEAR_RAD
+    sure = np.abs(places.joints_rad).min(axis=1) >= 1e-4  # rad
     for values, status, turn, is_sure in zip(
         places.values, places.status, turns, sure, strict=True
     ):

@@ -67,9 +67,13 @@ class Statement:
 
 
 def statements(text: str) -> Iterator[Statement]:
+    def blank(match: re.Match[str]) -> str:
+        text = match.group()
+        return " " * len(text) if text.startswith("#") else f'"{" " * (len(text) - 2)}"'
+
     start = 0
     for line, whole in enumerate(text.split("\n"), start=1):
-        code = _QUIET.sub(_blank, whole)
+        code = _QUIET.sub(blank, whole)
         if not start and code.startswith(MARK):
             code = " " * len(MARK) + code[len(MARK) :]
         bare = code.strip()
@@ -85,11 +89,6 @@ def comments(text: str) -> Iterator[str]:
         for match in _QUIET.finditer(line):
             if match.group().startswith("#"):
                 yield match.group()[1:]
-
-
-def _blank(match: re.Match[str]) -> str:
-    text = match.group()
-    return " " * len(text) if text.startswith("#") else f'"{" " * (len(text) - 2)}"'
 
 
 def split(text: str) -> list[str]:

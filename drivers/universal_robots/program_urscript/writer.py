@@ -19,9 +19,6 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import StationProgram
 from hilcell.geometry.frames import from_zyx, to_rotvec
 
-FULL_RAD_S = 1.05  # of the joint that moves farthest, the usual speed of movej
-ACCELERATION_RAD_S2 = 0.7
-STRAIGHT_M_S, STRAIGHT_M_S2 = 0.1, 0.5  # in to a hole and out of it
 DECIMALS = 7  # of rad and m
 
 
@@ -33,8 +30,8 @@ def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
 
 
 def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
-    speed = FULL_RAD_S * program.speed_percent / 100.0
-    how = f"a={ACCELERATION_RAD_S2:g}, v={speed:.4f}"
+    full_rad_s = 1.05  # of the joint that moves farthest, the usual speed of movej
+    how = f"a=0.7, v={full_rad_s * program.speed_percent / 100.0:.4f}"  # rad/s^2, rad/s
     safe = _joints(np.radians(program.safe_deg))
     yield f"def {name}():"
     yield _comment(stamp.text)
@@ -45,7 +42,7 @@ def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield f"  movej({safe}, {how})"
     yield _comment("slide held, strip as the sheet says, drill drawn back: Continue goes on")
     yield '  popup("slide held, strip read, drill drawn back?", "hilcell", blocking=True)'
-    straight = f"a={STRAIGHT_M_S2:g}, v={STRAIGHT_M_S:g}"
+    straight = "a=0.5, v=0.1"  # m/s^2 and m/s: in to a hole and out of it
     ways = (program.approach, program.standoff, program.command)
     places = zip(program.names, *(each.joints_rad for each in ways), strict=True)
     for number, (hole, below, off, at) in enumerate(places, start=1):
