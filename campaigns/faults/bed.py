@@ -16,8 +16,8 @@ from drivers.kuka import robot as kuka_robot
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.errors import HilcellError
 from hilcell.journal.runs import JOURNAL
-from hilcell.run import device_status
 from hilcell.run.control import Command, order
+from hilcell.run.device_status import CellMonitor
 from tests.whole.bench import SMALL, command, sets
 
 RUN = "x"
@@ -38,7 +38,7 @@ SHORT: tuple[tuple[object, str, float], ...] = (
     (kuka_robot, "REST_S", 1.0),
     (LeicaEmsconTracker, "RESULT_S", 0.5),
     (LeicaEmsconTracker, "REPLY_S", 1.0),
-    (device_status, "REFRESH_S", 0.02),
+    (CellMonitor, "REFRESH_S", 0.02),
 )
 
 

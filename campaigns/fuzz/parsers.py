@@ -38,7 +38,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
 from hilcell.programs.holes import read_holes
-from hilcell.run.control import LONGEST_REQUEST, Status, _Handler
+from hilcell.run.control import Status, _Handler
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS
@@ -309,7 +309,7 @@ def control(data: bytes) -> None:
     handler.server = cast("Any", SimpleNamespace(engine=_Engine()))
     handler.attends = False
     for line in data.split(b"\n"):
-        msgspec.json.encode(handler._answer(line[:LONGEST_REQUEST]))
+        msgspec.json.encode(handler._answer(line[: handler.LONGEST_REQUEST]))
 
 
 def control_samples() -> Iterable[bytes]:

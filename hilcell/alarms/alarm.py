@@ -57,7 +57,6 @@ class Finding:
 
     @property
     def where(self) -> str:
-        """Return the device and its operation."""
         return clean(": ".join(part for part in (self.device, self.operation) if part))
 
     @property
@@ -131,6 +130,44 @@ class _Moment:
     cause: Cause = "over"
     origin: int = 0
 
+    def alarm(self, run: str, go_on: str, *, over: bool) -> Alarm:
+        finding, at = self.finding, self.at
+        entry = entry_of(finding.code, finding.device)
+        severity = self.severity or entry.severity
+        # An entry that knows its fault advises better than the error itself.
+        steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
+        if not entry.specific:
+            steps.insert(0, (finding.advice, "you"))
+        name = quote(
+            line(run)
+        )  # an entry, which knows no run, says last: by now that may be another
+        command = f", or `hilcell resume {name}`" if over else ""
+        ways = {
+            "resume": f"Continue: {go_on}{command}.",
+            "new run": "Start a new run: `hilcell run`.",
+        }
+        then = "" if severity == "notice" else ways.get(entry.then, "")
+        steps.append((then, "you"))
+        last, this = "`hilcell show last`", f"`hilcell show {name}`"
+        steps = [(step.replace(last, this), by) for step, by in steps if step]
+        return Alarm(
+            entry.code,
+            severity,
+            entry.title,
+            finding.where,
+            finding.text,
+            entry.means,
+            tuple(step for step, _ in steps),
+            "" if at is None else at.t,
+            0 if at is None else at.seq,
+            entry.then == "new run",
+            entry.passes,
+            self.cause,
+            tuple(by for _, by in steps),
+            bool(then),
+            self.origin,
+        )
+
 
 def alarms_of(
     log: Log, run: str, *, live: bool, go_on: str = GO_ON, lost: bool = False
@@ -152,41 +189,7 @@ def alarms_of(
     moments += raised.lost() if lost and not live else []
     moments.sort(key=lambda moment: 0 if moment.at is None else moment.at.seq)
     over = not live or log.over
-    return [_alarm(moment, run, go_on, over=over) for moment in moments]
-
-
-def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
-    finding = moment.finding
-    entry = entry_of(finding.code, finding.device)
-    severity = moment.severity or entry.severity
-    # An entry that knows its fault advises better than the error itself.
-    steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
-    if not entry.specific:
-        steps.insert(0, (finding.advice, "you"))
-    name = quote(line(run))  # an entry, which knows no run, says last: by now that may be another
-    command = f", or `hilcell resume {name}`" if over else ""
-    ways = {"resume": f"Continue: {go_on}{command}.", "new run": "Start a new run: `hilcell run`."}
-    then = "" if severity == "notice" else ways.get(entry.then, "")
-    steps.append((then, "you"))
-    last, this = "`hilcell show last`", f"`hilcell show {name}`"
-    steps = [(step.replace(last, this), by) for step, by in steps if step]
-    return Alarm(
-        entry.code,
-        severity,
-        entry.title,
-        finding.where,
-        finding.text,
-        entry.means,
-        tuple(step for step, _ in steps),
-        "" if moment.at is None else moment.at.t,
-        0 if moment.at is None else moment.at.seq,
-        entry.then == "new run",
-        entry.passes,
-        moment.cause,
-        tuple(by for _, by in steps),
-        bool(then),
-        moment.origin,
-    )
+    return [moment.alarm(run, go_on, over=over) for moment in moments]
 
 
 # -- alarms of the journal's records --------------------------------------------------------------

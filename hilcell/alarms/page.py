@@ -6,21 +6,6 @@ import sys
 
 from hilcell.alarms.catalogue import Entry, catalogue
 
-CHAPTERS = {
-    "R": "Rail",
-    "S": "Strip",
-    "B": "Robot",
-    "T": "Tracker",
-    "V": "Verdicts",
-    "J": "Journal",
-    "C": "Cell",
-    "D": "Design studies",
-}
-THEN = {
-    "resume": "Continue: space, or `hilcell resume RUN`.",
-    "new run": "Start a new run: `hilcell run`.",
-    "nothing": "The run needs nothing to go on.",
-}
 HEAD = """# Alarms
 
 Every alarm of hilcell: its code, its meaning, the steps to take. This page is written from the
@@ -43,10 +28,19 @@ A stop on the screen is a software stop, not the E-stop.
 
 
 def page() -> str:
-    """Return the page as Markdown."""
     entries = sorted(catalogue().values(), key=lambda each: each.code)
     parts = [HEAD]
-    for letter, title in CHAPTERS.items():
+    chapters = {
+        "R": "Rail",
+        "S": "Strip",
+        "B": "Robot",
+        "T": "Tracker",
+        "V": "Verdicts",
+        "J": "Journal",
+        "C": "Cell",
+        "D": "Design studies",
+    }
+    for letter, title in chapters.items():
         of_chapter = [each for each in entries if each.code.startswith(f"HC-{letter}")]
         parts += [f"## {title}\n", *map(_section, of_chapter)]
     others = [_section(each) for each in entries if not each.code.startswith("HC-")]
@@ -56,7 +50,12 @@ def page() -> str:
 def _section(entry: Entry) -> str:
     pairs = zip(entry.do, entry.checked_by, strict=True)
     steps = [step if by == "you" else f"{step} *({by})*" for step, by in pairs]
-    steps.append(THEN[entry.then])
+    then = {
+        "resume": "Continue: space, or `hilcell resume RUN`.",
+        "new run": "Start a new run: `hilcell run`.",
+        "nothing": "The run needs nothing to go on.",
+    }
+    steps.append(then[entry.then])
     numbered = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
     head = f"### {entry.code} {entry.title}\n\n{entry.severity.capitalize()}. {entry.means}"
     return f"{head}\n\n{numbered}\n"

@@ -181,7 +181,6 @@ class TrackerActs:
         return self.visit(device, 0)
 
     def visit(self, device: Tracker, place: int) -> TrackerReading:
-        """Measure a nest."""
         return device.measure(self.near_mm[place], self.reflector, 1)
 
     def refused(self, device: Tracker, value: float) -> TrackerReading:
@@ -191,7 +190,6 @@ class TrackerActs:
         return device.measure(near_mm, self.reflector, 1)
 
     def travel(self, device: Tracker) -> TrackerReading:
-        """Measure a nest many times."""
         return device.measure(self.near_mm[0], self.reflector, MANY)
 
     def short(self, reading: TrackerReading) -> bool:

@@ -38,7 +38,12 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
     except HilcellError as error:
         act = f"install the driver's package, or name one of {group} that is installed"
         raise _refused(f"--hilcell-driver={group}:{name}", error, act) from None
-    sets = dict(_assignment(each) for each in assignments)
+    sets: dict[str, str] = {}
+    for each in assignments:
+        key, sign, value = each.partition("=")
+        if not (key and sign):
+            raise pytest.UsageError(f"--hilcell-set: KEY=VALUE is wanted, found {each}")
+        sets[key.strip()] = value.strip()
     if sets.get(f"{port}.driver", name) != name:
         raise pytest.UsageError(
             f"--hilcell-set: {port}.driver={sets[f'{port}.driver']}, but --hilcell-driver="
@@ -59,13 +64,6 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
             "cell, or judge it by `hilcell run conformance --cell CELL`"
         )
     return port, cell
-
-
-def _assignment(stated: str) -> tuple[str, str]:
-    key, sign, value = stated.partition("=")
-    if not (key and sign):
-        raise pytest.UsageError(f"--hilcell-set: KEY=VALUE is wanted, found {stated}")
-    return key.strip(), value.strip()
 
 
 def _refused(said: str, error: HilcellError, act: str) -> pytest.UsageError:
@@ -93,7 +91,6 @@ def trial(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Iterat
 
 
 def test_promise(promise: Promise, trial: Trial) -> None:
-    """Judge one promise."""
     outcome = trial.judge(promise)
     if outcome.verdict == "not applicable":
         pytest.skip(outcome.why)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options."""
     group = parser.getgroup("hilcell", "promises of hilcell's ports")
     group.addoption(
         "--hilcell-driver",

@@ -30,7 +30,6 @@ from hilcell.typed import Json
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
 LOOK_S = 0.02
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
-PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
 GROUPS = dict(TABLES)
 
 Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and its options
@@ -103,7 +102,6 @@ class BenchClock:
         self.outer, self.inner = outer, inner
 
     def now_s(self) -> float:
-        """Return the cell's time."""
         return self._clock().now_s()
 
     def pc_s(self) -> float:
@@ -111,7 +109,6 @@ class BenchClock:
         return self._clock().pc_s()
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass."""
         self.check()
         self._clock().wait(duration_s)
 
@@ -137,7 +134,6 @@ class Bench:
 
     @property
     def wires(self) -> Wires:
-        """Return the wires before the device."""
         raise NotApplicable(SIMULATED_ONLY)
 
     def present(self) -> None:
@@ -202,6 +198,8 @@ class SimulatedBench(Bench):
     the run that uses the bench.
     """
 
+    PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
+
     def __init__(
         self,
         cell: Cell,
@@ -216,14 +214,13 @@ class SimulatedBench(Bench):
         alone = msgspec.structs.replace(cell.simulation, address="")
         super().__init__(msgspec.structs.replace(cell, simulation=alone), port, BenchClock(outer))
         self.kind = kind
-        self._speed = PACE if paced else math.inf
+        self._speed = self.PACE if paced else math.inf
         self._simulated: SimulatedCell | None = None
         self._wires: Wires | None = None
         self._built: list[Driver] = []
 
     @property
     def wires(self) -> Wires:
-        """Return the wires before the device."""
         self.present()
         self._start()
         if self._wires is None or not self._wires.all:
@@ -231,7 +228,6 @@ class SimulatedBench(Bench):
         return self._wires
 
     def settings(self) -> Settings:
-        """Return the driver's class and its options."""
         kind, options = self._settings(self.port)
         return self.kind or kind, options
 
@@ -250,14 +246,12 @@ class SimulatedBench(Bench):
         return built
 
     def connected(self) -> Driver:
-        """Return a driver that is connected, and ready to be used."""
         device = self.build()
         device.connect()
         self.acts.ready(device)
         return device
 
     def replace_device(self) -> None:
-        """End the device without a word, and have another in its place."""
         wires = self.wires
         wires.refuse()
         self._end_simulation()
@@ -265,7 +259,6 @@ class SimulatedBench(Bench):
         wires.admit()
 
     def tidy(self) -> None:
-        """Close what a promise has left open, and mend the wires."""
         self.clock.stop.clear()
         if self._wires is not None:
             self._wires.straight()
@@ -277,7 +270,6 @@ class SimulatedBench(Bench):
         self._built.clear()
 
     def close(self) -> None:
-        """End the device and its wires."""
         self.tidy()
         if self._wires is not None:
             self._wires.close()

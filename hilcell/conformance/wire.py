@@ -26,14 +26,12 @@ PIECE = 65536
 class End(Protocol):
     """One end of a wire."""
 
-    def fileno(self) -> int:
-        """Return its descriptor."""
+    def fileno(self) -> int: ...
 
     def receive(self) -> bytes:
         """Return bytes that have come; none at the end."""
 
-    def send(self, data: bytes) -> None:
-        """Send all of them."""
+    def send(self, data: bytes) -> None: ...
 
     def close(self, *, reset: bool) -> None:
         """Close it, by RST where it has one."""
@@ -143,7 +141,6 @@ class Wire:
                 each.close(reset=True)
 
     def close(self) -> None:
-        """End."""
         self._ended = True
         self.reset()
         for thread in self._threads:
@@ -262,13 +259,11 @@ class Proxy(Wire):
         self.reset()
 
     def admit(self) -> None:
-        """Take connections again."""
         self._listening = socket.create_server((HOST, self.port))
         self._accepting = threading.Thread(target=self._accept, daemon=True)
         self._accepting.start()
 
     def close(self) -> None:
-        """End."""
         self._ended = True
         self._hang_up()
         super().close()
@@ -335,7 +330,6 @@ class Line(Wire):
         self._link.unlink(missing_ok=True)
 
     def admit(self) -> None:
-        """Plug it in again."""
         self._ended = False
         near, self._ours = os.openpty()
         far = os.open(self._behind.path, os.O_RDWR | os.O_NOCTTY)
@@ -346,7 +340,6 @@ class Line(Wire):
         self._start(_LineEnd(near), _LineEnd(far))
 
     def close(self) -> None:
-        """End."""
         super().close()
         self._folder.cleanup()
 
@@ -365,7 +358,6 @@ class Wires:
 
     @property
     def all(self) -> list[Proxy | Line]:
-        """Return the wires."""
         return list(self._wires.values())
 
     def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
@@ -386,7 +378,6 @@ class Wires:
             self.options[table] = {**options, **addressed(options, channels)}
 
     def set(self, mode: str, delay_s: float = 0.0) -> None:
-        """Set the mode of all."""
         for each in self.all:
             each.mode, each.delay_s = mode, delay_s
 
@@ -424,11 +415,9 @@ class Wires:
             each.refuse()
 
     def admit(self) -> None:
-        """Take connections again."""
         for each in self.all:
             each.admit()
 
     def close(self) -> None:
-        """End."""
         for each in self.all:
             each.close()

@@ -47,7 +47,6 @@ class Task:
         self._thread.start()
 
     def ended_within(self, limit_s: float) -> bool:
-        """Wait for its end; return whether it came."""
         self._thread.join(limit_s)
         return not self._thread.is_alive()
 

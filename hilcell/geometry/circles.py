@@ -32,7 +32,6 @@ class Circle:
 
     @property
     def rms_mm(self) -> float:
-        """Return the root mean square distance of the points from the circle."""
         return rms(lengths_mm(self.residuals_mm))
 
     def linearised(self, points: Array) -> tuple[Array, Array, Array]:

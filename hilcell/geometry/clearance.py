@@ -168,10 +168,6 @@ def _lengths(vectors: Array) -> Array:
     return lengths
 
 
-RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
-FARTHEST_MM = 1e6  # no arm's motion is longer: halving one of 1e300 mm would never end
-
-
 @dataclass(frozen=True, slots=True)
 class Proof:
     """Which motions (N,) are proven clear, and at which share of the way the others are not."""
@@ -201,6 +197,8 @@ class Body:
     riding boxes are given in {B}.
     """
 
+    RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
+
     arm: Arm
     capsules: Capsules
     base: Array
@@ -213,7 +211,8 @@ class Body:
         travel = self.travel_mm(start, end)
         count = len(travel)
         proven, share = np.zeros(count), np.full(count, 0.5)
-        refused: Bools = ~np.all(travel <= FARTHEST_MM, axis=1)
+        farthest_mm = 1e6  # no arm's motion is longer: halving one of 1e300 mm would never end
+        refused: Bools = ~np.all(travel <= farthest_mm, axis=1)
         motion, half, way = np.flatnonzero(~refused), 0.5, end - start
         middle = np.full(len(motion), half)
         while len(motion):
@@ -224,7 +223,7 @@ class Body:
             np.add.at(proven, motion[done], 2.0 * half)
             if done.all():
                 break
-            near = ~(needed.max(axis=1) > RESOLUTION_MM)
+            near = ~(needed.max(axis=1) > self.RESOLUTION_MM)
             hopeless = ~done & (near | ~(spare >= 0.0).all(axis=1))
             refused[motion[hopeless]] = True
             share[motion[hopeless]] = middle[hopeless]

@@ -349,7 +349,9 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
     refined_mm, refined_rad = 1e-7, 1e-10
     for _ in range(101):
-        error = _pose_error(poses[~arrived], forward(arm, joints[~arrived]))
+        wanted, found = poses[~arrived], forward(arm, joints[~arrived])
+        rotation = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
+        error = np.hstack([wanted[..., :3, 3] - found[..., :3, 3], to_rotvec(rotation)])
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
         there = (shift <= refined_mm) & (turn <= refined_rad)
         arrived[~arrived] = there
@@ -363,10 +365,3 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
         gradient = np.einsum("...ij,...i->...j", J, scaled)
         joints[~arrived] = left + np.linalg.solve(normal, gradient[..., None])[..., 0]
     return joints, arrived
-
-
-def _pose_error(wanted: Array, found: Array) -> Array:
-    """Return (shift in mm, rotation vector in rad) from found to wanted, (..., 6)."""
-    turn = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
-    shift = wanted[..., :3, 3] - found[..., :3, 3]
-    return np.concatenate([shift, to_rotvec(turn)], axis=-1)

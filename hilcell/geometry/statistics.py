@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from hilcell.geometry.kinematics import Array
 
 CONFIDENCE = 0.95
-MOST_FREEDOM = 1e6  # as good as infinite; beyond F is not computed exactly
 
 
 class Figures(NamedTuple):
@@ -145,7 +144,8 @@ def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Ar
     trace = np.trace(covariances, axis1=-2, axis2=-1)
     squares = np.square(covariances).sum(axis=(-2, -1))
     sizes = np.divide(trace**2, squares, out=np.full_like(trace, 3.0), where=squares != 0)
-    bounds: Array = np.sqrt(trace * fdtri(sizes, np.minimum(freedom, MOST_FREEDOM), CONFIDENCE))
+    most_freedom = 1e6  # as good as infinite; beyond F is not computed exactly
+    bounds: Array = np.sqrt(trace * fdtri(sizes, np.minimum(freedom, most_freedom), CONFIDENCE))
     return bounds
 
 

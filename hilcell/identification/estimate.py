@@ -245,7 +245,6 @@ class System:
 
     @classmethod
     def at(cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise) -> System:
-        """Return the system linearised at a state."""
         found = kinematics.linearised(state, readings.joints_rad)
         return cls.of(kinematics, state, readings, noise, found)
 

@@ -17,7 +17,6 @@ from hilcell.geometry.kinematics import Arm, Array, Bools, forward, link_transfo
 from hilcell.ports import HilcellError
 
 LEAST_SAMPLES, LEAST_READINGS = 100, 12
-JUMP_RAD = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
 
 
 class BadStream(HilcellError):
@@ -73,7 +72,7 @@ class SweepStream:
                 f"<= {np.degrees(others_rad):.3f} deg"
             )
         read_rad = self.joints_rad[:, axis]
-        read_s, prompt, clock_s = _read_times(self)
+        read_s, prompt, clock_s = self._read_times()
         low, high = sorted((angle_rad[0], angle_rad[-1]))
         edge = 0.02 * (high - low)
         used = (read_rad > low + edge) & (read_rad < high - edge)
@@ -95,6 +94,17 @@ class SweepStream:
                 "sweep again"
             )
         return _Line(centre_s, float(middle), float(slope), clock_s)
+
+    def _read_times(self) -> tuple[Array, Bools, float]:
+        """Return when joints were read (M,), in the cell's time, and which were answered promptly;
+        with the standard uncertainty of all.
+        """
+        waited_s = np.ptp(self.asked_s, axis=1)
+        if bool(np.all(np.isnan(self.stamped_s))):
+            prompt = waited_s <= 4.0 * np.median(waited_s) + 1e-4
+            return self.asked_s.mean(axis=1), prompt, 0.0
+        offset_s, clock_s = _clock(self.stamped_s, self.asked_s)
+        return self.stamped_s + offset_s, np.ones(len(waited_s), dtype=bool), clock_s
 
     def turned_rad(self, arm: Arm, axis: int) -> Array:
         """Return the angle (N,) of ``axis`` by the reflector's place on its nominal circle."""
@@ -220,9 +230,10 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
     steps_s = np.diff(time_s)
     speed_rad_s = float(np.median(np.diff(angle_rad) / steps_s))
     unlike = 0.5  # share by which a step in time differs from the others
+    jump_rad = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
     for n in np.flatnonzero(np.abs(steps_s / np.median(steps_s) - 1.0) > unlike):
         turned_s = (angle_rad[n + 1] - angle_rad[n]) / speed_rad_s
-        if not abs(turned_s - steps_s[n]) * abs(speed_rad_s) <= JUMP_RAD:
+        if not abs(turned_s - steps_s[n]) * abs(speed_rad_s) <= jump_rad:
             raise BadStream(
                 f"the tracker's time steps by {steps_s[n]:.3f} s after sample {n + 1}, while the "
                 f"axis turns for {turned_s:.3f} s: its clock jumped, or the axis paused; sweep "
@@ -241,18 +252,6 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
             f"{np.degrees(angle_rad[first[worst]]):.2f} deg, at {np.degrees(speed_rad_s):.3f} "
             "deg/s elsewhere: it was slowed, or the tracker's clock jumped; sweep again"
         )
-
-
-def _read_times(stream: SweepStream) -> tuple[Array, Bools, float]:
-    """Return when joints were read (M,), in the cell's time, and which were answered promptly;
-    with the standard uncertainty of all.
-    """
-    waited_s = np.ptp(stream.asked_s, axis=1)
-    if bool(np.all(np.isnan(stream.stamped_s))):
-        prompt = waited_s <= 4.0 * np.median(waited_s) + 1e-4
-        return stream.asked_s.mean(axis=1), prompt, 0.0
-    offset_s, clock_s = _clock(stream.stamped_s, stream.asked_s)
-    return stream.stamped_s + offset_s, np.ones(len(waited_s), dtype=bool), clock_s
 
 
 def _clock(time_s: Array, window_s: Array) -> tuple[float, float]:

@@ -52,7 +52,6 @@ class Readings:
         return np.asarray(np.isfinite(self.xyz_mm).all(axis=-1))
 
     def at(self, poses: Ints | Bools) -> Self:
-        """Return these poses only."""
         return replace(
             self,
             joints_rad=self.joints_rad[poses],

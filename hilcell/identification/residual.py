@@ -54,7 +54,6 @@ class Rows:
 
     @classmethod
     def of(cls, estimate: Estimate, poses: Ints) -> Rows:
-        """Return the rows of these poses."""
         system = estimate.system
         size = system.residual_mm.shape[1]
         known = np.repeat(system.known[poses], 3, axis=1).ravel()

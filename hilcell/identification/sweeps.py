@@ -202,9 +202,6 @@ def curve_of(measured: CurveMeasured) -> TransmissionCurve:
 Complex = NDArray[np.complex128]
 
 LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
-CHANCE = 1e-3  # that any line at all is found where there is none
-SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
-# 1 sigma of the joint's harmonics below the lowest line
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 
 
@@ -220,12 +217,10 @@ class Records:
 
     @property
     def middle_rad(self) -> float:
-        """Return the middle of the joint's range."""
         return float(self.joint_rad.max() + self.joint_rad.min()) / 2.0
 
     @property
     def half_rad(self) -> float:
-        """Return half the joint's range."""
         return float(np.ptp(self.joint_rad)) / 2.0
 
     @property
@@ -252,8 +247,11 @@ class Records:
     def smooth(self) -> Array:
         """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
         angle = self.angle_rad(0.0)
+        # 1 sigma of the joint's harmonics below the lowest line
+        smooth_rad = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5}
+        smooth_rad |= dict.fromkeys(range(6, 18, 3), 1e-5)
         columns = [np.full_like(angle, self.FREE_RAD), self.FREE_RAD * angle / self.half_rad]
-        for order, sigma in SMOOTH_RAD.items():
+        for order, sigma in smooth_rad.items():
             columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
         both, up = np.stack(columns, axis=1), (self.side > 0)[:, None]
         return np.hstack([both * up, both * ~up])
@@ -288,7 +286,6 @@ class Records:
         return np.linspace(self.lowest, highest, max(count, 4))
 
     def rms_rad(self, lines: Lines) -> float:
-        """Return the root mean square of lines over the samples."""
         waves = _waves(self.angle_rad(lines.shift.rad), lines.cycles)
         return rms(waves @ lines.amplitude_rad.ravel())
 
@@ -348,6 +345,8 @@ class Shift:
 class Noise:
     """The variance of white noise as strong as the noise at a frequency; its log is a parabola."""
 
+    CHANCE = 1e-3  # that any line at all is found where there is none
+
     coefficients: Array  # (3,)
     covariance: Array  # (3, 3)
 
@@ -368,7 +367,7 @@ class Noise:
     def is_line(self, score: Array, cycles: Array) -> bool:
         """Whether the best of scores (F,) at frequencies (F,) is more than noise by chance."""
         best = int(np.argmax(score))
-        return bool(len(score) * self.chance(score[best], cycles[best]) < CHANCE)
+        return bool(len(score) * self.chance(score[best], cycles[best]) < self.CHANCE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,6 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether it is broken nowhere."""
         return not self.broken
 
 
@@ -198,7 +197,6 @@ class Scene:
         return next((each for each in self.cell.station if each.name == name), None)
 
     def take(self, record: Record) -> None:
-        """Add a record."""
         match record.fact:
             case StateChanged(machine="run") as life:
                 self._take_state(life)
@@ -265,7 +263,6 @@ class Scene:
 
 
 def of_rail(motion: Intended) -> bool:
-    """Whether it is the slide that moves."""
     return motion.action.startswith("rail.")
 
 
@@ -275,7 +272,6 @@ def is_world(frame: str) -> bool:
 
 
 def set_up_of(frame: str) -> int:
-    """Return the set-up of a {W}."""
     number = frame.partition(".")[2]
     return int(number) if number.isdecimal() else 0
 
@@ -306,7 +302,6 @@ class Rules:
         self._verdicts, self._scene = verdicts, scene
 
     def take(self, record: Record) -> None:
-        """Judge a record."""
         raise NotImplementedError
 
     def _check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
@@ -350,7 +345,7 @@ class _Motions(Rules):
         self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
         seen = motion.seen or NOT_SEEN
         self._young(record, motion.action, seen.age_s)
-        wrong = _not_parked(seen, self._scene)
+        wrong = self._not_parked(seen)
         self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
 
     def _robot(self, record: Record, motion: Intended) -> None:
@@ -360,9 +355,7 @@ class _Motions(Rules):
             self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
         seen = motion.seen or NOT_SEEN
         self._young(record, motion.action, seen.age_s)
-        station = scene.station(scene.held)
-        wanted_mm = None if station is None else station.strip_mm
-        wrong = _not_held(seen, wanted_mm, 2 * scene.cell.rail.strip_tolerance_mm)
+        wrong = self._not_held(seen)
         self._check("I2", record, not wrong, f"{motion.action} {key}: {wrong}")
 
     def _young(self, record: Record, motion: str, age_s: float) -> None:
@@ -371,33 +364,33 @@ class _Motions(Rules):
         what = f"{motion} by a reading {age_s:.3f} s old, at most {limit_s:g} s"
         self._check("I14", record, young, what)
 
+    def _not_parked(self, seen: SeenBefore) -> str:
+        """Return why a reading does not say that the robot is parked and at rest, or ""."""
+        safe_deg = self._scene.cell.robot.safe_deg
+        pairs = zip(seen.joints_deg, safe_deg, strict=False)
+        off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
+        if len(seen.joints_deg) != len(safe_deg) or not off_deg <= 0.1:
+            return f"the robot was {off_deg:.2f} deg off its safe pose"
+        return self._before_end(seen) if seen.still else "the robot was moving"
 
-def _not_parked(seen: SeenBefore, scene: Scene) -> str:
-    """Return why a reading does not say that the robot rests at its safe pose; "" where it does."""
-    safe_deg = scene.cell.robot.safe_deg
-    pairs = zip(seen.joints_deg, safe_deg, strict=False)
-    off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
-    if len(seen.joints_deg) != len(safe_deg) or not off_deg <= 0.1:
-        return f"the robot was {off_deg:.2f} deg off its safe pose"
-    return _before_end(seen) if seen.still else "the robot was moving"
+    def _not_held(self, seen: SeenBefore) -> str:
+        """Return why a reading does not say that the slide rests and is held; "" where it does."""
+        if not seen.still:
+            return "the slide was moving"
+        if seen.powered is not False:
+            return "the drive had power to move"
+        scene, found_mm = self._scene, math.nan if seen.strip_mm is None else seen.strip_mm
+        limit_mm, station = 2 * scene.cell.rail.strip_tolerance_mm, scene.station(scene.held)
+        if station is not None and not abs(found_mm - station.strip_mm) <= limit_mm + 1e-9:
+            wanted = f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm"
+            return f"strip {found_mm:.2f} mm, the station {wanted}"
+        return self._before_end(seen)
 
-
-def _not_held(seen: SeenBefore, wanted_mm: float | None, limit_mm: float) -> str:
-    """Return why a reading does not say that the slide rests and is held; "" where it does."""
-    if not seen.still:
-        return "the slide was moving"
-    if seen.powered is not False:
-        return "the drive had power to move"
-    found_mm = math.nan if seen.strip_mm is None else seen.strip_mm
-    if wanted_mm is not None and not abs(found_mm - wanted_mm) <= limit_mm + 1e-9:
-        return f"strip {found_mm:.2f} mm, the station {wanted_mm:.2f} +-{limit_mm:.2f} mm"
-    return _before_end(seen)
-
-
-def _before_end(seen: SeenBefore) -> str:
-    """Return that a reading was taken before the motion had ended; "" where it was not."""
-    late = seen.ended_s is None or seen.taken_s >= seen.ended_s
-    return "" if late else "the reading was taken before the motion had ended"
+    @staticmethod
+    def _before_end(seen: SeenBefore) -> str:
+        """Return that a reading was taken before the motion had ended; "" where it was not."""
+        late = seen.ended_s is None or seen.taken_s >= seen.ended_s
+        return "" if late else "the reading was taken before the motion had ended"
 
 
 class _TrackerSetUps(Rules):

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 NOT_JUDGED = ("measured", "done")  # runs without a verdict, and without a point either
 SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
-RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
 
@@ -46,7 +45,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def verdict(self) -> str:
         """Return the outcome in words, and whether a cause is suspected."""
-        words = RECHECKED.get(self.recheck, "")
+        rechecked = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
+        words = rechecked.get(self.recheck, "")
         if not words and self.outcome is not None:
             words = self.outcome.words
         elif not words and self.kind == "made" and not self.validated:

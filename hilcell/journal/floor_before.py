@@ -55,7 +55,13 @@ def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: C
     base = None
     with suppress(OSError, msgspec.DecodeError, KeyError):
         after = decoded(updated.read_bytes(), _Calibration)
-        base = _moved_base(origin.base, after, cell.grid.station)
+        if origin.base is not None:
+            T = np.array(after.stations[cell.grid.station].T_W_B)
+            covariance, turn = origin.base.C, np.kron(np.eye(2), T[:3, :3])  # with the axes of {B}
+            for update in after.provenance.updates:
+                if update.what == "base":
+                    covariance += turn @ np.array(update.covariance) @ turn.T
+            base = Frame(matrix=T.tolist(), covariance=covariance.tolist())
     return msgspec.structs.replace(
         origin,
         run=found.run,
@@ -64,18 +70,6 @@ def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: C
         base=base,
         frames_c=origin.temperature_c,
     )
-
-
-def _moved_base(base: Frame | None, after: _Calibration, station: str) -> Frame | None:
-    """Return the base where updates have found it; their covariances have the axes of {B}."""
-    if base is None:
-        return None
-    T = np.array(after.stations[station].T_W_B)
-    covariance, turn = base.C, np.kron(np.eye(2), T[:3, :3])
-    for update in after.provenance.updates:
-        if update.what == "base":
-            covariance += turn @ np.array(update.covariance) @ turn.T
-    return Frame(matrix=T.tolist(), covariance=covariance.tolist())
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,7 +92,6 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end."""
         return self.state == "finished" and self.exit is not None
 
     @property
@@ -120,7 +119,6 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def condition(self) -> str:
-        """Return the state in words."""
         if self.unbegun:
             return "not begun"
         return f"{self.state}, engine gone" if self.gone else self.state
@@ -182,7 +180,6 @@ def _is_folder(path: Path) -> bool:
 
 
 def row_of(folder: Path) -> RunRow:
-    """Return one run's row, read from its journal."""
     try:
         row = row_of_records(folder.name, read_records(folder))
     except Exception as error:  # noqa: BLE001 - whatever a run's folder holds, it stops no other run
@@ -199,16 +196,16 @@ def matches(row: RunRow, words: str) -> bool:
     (``-``, ``state:``) excludes nothing.
     """
     whole = "\n".join([look(row) for look in _LOOKS.values()]).casefold()
-    return all(_holds(word, row, whole) for word in words.casefold().split())
 
+    def holds(word: str) -> bool:
+        text, where = word.removeprefix("-"), whole
+        field, colon, value = text.partition(":")
+        if colon and field in _LOOKS:
+            text, where = value, _LOOKS[field](row).casefold()
+        found = text == where if where.isdecimal() else text in where
+        return not text or found != word.startswith("-")
 
-def _holds(word: str, row: RunRow, whole: str) -> bool:
-    text, where = word.removeprefix("-"), whole
-    field, colon, value = text.partition(":")
-    if colon and field in _LOOKS:
-        text, where = value, _LOOKS[field](row).casefold()
-    found = text == where if where.isdecimal() else text in where
-    return not text or found != word.startswith("-")
+    return all(map(holds, words.casefold().split()))
 
 
 _LOOKS: dict[str, Callable[[RunRow], str]] = {

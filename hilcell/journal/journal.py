@@ -329,7 +329,6 @@ class Journal:
             )
 
     def close(self) -> None:
-        """Close the file."""
         with self._lock:
             self._base.close()
 

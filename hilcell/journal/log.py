@@ -152,7 +152,6 @@ class Driven:
         self._under_way: list[float] | None = None
 
     def take(self, record: Record) -> None:
-        """Add one record."""
         if record.kind not in ("state", "intent", "point"):
             return
         match record.fact:
@@ -275,7 +274,6 @@ class Log:
             self.take(record)
 
     def take(self, record: Record) -> None:
-        """Add one record."""
         fact, before = record.fact, self._worked
         self.newest = record
         self.version = record.seq
@@ -431,7 +429,6 @@ class Log:
 
     @property
     def states(self) -> dict[str, str]:
-        """Return the state of each machine."""
         return {"run": self.state, "calibration": self.calibration}
 
     @property
@@ -478,7 +475,6 @@ class Log:
         return self.points.get(id.key)
 
     def point(self, id: PointId) -> Point:
-        """Return a point that was measured."""
         return self.points[id.key]
 
     def select(

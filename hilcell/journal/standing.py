@@ -56,7 +56,6 @@ class Standing:
 
     @property
     def text(self) -> str:
-        """Return it in words."""
         by = f" by {self.by}" if self.by else ""
         of = f" of {self.machine}" if self.machine and self.state == "current" else ""
         return f"{self.state}{of}{by}" + (f": {self.reason}" if self.reason else "")

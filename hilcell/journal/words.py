@@ -18,34 +18,13 @@ from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
 from hilcell.typed import Json
 
-_PROCEDURES = {
-    "calibrate": "Calibration",
-    "recheck": "Re-check",
-    "touch": "Touch station",
-    "iso9283": "ISO 9283 test",
-    "paper": "Paper's campaign",
-}
-_STEPS = {
-    "home": "Home the rail",
-    "validate": "Validation",
-    "paper-rows": "Paper's rows",
-    "closing": "Closing visits",
-    "two-face": "Tracker in both faces",
-    "reflectors": "Reflectors compared",
-    "two-face-closing": "Tracker in both faces, at the end",
-    "iso9283": "ISO 9283 test",
-}
-_KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
-_VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
-_NUMBERED = re.compile(
-    rf"(?P<number>\d{{3}})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|{SEAT}(?P<seat>\d{{1,3}})"
-)
-
 
 def in_words(text: str, log: Log) -> str:
     """Return a text with its keys of points and verdicts in words."""
-    text = _VERDICT.sub(lambda found: verdict_words(found["key"]), text)
-    return _KEY.sub(lambda found: key_words(found[0], log), text)
+    verdict = r"(?<![\w/])verdict ([^\s,;:]*[^\s,;:.])"
+    text = re.sub(verdict, lambda found: verdict_words(found[1]), text)
+    key = rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]"
+    return re.sub(key, lambda found: key_words(found[0], log), text)
 
 
 def key_words(key: str, log: Log) -> str:
@@ -72,12 +51,16 @@ def id_of(key: str, log: Log) -> PointId:
         return log.points[key].id
     kind, *parts = key.split("/")
     stations = {each.name for each in log.cell.station} if log.plan is not None else set()
+    numbered = (
+        r"(?P<number>\d{3})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|"
+        rf"{SEAT}(?P<seat>\d{{1,3}})"
+    )
     found: Json = {}
     rest: list[str] = []
     for part in parts:
         if part in stations:
             found["station"] = part
-        elif match := _NUMBERED.fullmatch(part):
+        elif match := re.fullmatch(numbered, part):
             digits = match.groupdict() | {"side": match["side"] and f"{match['side']}1"}
             found |= {name: int(text) for name, text in digits.items() if text}
         elif kind in ("sign", "validate") or part in HOLDS:
@@ -90,14 +73,29 @@ def id_of(key: str, log: Log) -> PointId:
 
 
 def procedure_words(name: str) -> str:
-    """Return a procedure's name in words."""
-    return _PROCEDURES.get(name, name.replace("-", " ").capitalize())
+    special = {
+        "calibrate": "Calibration",
+        "recheck": "Re-check",
+        "touch": "Touch station",
+        "iso9283": "ISO 9283 test",
+        "paper": "Paper's campaign",
+    }
+    return special.get(name, name.replace("-", " ").capitalize())
 
 
 def step_words(name: str, *, has_rail: bool) -> str:
     """Return a step's name in words; without a rail the robot alone is homed."""
-    names = _STEPS if has_rail else _STEPS | {"home": "Park the robot"}
-    return names.get(name, name.replace("-", " ").capitalize())
+    special = {
+        "home": "Home the rail" if has_rail else "Park the robot",
+        "validate": "Validation",
+        "paper-rows": "Paper's rows",
+        "closing": "Closing visits",
+        "two-face": "Tracker in both faces",
+        "reflectors": "Reflectors compared",
+        "two-face-closing": "Tracker in both faces, at the end",
+        "iso9283": "ISO 9283 test",
+    }
+    return special.get(name, name.replace("-", " ").capitalize())
 
 
 def happened_words(event: Event | OtherEvent, log: Log) -> str:

@@ -266,7 +266,6 @@ class ComingPoses:
         return around.apart_mm(start, posture(rail_mm, from_rad)) <= RESERVE_MM
 
     def leaves_cube(self, joints_rad: Array) -> bool:
-        """Return `leaves_cube` of joints (6,)."""
         if (coming := self._coming.get(joints_rad.tobytes())) is not None:
             return coming[1]
         return bool(leaves_cube(self._cell, joints_rad[None])[0])

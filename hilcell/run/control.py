@@ -39,7 +39,6 @@ from hilcell.model.events import AlarmsAcknowledged
 from hilcell.typed import Json, decoded, typed
 from hilcell.writing import NotWritten, write_whole
 
-LONGEST_REQUEST = 4096  # bytes of a line
 LONGEST_ANSWER = 1 << 16
 ANSWER_S = 2.0  # a screen waits so long, which asks again and again
 ORDER_S = 5.0  # a command waits so long, which asks once
@@ -143,7 +142,6 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     retakes: list[str] = []
 
     def answer(self) -> dict[str, object]:
-        """Return the answer that carries it."""
         return {"ok": True} | msgspec.structs.asdict(self)
 
 
@@ -243,6 +241,7 @@ class _Server(socketserver.ThreadingUnixStreamServer):
 class _Handler(socketserver.StreamRequestHandler):
     """One connection."""
 
+    LONGEST_REQUEST = 4096  # bytes of a line
     server: _Server
 
     def setup(self) -> None:
@@ -252,7 +251,7 @@ class _Handler(socketserver.StreamRequestHandler):
 
     def handle(self) -> None:
         with suppress(OSError):  # the client has left
-            while line := self.rfile.readline(LONGEST_REQUEST):
+            while line := self.rfile.readline(self.LONGEST_REQUEST):
                 self.wfile.write(msgspec.json.encode(self._answer(line)) + b"\n")
                 if not line.endswith(b"\n"):
                     return  # what follows is the rest of a line too long

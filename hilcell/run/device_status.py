@@ -34,7 +34,6 @@ from hilcell.ports import (
 )
 from hilcell.run.control import DeviceStatus
 
-REFRESH_S = 0.5
 D = TypeVar("D", Rail, Robot, Tracker)
 Reading = TypeVar("Reading", RailReading, RobotReading, TrackerReading)
 
@@ -51,7 +50,6 @@ class DeviceMonitor:
         self.taken_s: float | None = None
 
     def show(self, text: str, taken_s: float) -> None:
-        """Take a reading."""
         self.text, self.taken_s = text, taken_s
         self.reason, self.error = "", None
 
@@ -100,7 +98,6 @@ class DeviceMonitor:
         raise DriverDefect(self._device, problem)
 
     def status(self) -> DeviceStatus:
-        """Return it in words."""
         state, age_s = "unknown", None
         if self.taken_s is not None:
             state, age_s = "fresh", round(max(0.0, self._clock.pc_s() - self.taken_s), 2)
@@ -110,6 +107,8 @@ class DeviceMonitor:
 
 class CellMonitor:
     """The monitors of a cell's devices, and the devices as the run uses them."""
+
+    REFRESH_S = 0.5
 
     def __init__(self, devices: Devices, clock: Clock, *, has_rail: bool = True) -> None:
         self._has_rail = has_rail
@@ -132,7 +131,7 @@ class CellMonitor:
         A device that fails is lost, not at fault: the next motion's interlocks judge it.
         """
         now_s = time.monotonic()
-        if now_s - self._refreshed_s < REFRESH_S and not at_once:
+        if now_s - self._refreshed_s < self.REFRESH_S and not at_once:
             return
         self._refreshed_s = now_s
         for device in (self.devices.rail, self.devices.robot):
@@ -157,7 +156,6 @@ class CellMonitor:
         return reading
 
     def take_robot(self, reading: RobotReading) -> RobotReading:
-        """Show a reading of the robot."""
         self.robot_reading = self.robot.sound(reading, RobotReading)
         joints = " ".join(f"{value:.1f}" for value in np.degrees(reading.joints_rad))
         still = "at rest" if reading.still else "moves"
@@ -178,7 +176,6 @@ class CellMonitor:
         return reading
 
     def status(self) -> dict[str, DeviceStatus]:
-        """Return the status of all devices by name; without a rail, none of rail and strip."""
         of_rail = {"rail": self.rail, "strip": self.strip} if self._has_rail else {}
         monitors = of_rail | {"robot": self.robot, "tracker": self.tracker}
         return {name: monitor.status() for name, monitor in monitors.items()}

@@ -30,7 +30,6 @@ class WrongDistance(NamedTuple):
 
     @property
     def names(self) -> str:
-        """Return the nests in words."""
         return " to ".join(self.nests)
 
 

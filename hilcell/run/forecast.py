@@ -22,7 +22,6 @@ from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import typed
 
 FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
-CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +102,6 @@ class _Pace:
 
     @property
     def known(self) -> bool:
-        """Whether a forecast is possible yet."""
         return self.share > 0 or self._all_planned_s > 0
 
     def learn(self, span: Span, real_s: float) -> None:
@@ -133,6 +131,8 @@ class Forecast:
     Durations are real seconds: a simulated cell that runs faster takes less of them.
     """
 
+    CLOSING_S = 0.35  # the devices are released, the result is computed
+
     def __init__(self) -> None:
         self._steps: list[_Step] = []
         self._number = 0  # of the step under way
@@ -142,7 +142,6 @@ class Forecast:
         self._working = False
 
     def take(self, record: Record) -> None:
-        """Add one record."""
         fact, moment = record.fact, datetime.fromisoformat(record.t)
         begins = isinstance(fact, StateChanged) and fact.to == "checking"
         if not begins and record.kind != "end":  # a session may end that never began
@@ -168,7 +167,6 @@ class Forecast:
                 self._working = False
 
     def elapsed_s(self, now: datetime) -> float:
-        """Return how long the run has worked."""
         return self._worked_s + self._under_way_s(now)
 
     def remaining_s(self, now: datetime) -> float | None:
@@ -178,7 +176,7 @@ class Forecast:
         ahead = [step for step in self._steps if not step.done]
         here, passed_s = self._step, self._under_way_s(now)
         rests_s = [self._rest_s(step, passed_s if step is here else 0.0) for step in ahead]
-        return sum(rests_s) + (CLOSING_S if ahead else 0.0)
+        return sum(rests_s) + (self.CLOSING_S if ahead else 0.0)
 
     def ahead(self, now: datetime) -> list[Ahead]:
         """Return what is to come, part by part, in real seconds; nothing while that is unknown."""

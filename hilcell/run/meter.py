@@ -21,11 +21,11 @@ from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt
 from hilcell.run.run_context import RunContext
 
-MEASURE_TRIES = 3
-
 
 class Meter:
     """Measures where slide and robot stand. ``last`` is the newest point of this session."""
+
+    TRIES = 3  # of a measurement, before anybody is asked
 
     def __init__(self, run: RunContext, mover: Mover) -> None:
         self._run, self._mover = run, mover
@@ -42,7 +42,7 @@ class Meter:
         Tries again, then asks the operator until the beam finds the reflector. Returns None then:
         the tracker may have moved meanwhile, and is proven before the next measurement.
         """
-        for tries in range(1, MEASURE_TRIES + 1):
+        for tries in range(1, self.TRIES + 1):
             try:
                 return self._reading(key, near_mm, samples, back=back)
             except NoReading as error:
@@ -144,7 +144,6 @@ class Meter:
     # -- nests on the floor, which prove the tracker ----------------------------------------------
 
     def floor_point(self, id: PointId, nest: Nest) -> Point:
-        """Measure a nest on the floor."""
         if known := self._run.log.find(id):
             return known
         self._run.checkpoint()

@@ -118,7 +118,6 @@ def _check_strip_follows(
 
 
 FROZEN = "HC-S02"
-PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
 
 
@@ -218,6 +217,8 @@ class Mover:
     ``held`` is the station at which the slide is held, ``began`` the rail's reading by which the
     robot's last motion began.
     """
+
+    PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
     def __init__(self, run: RunContext) -> None:
         self._run = run
@@ -458,7 +459,7 @@ class Mover:
                 motion.begin(order.target_rad, order.key)
                 sweep.kickoff()
                 while not sweep.ended:
-                    run.clock.wait(PACE_S)
+                    run.clock.wait(self.PACE_S)
                     file.take((), [sweep.collect()])
                     file.take(stream.collect())
                 sweep.complete()

@@ -32,7 +32,6 @@ class Plan:
 
     @property
     def points(self) -> int:
-        """Return how many points the run measures."""
         return sum(step.points for step in self.steps)
 
     @property

@@ -103,7 +103,6 @@ class Asking:
     # -- the worker's thread ------------------------------------------------------------------
 
     def open(self, prompt: Prompt) -> None:
-        """Begin to ask."""
         with self._lock:
             self._prompt, self._look = prompt, None
 

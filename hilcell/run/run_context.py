@@ -62,7 +62,6 @@ class RunContext:
         return fresh(read, self.clock, self.cell.settle.reading_age_s, taken)
 
     def add(self, event: Event) -> None:
-        """Journal something worth knowing."""
         self._journal.append("event", "", event)
 
     def event(self, what: str, **facts: object) -> None:
@@ -76,7 +75,6 @@ class RunContext:
         self._journal.append("event", "", {"what": what} | facts)
 
     def intend(self, key: str, action: str, **facts: object) -> None:
-        """Journal what is about to be done."""
         self._journal.append("intent", key, {"action": action, "session": self.log.session} | facts)
 
     def frame(self, key: str, frame: Frame) -> None:
@@ -102,11 +100,9 @@ class RunContext:
 
     @property
     def folder(self) -> Path:
-        """Return the run's folder."""
         return self._journal.path.parent
 
     def point(self, id: PointId, **facts: object) -> Point:
-        """Journal a point and return it."""
         head = {"id": id, "group": id.group, "session": self.log.session}
         if self.log.set_ups.number:
             head["set_up"] = self.log.set_ups.number

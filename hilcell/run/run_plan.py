@@ -158,24 +158,23 @@ def changed_inputs(log: Log, uses: str) -> list[str]:
     ``uses`` is the cell's table into which the run itself wrote its calibration; "" for none.
     """
     changes = []
-    before = log.inputs.versions.get("hilcell", __version__)
+    where, before = log.inputs.cell_file, log.inputs.versions.get("hilcell", __version__)
     if before != __version__:
         changes.append(f"hilcell {before} began this run, this is {__version__}")
-    if log.inputs.cell_file:
-        changes += _changed_cell(log, uses)
+    found = ""
+    if where and where not in built_in_cells() and not Path(where).exists():
+        found = "is missing"
+    elif where:
+        try:
+            cell = load_cell(where, log.inputs.settings)
+        except SettingsError as error:
+            found = f"has changed, and is not valid: {error.problems[0]}"
+        else:
+            changed = differences(log.cell, cell, without=uses)
+            found = changed and f"has changed: {changed}"
+    if found:
+        changes.append(f"cell file {where} {found}; the run keeps the cell that it began with")
     return changes
-
-
-def _changed_cell(log: Log, uses: str) -> list[str]:
-    where, kept = log.inputs.cell_file, "the run keeps the cell that it began with"
-    if where not in built_in_cells() and not Path(where).exists():
-        return [f"cell file {where} is missing; {kept}"]
-    try:
-        cell = load_cell(where, log.inputs.settings)
-    except SettingsError as error:
-        return [f"cell file {where} has changed, and is not valid: {error.problems[0]}; {kept}"]
-    changed = differences(log.cell, cell, without=uses)
-    return [f"cell file {where} has changed: {changed}; {kept}"] if changed else []
 
 
 def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str]:

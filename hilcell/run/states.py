@@ -125,7 +125,6 @@ class StateMachine:
 
 
 def mermaid(table: Table) -> str:
-    """Return the table as a Mermaid state diagram."""
     ways = [(source, to, trigger) for trigger, sources, to in table.rows for source in sources]
     lines = [f"    {source} --> {target}: {trigger}" for source, target, trigger in ways]
     return "\n".join(["stateDiagram-v2", f"    [*] --> {table.states[0]}", *lines])

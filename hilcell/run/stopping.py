@@ -74,7 +74,6 @@ class Left(TypedDict):
 
 
 def facts_of_problems(problems: Mapping[str, Exception]) -> Left:
-    """Return the facts of problems by device."""
     return {
         "problems": {name: str(error) for name, error in problems.items()},
         "errors": {name: facts_of(error) for name, error in problems.items()},

@@ -29,7 +29,7 @@ from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import PROOFS, Log, positions_mm, run_noise, world_key
+from hilcell.journal.log import PROOFS, positions_mm, run_noise, world_key
 from hilcell.model.events import (
     RetakeAsked,
     RoomBack,
@@ -60,8 +60,6 @@ from hilcell.run.prompts import Look, Prompt
 from hilcell.run.run_context import RunContext
 from hilcell.run.states import retake_refusal
 
-MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
-
 
 class BlockLost(Exception):
     """The points since the tracker's last proof are invalid; their act is performed again."""
@@ -81,6 +79,8 @@ class Off(NamedTuple):
 
 class Watch:
     """Proves tracker, hold and room; measures again, after a proof, where somebody was asked."""
+
+    MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 
     def __init__(self, run: RunContext, mover: Mover, meter: Meter) -> None:
         self._run, self._mover, self._meter = run, mover, meter
@@ -264,8 +264,8 @@ class Watch:
         """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
         log = self._run.log
         invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
-        built = next((key for point in invalid if (key := _rests_on(log, point))), "")
-        if not built and log.set_ups.number < MOST_SET_UPS:
+        built = next((key for point in invalid if (key := self._rests_on(point))), "")
+        if not built and log.set_ups.number < self.MOST_SET_UPS:
             return
         act = "fix its stand, then start a new run"
         if built:
@@ -277,6 +277,20 @@ class Watch:
             f"the tracker was bumped: {act}",
             {"moved_mm": moved_mm, "limit_mm": limit_mm} | suspicion.facts,
         )
+
+    def _rests_on(self, point: Point) -> str:
+        """Return the frame or verdict that was built with a point, if there is one."""
+        log = self._run.log
+        built = {
+            "base": "base",
+            "slide": f"station.{point.station}",
+            "three": f"three_points.{point.station}",
+            "grid": "fit",
+            "oriented": "fit",
+            "pose": "fit",
+            "repeatability": "fit",
+        }.get(point.id.kind, "")
+        return built if built in log.frames or built in log.verdicts else ""
 
     # -- the slide's hold -------------------------------------------------------------------------
 
@@ -431,20 +445,6 @@ class Watch:
 def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
     """Return the identities of the points that frame {W} at a set-up."""
     return [PointId("world", number=set_up or None, nest=nest.name) for nest in cell.layout.floor]
-
-
-def _rests_on(log: Log, point: Point) -> str:
-    """Return the frame or verdict that was built with a point, if there is one."""
-    built = {
-        "base": "base",
-        "slide": f"station.{point.station}",
-        "three": f"three_points.{point.station}",
-        "grid": "fit",
-        "oriented": "fit",
-        "pose": "fit",
-        "repeatability": "fit",
-    }.get(point.id.kind, "")
-    return built if built in log.frames or built in log.verdicts else ""
 
 
 def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:

@@ -57,7 +57,6 @@ class PauseGate:
                 self._reached()
 
     def open(self) -> None:
-        """Let the worker pass."""
         with self._lock:
             self._open.set()
 
@@ -95,7 +94,6 @@ class UnattendedWait:
 
     @property
     def over(self) -> bool:
-        """Whether no time is left."""
         return not self._left_s > 0.0
 
     def begin(self) -> None:
@@ -118,7 +116,6 @@ class UnattendedWait:
 
 
 ENDED = "the run has ended"
-SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +170,8 @@ class Worker:
     and set ``screen_known`` when the screen that ordered the run has come or was lost.
     """
 
+    SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
+
     def __init__(
         self,
         plan: RunPlan,
@@ -206,11 +205,9 @@ class Worker:
         return msgspec.structs.replace(status, ready=False)
 
     def start(self) -> None:
-        """Begin."""
         self._thread.start()
 
     def ended_within(self, limit_s: float) -> bool:
-        """Wait for the thread's end; return whether it came."""
         self._thread.join(limit_s)
         return not self._thread.is_alive()
 
@@ -272,7 +269,7 @@ class Worker:
 
     def _await_screen(self) -> None:
         """Wait for the screen that ordered this run; one that does not come was lost."""
-        missed_s = time.monotonic() + SCREEN_S
+        missed_s = time.monotonic() + self.SCREEN_S
         while not self.screen_known.wait(REST_S):
             self._at_rest()
             if time.monotonic() > missed_s:

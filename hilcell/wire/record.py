@@ -39,7 +39,7 @@ class WireRecording:
     def __init__(self, cell: Cell, addresses: Addresses, folder: Path, head: Head) -> None:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
-        folder, began_s = _unused(folder), time.monotonic()
+        folder, began_s = self._unused(folder), time.monotonic()
         stated: dict[str, dict[str, object]] = {}
         orders: list[WireOrder] = []
         for table, group in TABLES:
@@ -99,12 +99,12 @@ class WireRecording:
             raise HilcellError(f"--record-wire: the relay did not start: {last}")
         return msgspec.json.decode(line, type=dict[str, str])
 
-
-def _unused(folder: Path) -> Path:
-    """Return a folder without recordings: a run that is resumed has one of its own."""
-    found, number = folder, 1
-    while recordings(found):
-        number += 1
-        found = folder / f"wires-{number}"
-    found.mkdir(exist_ok=True)
-    return found
+    @staticmethod
+    def _unused(folder: Path) -> Path:
+        """Return a folder without recordings: a run that is resumed has one of its own."""
+        found, number = folder, 1
+        while recordings(found):
+            number += 1
+            found = folder / f"wires-{number}"
+        found.mkdir(exist_ok=True)
+        return found

@@ -65,7 +65,6 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def data(self) -> bytes:
-        """Return the bytes."""
         return bytes.fromhex(self.b)
 
 
@@ -104,7 +103,6 @@ class Recorder:
                 self._file = None
 
     def close(self) -> None:
-        """End the recording."""
         with self._lock:
             self._file = None
 
@@ -115,7 +113,6 @@ class TimedStop(threading.Event):
     set_s: float | None = None  # monotonic
 
     def set(self) -> None:
-        """Ask for the stop."""
         if self.set_s is None:
             self.set_s = time.monotonic()
         super().set()
@@ -130,12 +127,10 @@ class RecordedLooks:
         self._stopped = False
 
     def wait(self, duration_s: float) -> None:
-        """Let cell time pass; raise `Stopped` within 20 ms of a stop."""
         with self._note_stop():
             self._clock.wait(duration_s)
 
     def check(self) -> None:
-        """Raise `Stopped` if a stop was asked for."""
         with self._note_stop():
             self._clock.check()
 

@@ -115,7 +115,6 @@ class SerialRelay:
         threading.Thread(target=self._carry, daemon=True).start()
 
     def close(self) -> None:
-        """End the recording."""
         self._recorder.take(1, "end")
 
     def _carry(self) -> None:

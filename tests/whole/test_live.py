@@ -152,7 +152,7 @@ def test_a_run_that_a_screen_ordered_moves_only_before_its_eyes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
-        patched.setattr(worker, "SCREEN_S", 0.0)  # none will come
+        patched.setattr(worker.Worker, "SCREEN_S", 0.0)  # none will come
         with ThreadedRun(tmp_path, "run", "--screen", "--name", "x", *sets(SMALL)) as run:
             run.until(lambda event: event.get("what") == "screen lost")
             run.until(lambda event: is_state(event, "paused"))

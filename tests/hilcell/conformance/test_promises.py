@@ -108,7 +108,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
-    monkeypatch.setattr(trial, "PACE", 1.5 * trial.PACE)
+    monkeypatch.setattr(trial.SimulatedBench, "PACE", 1.5 * trial.SimulatedBench.PACE)
     monkeypatch.setattr(wire_faults, "GONE_S", LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 

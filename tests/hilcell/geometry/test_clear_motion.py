@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.surroundings import posture
-from hilcell.geometry.clearance import RESOLUTION_MM, Body, Boxes, Capsules, joint_lines
+from hilcell.geometry.clearance import Body, Boxes, Capsules, joint_lines
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import Array
 
@@ -71,7 +71,7 @@ def test_what_is_proven_clear_is_clear(seed: int) -> None:
         if clear:
             assert least_mm >= WANTED_MM
         else:  # 200 looks come nearer to the least clearance than this
-            assert least_mm < WANTED_MM + 2 * RESOLUTION_MM + 40.0
+            assert least_mm < WANTED_MM + 2 * Body.RESOLUTION_MM + 40.0
 
 
 def test_a_posture_that_is_no_number_proves_nothing() -> None:

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from benchmarks.forecast import worst_after
 from hilcell.journal.journal import Record
 from hilcell.model.events import StreamRecorded
-from hilcell.run.forecast import CLOSING_S, Forecast
+from hilcell.run.forecast import Forecast
 from tests.hilcell.report.journals import plan_record
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
@@ -101,7 +101,7 @@ def step(name: str, points: int, duration_s: float, *spans: dict[str, Any]) -> d
 def test_a_plan_of_a_real_cell_is_believed_before_anything_happened() -> None:
     tape = Tape()
     tape.plan([step("home", 0, 30.0), step("grid", 10, 50.0)], None, real=True)
-    assert tape.remaining_s == pytest.approx(80.0 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(80.0 + Forecast.CLOSING_S)
 
 
 def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
@@ -115,7 +115,7 @@ def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
     tape.point(5.0)
     assert tape.remaining_s is None  # the way to the first is not like the others
     tape.point(0.5)
-    assert tape.remaining_s == pytest.approx(8 * 0.5 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(8 * 0.5 + Forecast.CLOSING_S)
 
 
 def test_each_kind_learns_its_own_pace() -> None:
@@ -134,7 +134,7 @@ def test_each_kind_learns_its_own_pace() -> None:
     tape.point(0.5)
     for _ in range(49):
         tape.point(0.030)
-    assert tape.remaining_s == pytest.approx(50 * 0.030 + 100 * 0.010 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(50 * 0.030 + 100 * 0.010 + Forecast.CLOSING_S)
 
 
 def test_a_sweep_that_was_recorded_is_one_of_its_step() -> None:
@@ -149,7 +149,7 @@ def test_a_sweep_that_was_recorded_is_one_of_its_step() -> None:
     for _ in range(3):
         tape.pass_s(2.0)
         tape.write("event", **msgspec.to_builtins(stream))
-    assert tape.remaining_s == pytest.approx(2 * 2.0 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(2 * 2.0 + Forecast.CLOSING_S)
 
 
 def test_spans_tell_unlike_points_of_one_step_apart() -> None:
@@ -166,7 +166,7 @@ def test_spans_tell_unlike_points_of_one_step_apart() -> None:
             for _ in range(count):
                 tape.point(each_s)
                 totals.append(tape.total_s)
-    assert totals == pytest.approx([85.2 + CLOSING_S] * len(totals))
+    assert totals == pytest.approx([85.2 + Forecast.CLOSING_S] * len(totals))
 
 
 def test_control_points_count_where_spans_know_of_them_and_nowhere_else() -> None:
@@ -178,7 +178,7 @@ def test_control_points_count_where_spans_know_of_them_and_nowhere_else() -> Non
         tape.step(1)
         for _ in range(3):
             tape.point(10.0, group="control")
-        assert tape.remaining_s == pytest.approx(left_s + CLOSING_S)
+        assert tape.remaining_s == pytest.approx(left_s + Forecast.CLOSING_S)
 
 
 def test_proofs_of_nests_between_targets_are_no_targets() -> None:
@@ -207,10 +207,10 @@ def test_more_points_than_planned_and_points_measured_again_do_no_harm() -> None
     tape.step(1)
     tape.point(3.0)
     tape.point(40.0, retaken=True)
-    assert tape.remaining_s == pytest.approx(2 * 3.0 + 5.0 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(2 * 3.0 + 5.0 + Forecast.CLOSING_S)
     for _ in range(7):
         tape.point(3.0)
-    assert tape.remaining_s == pytest.approx(5.0 + CLOSING_S)
+    assert tape.remaining_s == pytest.approx(5.0 + Forecast.CLOSING_S)
 
 
 def test_a_pause_counts_for_nothing() -> None:
@@ -227,7 +227,7 @@ def test_a_pause_counts_for_nothing() -> None:
         assert (tape.forecast.elapsed_s(tape.now), tape.remaining_s) == pytest.approx(before)
         tape.state("running")
         tape.point(3.0)
-    assert tape.total_s == pytest.approx(30.0 + CLOSING_S)
+    assert tape.total_s == pytest.approx(30.0 + Forecast.CLOSING_S)
 
 
 @pytest.mark.parametrize("ends", [["stopping", "aborted"], ["faulted"], []])
@@ -247,12 +247,12 @@ def test_the_time_between_two_sessions_counts_for_nothing(ends: list[str]) -> No
     tape.pass_s(9000.0)
     tape.start()
     tape.step(1)
-    assert tape.total_s == pytest.approx(36.0 + CLOSING_S)
+    assert tape.total_s == pytest.approx(36.0 + Forecast.CLOSING_S)
     tape.pass_s(4.0)  # the reference is found again
     tape.step(2)
     for _ in range(5):
         tape.point(3.0)
-    assert tape.remaining_s == pytest.approx(CLOSING_S)
+    assert tape.remaining_s == pytest.approx(Forecast.CLOSING_S)
     assert tape.forecast.elapsed_s(tape.now) == pytest.approx(40.0)
 
 
@@ -350,7 +350,7 @@ def test_where_the_plan_is_proportionate_the_total_is_exact_once_each_kind_was_s
             for _ in range(measured):
                 tape.point(duration_s / measured / speed + extra_s[kind])
                 totals += [tape.total_s] * (number > 1)
-    assert totals == pytest.approx([tape.now_s + CLOSING_S] * len(totals), abs=1e-3)
+    assert totals == pytest.approx([tape.now_s + Forecast.CLOSING_S] * len(totals), abs=1e-3)
 
 
 @pytest.fixture

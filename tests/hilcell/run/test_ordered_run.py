@@ -41,7 +41,7 @@ def listening(bed: Bed, points: int = MANY) -> Iterator[Live]:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, "SCREEN_S", 0.0)
+    monkeypatch.setattr(worker_module.Worker, "SCREEN_S", 0.0)
 
 
 def test_nothing_begins_before_a_screen_attends(bed: Bed) -> None:

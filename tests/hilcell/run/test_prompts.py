@@ -9,7 +9,7 @@ import pytest
 import hilcell.run.worker as worker_module
 from hilcell.ports import DeviceError, NoReading
 from hilcell.run import device_status
-from hilcell.run.meter import MEASURE_TRIES
+from hilcell.run.meter import Meter
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, failing, hang, procedure
 
@@ -158,7 +158,7 @@ def test_a_pause_asked_for_before_a_prompt_comes_after_it(bed: Bed) -> None:
 
 def test_a_pause_asked_for_in_the_last_try_holds_after_the_prompt(bed: Bed) -> None:
     entered, release = threading.Event(), threading.Event()
-    tries = iter([clear] * (MEASURE_TRIES - 1) + [hang(entered, release)])
+    tries = iter([clear] * (Meter.TRIES - 1) + [hang(entered, release)])
 
     def answer() -> None:
         next(tries, clear)()
@@ -218,7 +218,7 @@ def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
 def test_a_device_lost_while_the_run_asks_is_journalled_and_no_answer_is_taken(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(device_status, "REFRESH_S", 0.0)
+    monkeypatch.setattr(device_status.CellMonitor, "REFRESH_S", 0.0)
     read = bed.robot.read
     lost = DeviceError("HC-B02", "Robot", "read", "no answer", act="check its cable")
     with Live(bed, procedure(Points(1))) as live:
@@ -240,7 +240,7 @@ def test_a_device_lost_while_the_run_asks_is_journalled_and_no_answer_is_taken(
 def test_a_device_lost_at_the_answer_is_read_before_it_counts(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(device_status, "REFRESH_S", 1e9)
+    monkeypatch.setattr(device_status.CellMonitor, "REFRESH_S", 1e9)
     read, lost = bed.rail.read, DeviceError("HC-R01", "Rail", "read", "link lost")
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")

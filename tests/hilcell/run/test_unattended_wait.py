@@ -9,7 +9,7 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.invariants.judging import judge
 from hilcell.journal.journal import read_journal
-from hilcell.run.meter import MEASURE_TRIES
+from hilcell.run.meter import Meter
 from hilcell.run.worker import UnattendedWait
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live, broken_beam
@@ -67,7 +67,7 @@ def waiting(limit_s: float) -> Cell:
 
 def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) -> None:
     bed = Bed(tmp_path, cell=waiting(60.0))
-    bed.tracker.answer = broken_beam(MEASURE_TRIES + 2)
+    bed.tracker.answer = broken_beam(Meter.TRIES + 2)
     assert bed.run(procedure(Points(2))) == 0
     assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
     went_on = [r.body for r in bed.records("state") if r.body.get("by")]

@@ -15,8 +15,8 @@ from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.floor_nests import check_distances, check_places
-from hilcell.run.meter import MEASURE_TRIES
-from hilcell.run.watch import MOST_SET_UPS
+from hilcell.run.meter import Meter
+from hilcell.run.watch import Watch
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.verdicts import BASE, base_at
@@ -242,7 +242,7 @@ def test_the_tracker_is_proven_after_a_question_before_the_point_that_asked(
         session.reach("reference")
         session.frame_world()
         session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
-        floor.missed = MEASURE_TRIES
+        floor.missed = Meter.TRIES
         proofs.append(len(bed.events("tracker proven")))
         session.flange_point(PointId("grid", vertex=(0, 0, 0)), S1100, HOME_RAD)
         proofs.append(len(bed.events("tracker proven")))
@@ -267,7 +267,7 @@ def test_a_tracker_that_moves_again_and_again_ends_the_run(
     (suspicion,) = end["result"]["suspicions"]
     assert suspicion["cause"] == "tracker moved"
     assert suspicion["size"] == pytest.approx(0.2, abs=0.05)
-    assert bed.log().set_ups.number == MOST_SET_UPS
+    assert bed.log().set_ups.number == Watch.MOST_SET_UPS
 
 
 def test_a_resumed_run_measures_again_what_was_not_proven(
