@@ -15,7 +15,6 @@ REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
 UNSAFE = re.compile(  # the last range: bytes of a file's name that are no text
     "[\x00-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
-_UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")  # controls, formats, surrogates, separators
 
 
 def clean(text: str) -> str:
@@ -25,8 +24,9 @@ def clean(text: str) -> str:
 
 def harmless(text: str) -> str:
     """Return ``text`` with every character that is not seen as itself replaced, so it shows."""
+    unseen = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")  # controls, formats, surrogates, separators
     return "".join(
-        REPLACEMENT if unicodedata.category(character) in _UNSEEN else character
+        REPLACEMENT if unicodedata.category(character) in unseen else character
         for character in text
     )
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -41,6 +41,31 @@ class InstrumentDcc:
 
     MOST_MM = 10.0  # as a limit in the cell file
 
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a certificate; raises `NotRead`."""
+        try:
+            text = read_text(path)
+        except UnicodeDecodeError:
+            raise NotRead("is not UTF-8 text") from None
+        except OSError as error:
+            raise NotRead(f"cannot be read: {error.strerror}") from error
+        longest = 4_000_000  # characters
+        if len(text) > longest:
+            raise NotRead(f"has {len(text)} characters, wanted at most {longest}")
+        if "<!DOCTYPE" in text:
+            raise NotRead("declares a document type; a DCC has none")
+        try:
+            root = ElementTree.fromstring(text)  # noqa: S314 - without a document type, see above
+        except (ElementTree.ParseError, ValueError) as error:
+            raise NotRead(f"is no XML: {error}") from None
+        if root.tag != f"{DCC}digitalCalibrationCertificate":
+            raise NotRead(f"is no DCC: its root is {clean(root.tag)}")
+        core = f"{DCC}administrativeData/{DCC}coreData/{DCC}"
+        laboratory = f"{DCC}administrativeData/{DCC}calibrationLaboratory/{DCC}contact/{DCC}name/"
+        said = (f"{core}uniqueIdentifier", f"{core}endPerformanceDate", f"{laboratory}{DCC}content")
+        return cls(", ".join(cls._text(root, path) for path in said), root)
+
     def largest_error_mm(self, id: str) -> float:
         """Return the largest |error| + U (k = 2) of the quantity with this id.
 
@@ -50,11 +75,11 @@ class InstrumentDcc:
         found = [each for each in self.root.iter(f"{DCC}quantity") if each.get("id") == id]
         if len(found) != 1:
             raise NotRead(f"{len(found)} quantities have the id {id!r}, wanted 1")
-        lengths = [each for each in found[0].iter() if _unit(each) in MM]
+        lengths = [each for each in found[0].iter() if self._unit(each) in MM]
         if not lengths:
             raise NotRead(f"quantity {id!r} is no length in {', '.join(MM)}")
-        values, expanded = _values(lengths[0], id)
-        largest_mm = MM[_unit(lengths[0])] * max(
+        values, expanded = self._values(lengths[0], id)
+        largest_mm = MM[self._unit(lengths[0])] * max(
             abs(value) + U for value, U in zip(values, expanded, strict=True)
         )
         if not largest_mm <= self.MOST_MM:
@@ -62,77 +87,55 @@ class InstrumentDcc:
             raise NotRead(f"quantity {id!r}: expected errors <= {self.MOST_MM:g} mm, got {error}")
         return largest_mm
 
+    @staticmethod
+    def _text(root: Element, path: str) -> str:
+        found = clean(root.findtext(path, ""))
+        if not found:
+            raise NotRead(f"does not say {path.rpartition(DCC)[2]}")
+        return found
 
-def read_dcc(path: Path) -> InstrumentDcc:
-    """Read a certificate; raises `NotRead`."""
-    try:
-        text = read_text(path)
-    except UnicodeDecodeError:
-        raise NotRead("is not UTF-8 text") from None
-    except OSError as error:
-        raise NotRead(f"cannot be read: {error.strerror}") from error
-    longest = 4_000_000  # characters
-    if len(text) > longest:
-        raise NotRead(f"has {len(text)} characters, wanted at most {longest}")
-    if "<!DOCTYPE" in text:
-        raise NotRead("declares a document type; a DCC has none")
-    try:
-        root = ElementTree.fromstring(text)  # noqa: S314 - without a document type, see above
-    except (ElementTree.ParseError, ValueError) as error:
-        raise NotRead(f"is no XML: {error}") from None
-    if root.tag != f"{DCC}digitalCalibrationCertificate":
-        raise NotRead(f"is no DCC: its root is {clean(root.tag)}")
-    core = f"{DCC}administrativeData/{DCC}coreData/{DCC}"
-    laboratory = f"{DCC}administrativeData/{DCC}calibrationLaboratory/{DCC}contact/{DCC}name/"
-    number, date = _text(root, f"{core}uniqueIdentifier"), _text(root, f"{core}endPerformanceDate")
-    words = f"{number}, {date}, {_text(root, f'{laboratory}{DCC}content')}"
-    return InstrumentDcc(words, root)
+    @staticmethod
+    def _unit(quantity: Element) -> str:
+        """Return the one unit of a quantity of D-SI, "" where it has none of its own."""
+        texts = (quantity.findtext(f"{SI}{name}", "") for name in ("unit", "unitXMLList"))
+        units = {unit for text in texts for unit in text.split()}
+        return units.pop() if len(units) == 1 else ""
 
+    @classmethod
+    def _values(cls, quantity: Element, id: str) -> tuple[list[float], list[float]]:
+        """Return the values of a quantity and their U (k = 2), as many."""
+        values = [
+            each for name in ("value", "valueXMLList") for each in cls._floats(quantity, name)
+        ]
+        pairs = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
+            [list(cls._floats(quantity, f"{name}{of}")) for name in (U, "coverageFactor")]
+            for U in ("valueExpandedMU", "uncertainty")
+            for of in ("", "XMLList")
+        )
+        expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
+        if not (values and expanded and min(factors) > 0 and min(expanded) >= 0):
+            raise NotRead(
+                f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0"
+            )
+        sizes = {len(values), len(expanded), len(factors)} - {1}
+        if len(sizes) > 1:
+            raise NotRead(f"quantity {id!r} has {len(values)} values and {len(expanded)} U")
+        count = len(values)
+        wide = [U * (count if len(U) == 1 else 1) for U in (expanded, factors)]
+        return values, [U * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
 
-def _text(root: Element, path: str) -> str:
-    found = clean(root.findtext(path, ""))
-    if not found:
-        raise NotRead(f"does not say {path.rpartition(DCC)[2]}")
-    return found
-
-
-def _unit(quantity: Element) -> str:
-    """Return the one unit of a quantity of D-SI, "" where it has none of its own."""
-    texts = (quantity.findtext(f"{SI}{name}", "") for name in ("unit", "unitXMLList"))
-    units = {unit for text in texts for unit in text.split()}
-    return units.pop() if len(units) == 1 else ""
-
-
-def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
-    """Return the values of a quantity and their U (k = 2), as many."""
-    values = [each for name in ("value", "valueXMLList") for each in _floats(quantity, name)]
-    pairs = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
-        [list(_floats(quantity, f"{name}{of}")) for name in (U, "coverageFactor")]
-        for U in ("valueExpandedMU", "uncertainty")
-        for of in ("", "XMLList")
-    )
-    expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
-    if not (values and expanded and min(factors) > 0 and min(expanded) >= 0):
-        raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")
-    sizes = {len(values), len(expanded), len(factors)} - {1}
-    if len(sizes) > 1:
-        raise NotRead(f"quantity {id!r} has {len(values)} values and {len(expanded)} U")
-    count = len(values)
-    wide = [U * (count if len(U) == 1 else 1) for U in (expanded, factors)]
-    return values, [U * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
-
-
-def _floats(quantity: Element, name: str) -> Iterator[float]:
-    """Yield the figures of a quantity's own element, or of its uncertainty's."""
-    element = next(quantity.iter(f"{SI}{name}"), None)
-    for word in ("" if element is None else element.text or "").split():
-        try:
-            figure = float(word)
-        except ValueError:
-            figure = math.nan
-        if not math.isfinite(figure):
-            raise NotRead(f"{name} is {clean(word)!r}, wanted a figure")
-        yield figure
+    @staticmethod
+    def _floats(quantity: Element, name: str) -> Iterator[float]:
+        """Yield the figures of a quantity's own element, or of its uncertainty's."""
+        element = next(quantity.iter(f"{SI}{name}"), None)
+        for word in ("" if element is None else element.text or "").split():
+            try:
+                figure = float(word)
+            except ValueError:
+                figure = math.nan
+            if not math.isfinite(figure):
+                raise NotRead(f"{name} is {clean(word)!r}, wanted a figure")
+            yield figure
 
 
 Limit = Annotated[float, Meta(ge=0, le=10)]
@@ -194,7 +197,7 @@ def with_certificates(stated: UncertaintyTable, folder: Path) -> UncertaintyTabl
         try:
             if getattr(stated, f"{name}_certificate"):
                 raise NotRead(f"names the certificate; so does {name}_certificate: wanted one")
-            certificate = read_dcc(folder / place)
+            certificate = InstrumentDcc.read(folder / place)
             found[f"{name}_certificate"] = certificate.words
             if id and not limit:
                 raise NotRead("names a quantity, which nothing is computed from")

@@ -34,10 +34,6 @@ HELP = (
     "A number strikes that fault, Enter one that is not named; m lists them, q ends the simulated "
     "cell."
 )
-STRUCK = (
-    "It strikes as soon as the run gives it occasion. Find the cause by the screen and the alarm, "
-    "and decide what to do; then press Enter here."
-)
 
 
 class Trainer:
@@ -71,7 +67,10 @@ class Trainer:
     def _strike(self, exercise: Exercise) -> None:
         self._cell.strike(exercise)
         self._struck = exercise
-        print_message(STRUCK)
+        print_message(
+            "It strikes as soon as the run gives it occasion. Find the cause by the screen and the "
+            "alarm, and decide what to do; then press Enter here."
+        )
 
     def _explain(self, exercise: Exercise) -> None:
         """Say what it was, and put the cell right."""

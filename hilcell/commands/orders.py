@@ -43,7 +43,6 @@ from hilcell.arguments import (
 )
 from hilcell.run.order import Release
 
-CalibrationName = Annotated[str, Argument("a run or calibration.json", "CALIBRATION")]
 HolesFile = Annotated[str, Word(HOLES, "HOLES.csv")]
 
 
@@ -123,7 +122,7 @@ class Prepare(Signature):
             standoff_of,
         ),
     ] = None
-    calibration: CalibrationName
+    calibration: Annotated[str, Argument("a run or calibration.json", "CALIBRATION")]
     output: Annotated[str, Output("a new folder, or an empty one", "FOLDER")]
     release: Release
     json: Json = False

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from hilcell.typed import Json
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
-PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
 Taken = TypeVar("Taken", bound=Signature)
 
 
@@ -52,8 +51,33 @@ class Parser(argparse.ArgumentParser):
         takes, self.takes = self.takes, None
         if takes is not None:
             for each in fields_of(takes):
-                _add_field(self, each)
+                self._add_field(each)
         return self
+
+    def _add_field(self, field: Field) -> None:
+        name, kind, argument, default = field
+        if isinstance(argument, Switches):
+            group = self.add_mutually_exclusive_group(required=True)
+            for word, text in argument.help.items():
+                group.add_argument(
+                    f"--{word}", dest=name, action="store_const", const=word, help=text
+                )
+            return
+        options: Json = {"help": argument.help.replace("%", "%%")}
+        if default is not MISSING:
+            options["default"] = default
+        if kind is bool:
+            options["action"] = "store_true"
+        elif get_origin(kind) is Literal:
+            options["choices"] = get_args(kind)
+        else:
+            options |= {"metavar": argument.metavar, "type": argument.read}
+        if get_origin(kind) is tuple:
+            options |= {"action": "append", "default": []}
+        if argument.word:
+            self.add_argument(name, nargs=None if field.needed else "?", **options)
+        else:
+            self.add_argument(*field.names, dest=name, required=field.needed, **options)
 
     def format_help(self) -> str:
         """Return the help, with the commands in their groups."""
@@ -95,7 +119,7 @@ class Parser(argparse.ArgumentParser):
             known = self._option_string_actions
             if name.startswith("--") and " " not in word and name not in known:
                 self._refuse_early(name, words)
-                self.error(f"unknown option {name[:80]}{_nearest(name, known)}")
+                self.error(f"unknown option {name[:80]}{self._nearest(name, known)}")
 
     def _refuse_early(self, name: str, words: Sequence[str]) -> None:
         """Refuse an option that stands before the command to which it belongs."""
@@ -111,11 +135,24 @@ class Parser(argparse.ArgumentParser):
 
         if word in entry_points(group="hilcell.procedures").names:
             self.error(f"{word} is a procedure; did you mean `{self.prog} run {word}`?")
-        self.error(f"unknown command {word[:80]!r}{_nearest(word, known)}")
+        self.error(f"unknown command {word[:80]!r}{self._nearest(word, known)}")
+
+    @staticmethod
+    def _nearest(word: str, known: Iterable[str]) -> str:
+        """Return the end of a sentence that names the word that was meant; a beginning means it."""
+        from hilcell.cell.settings import did_you_mean  # `--help` does without it
+
+        known = list(known)
+        begun = [each for each in known if each.startswith(word)]
+        return did_you_mean(
+            begun[0] if len(begun) == 1 else word,
+            [each for each in known if each not in HELP or begun],
+        )
 
     def error(self, message: str) -> NoReturn:
         """Print an error, and where the arguments are listed, and end with exit code 2."""
-        words = PASSWORD.sub(r"\1***@", message)
+        # The password of a URL that stands where none is wanted.
+        words = re.sub(r"(://[^:/@\s]*:)\S*@", r"\1***@", message)
         print_message(f"{self.prog}: {words}\n`{self.prog} --help` lists what there is")
         self.exit(EXIT_REFUSED)
 
@@ -129,30 +166,6 @@ class Parser(argparse.ArgumentParser):
             sys.stdout.flush()
 
 
-def _add_field(parser: Parser, field: Field) -> None:
-    name, kind, argument, default = field
-    if isinstance(argument, Switches):
-        group = parser.add_mutually_exclusive_group(required=True)
-        for word, text in argument.help.items():
-            group.add_argument(f"--{word}", dest=name, action="store_const", const=word, help=text)
-        return
-    options: Json = {"help": argument.help.replace("%", "%%")}
-    if default is not MISSING:
-        options["default"] = default
-    if kind is bool:
-        options["action"] = "store_true"
-    elif get_origin(kind) is Literal:
-        options["choices"] = get_args(kind)
-    else:
-        options |= {"metavar": argument.metavar, "type": argument.read}
-    if get_origin(kind) is tuple:
-        options |= {"action": "append", "default": []}
-    if argument.word:
-        parser.add_argument(name, nargs=None if field.needed else "?", **options)
-    else:
-        parser.add_argument(*field.names, dest=name, required=field.needed, **options)
-
-
 def made(takes: type[Taken], values: Mapping[str, object]) -> Taken:
     """Return what a command takes, of the values that its parser has read."""
     found: dict[str, object] = {}
@@ -160,14 +173,3 @@ def made(takes: type[Taken], values: Mapping[str, object]) -> Taken:
         value = made(hint, values) if is_signature(hint) else values[name]
         found[name] = tuple(value) if isinstance(value, list) else value
     return takes(**found)
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    """Return the end of a sentence that names the word that was meant; a beginning means it."""
-    from hilcell.cell.settings import did_you_mean  # `--help` does without it
-
-    known = list(known)
-    begun = [each for each in known if each.startswith(word)]
-    return did_you_mean(
-        begun[0] if len(begun) == 1 else word, [each for each in known if each not in HELP or begun]
-    )

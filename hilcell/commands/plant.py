@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     )
 
 
-PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
-
-
 def init(args: PlantInit) -> int:
     """Make the tables of a plant's database, where they are not there."""
     with closing(_open_database(args.plant)) as database:
@@ -114,7 +111,12 @@ def show(args: PlantShow) -> int:
         print_message(f"plant database {database.name}: no runs were shipped yet")
         return EXIT_OK
     print_table(Table(CELLS, found.cells))
-    _print_robots(found.robots)
+    print_table(Table(DRIFTS, [(each, drift) for each in found.robots for drift in each.drift]))
+    for each in found.robots:
+        for what, reason in each.not_judged.items():
+            who = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
+            print_data(f"{who}: no drift stated of {what}: {reason}")
+    print_table(Table(STEPS, [(each, step) for each in found.robots for step in each.changes]))
     print_table(Table(STATIONS, found.stations))
     print_table(Table(INSTRUMENTS, found.instruments))
     print_table(Table(ALARMS, found.alarms))
@@ -123,7 +125,7 @@ def show(args: PlantShow) -> int:
     return EXIT_OK
 
 
-def _require_packages(names: Sequence[str]) -> None:
+def _require_packages(*names: str) -> None:
     """Raise `HilcellError` where optional packages are missing."""
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
@@ -135,7 +137,7 @@ def _require_packages(names: Sequence[str]) -> None:
 
 def _open_database(url: str | None) -> Database:
     """Return the database; raises `HilcellError` where the packages or the URL are missing."""
-    _require_packages(PACKAGES)
+    _require_packages("sqlalchemy", "alembic", "psycopg")
     url = url or os.environ.get("HILCELL_PLANT", "")
     if not url:
         raise HilcellError(
@@ -261,20 +263,11 @@ ALARMS: tuple[Column[AlarmCount], ...] = (
 )
 
 
-def _print_robots(robots: list[RobotCourse]) -> None:
-    print_table(Table(DRIFTS, [(each, drift) for each in robots for drift in each.drift]))
-    for each in robots:
-        for what, reason in each.not_judged.items():
-            who = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
-            print_data(f"{who}: no drift stated of {what}: {reason}")
-    print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
-
-
 # -- export and verify ----------------------------------------------------------------------------
 
 
 def export(args: PlantExport) -> int:
-    _require_packages(["cryptography"])
+    _require_packages("cryptography")
     from hilcell.plant.audit import read_private_key
     from hilcell.plant.export import export as export_cell
 
@@ -297,7 +290,7 @@ def export(args: PlantExport) -> int:
 
 def verify(args: PlantVerify) -> int:
     """Verify an exported record; exit code 1 where a file differs, is missing or is extra."""
-    _require_packages(["cryptography"])
+    _require_packages("cryptography")
     from hilcell.plant.audit import read_public_key
     from hilcell.plant.audit import verify as verify_record
 

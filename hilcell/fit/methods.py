@@ -289,6 +289,22 @@ class FittedArm:
         folds = [np.flatnonzero(of_pose == each).astype(np.int_) for each in np.unique(fold)]
         return self.poses.by_row(self._found.left_out_mm(folds))
 
+    def found(self, name: str) -> ModelFound:
+        estimate, known = self.estimate, observability(self.estimate.system)
+        kinematics, noise = estimate.kinematics, estimate.noise
+        return ModelFound(
+            method=name,
+            names=kinematics.names,
+            values=kinematics.flat(estimate.state).tolist(),
+            sigma=np.sqrt(np.diag(estimate.system.covariance)).tolist(),
+            sigma_over_prior=known.ratio.tolist(),
+            reading_mm=noise.reading_mm,
+            pose_mm=noise.pose_mm,
+            joint_rad=noise.joint_rad.tolist(),
+            directions=known.directions,
+            condition=known.condition,
+        )
+
     @property
     def _found(self) -> Estimate | WithResidual:
         return self.residual or self.estimate
@@ -346,7 +362,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "outliers": _outliers(methods[best or NOMINAL], train.at(sorted(order[bad]))),
         "coverage": coverage,
         "coverage95": coverage[chosen]["share"] if coverage else None,
-        "model": None if best is None else _model(best, arms[best]),
+        "model": None if best is None else arms[best].found(best),
         "train": len(kept),
         "test": len(kept if test is None else test),
         "seconds": time.perf_counter() - start_s,
@@ -527,23 +543,6 @@ def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
         Outlier(pose=pose, target=target, miss_mm=float(miss))
         for pose, target, miss in zip(left_out.pose, left_out.target, miss_mm, strict=True)
     ]
-
-
-def _model(name: str, arm: FittedArm) -> ModelFound:
-    estimate, known = arm.estimate, observability(arm.estimate.system)
-    kinematics, noise = estimate.kinematics, estimate.noise
-    return ModelFound(
-        method=name,
-        names=kinematics.names,
-        values=kinematics.flat(estimate.state).tolist(),
-        sigma=np.sqrt(np.diag(estimate.system.covariance)).tolist(),
-        sigma_over_prior=known.ratio.tolist(),
-        reading_mm=noise.reading_mm,
-        pose_mm=noise.pose_mm,
-        joint_rad=noise.joint_rad.tolist(),
-        directions=known.directions,
-        condition=known.condition,
-    )
 
 
 def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:

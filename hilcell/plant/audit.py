@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Self
 
 import msgspec
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -164,52 +164,129 @@ class _Record(NamedTuple):
     sizes: dict[str, int | None]
     open: Callable[[str], AbstractContextManager[IO[bytes]]]
 
+    @classmethod
+    @contextmanager
+    def opened(cls, place: Path) -> Iterator[Self]:
+        name = clean(str(place))
+        with ExitStack() as stack:
+            with _as_not_proven(name):
+                kind = place.stat().st_mode
+                if stat.S_ISDIR(kind):
+                    record = cls(
+                        name, cls._in_folder(place), lambda file: (place / file).open("rb")
+                    )
+                elif stat.S_ISREG(kind):
+                    archive = stack.enter_context(zipfile.ZipFile(place))
+                    record = cls(name, cls._in_archive(archive), archive.open)
+                else:  # a device may never end
+                    raise NotProven(f"{name}: it is neither a folder nor a file")
+            yield record
+
+    @staticmethod
+    def _in_folder(place: Path) -> dict[str, int | None]:
+        """Return the sizes of a folder's files; links are not followed."""
+        sizes: dict[str, int | None] = {}
+
+        def refuse(error: OSError) -> None:
+            raise error
+
+        for folder, folders, files in os.walk(place, onerror=refuse):
+            for path in (Path(folder, name) for name in [*folders, *files]):
+                there = path.lstat()
+                if not stat.S_ISDIR(there.st_mode):
+                    size = there.st_size if stat.S_ISREG(there.st_mode) else None
+                    sizes[path.relative_to(place).as_posix()] = size
+        return sizes
+
+    @staticmethod
+    def _in_archive(archive: zipfile.ZipFile) -> dict[str, int | None]:
+        """Return the sizes of its files; one that is in it twice, or packed by LZMA, has None."""
+        packed = (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+            zipfile.ZIP_BZIP2,
+        )  # no error of their own
+        sizes: dict[str, int | None] = {}
+        for each in archive.infolist():
+            if not each.is_dir():
+                plain = each.filename not in sizes and each.compress_type in packed
+                sizes[each.filename] = each.file_size if plain else None
+        return sizes
+
+    def manifest(self, key: Ed25519PublicKey) -> Manifest:
+        """Return what the key has signed; raises `NotProven`."""
+        content = self._read(MANIFEST, 2**28)  # bytes of a million files
+        signature = self._read(SIGNATURE, 64)
+        try:
+            key.verify(signature, content)
+        except InvalidSignature:
+            raise NotProven(
+                f"{self.name}: {MANIFEST} was changed, or signed by another key than "
+                f"{fingerprint(key)}; nothing in this record is proven"
+            ) from None
+        try:
+            form = decoded(content, _Head).form
+            if form != FORM:
+                raise NotProven(
+                    f"{self.name}: {MANIFEST} of form {form}, expected {FORM}; verify it with the "
+                    "hilcell that exported it"
+                )
+            manifest = decoded(content, Manifest)
+        except (msgspec.DecodeError, RecursionError) as error:
+            raise NotProven(f"{self.name}: {MANIFEST} is none that is known: {error}") from None
+        if manifest.key != fingerprint(key):
+            raise NotProven(f"{self.name}: {MANIFEST} names another key than that which signed it")
+        outside = [name for name in manifest.files if not sound(name)]
+        if outside:
+            raise NotProven(
+                f"{self.name}: {MANIFEST} names {len(outside)} files that are not within the "
+                f"record, the first {clean(outside[0])!r}; nothing was read there"
+            )
+        return manifest
+
+    def _read(self, name: str, most: int) -> bytes:
+        size = self.sizes.get(name)
+        if size is None:
+            why = "is no plain file" if name in self.sizes else "is missing"
+            raise NotProven(f"{self.name}: {name} {why}; nothing in this record is proven")
+        if size > most:
+            raise NotProven(f"{self.name}: {name} has {size} bytes, wanted at most {most}")
+        with _as_not_proven(f"{self.name}: {name}"), self.open(name) as file:
+            return file.read(most)
+
+    def difference(self, name: str, entry: FileEntry) -> str:
+        """Return how a file differs from what was signed; "" where it does not."""
+        if name not in self.sizes:
+            return "is missing"
+        size = self.sizes[name]
+        if size is None:
+            return "is no plain file"
+        if size != entry.bytes:
+            return f"differs: {size} bytes, signed were {entry.bytes}"
+        digest = hashlib.sha256()
+        try:
+            with self.open(name) as file:
+                while chunk := file.read(2**20):
+                    digest.update(chunk)
+        except (OSError, *_SPOILED) as error:
+            return f"cannot be read: {clean(str(error))}"
+        return "" if digest.hexdigest() == entry.sha256 else "differs: another SHA-256"
+
 
 def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, dict[str, str]]:
     """Return the manifest, and by name what is wrong with files: changed, missing or extra.
 
     Raises `NotProven` where the manifest is not signed by the key, or nothing can be read.
     """
-    with _opened(place) as source:
-        manifest = _manifest(source, key)
+    with _Record.opened(place) as source:
+        manifest = source.manifest(key)
         extra = source.sizes.keys() - manifest.files - {MANIFEST, SIGNATURE}
         found = dict.fromkeys(extra, "is not in the manifest") | {
             name: what
             for name, entry in manifest.files.items()
-            if (what := _difference(source, name, entry))
+            if (what := source.difference(name, entry))
         }
     return manifest, dict(sorted(found.items()))
-
-
-def _manifest(source: _Record, key: Ed25519PublicKey) -> Manifest:
-    content = _read(source, MANIFEST, 2**28)  # bytes of a million files
-    signature = _read(source, SIGNATURE, 64)
-    try:
-        key.verify(signature, content)
-    except InvalidSignature:
-        raise NotProven(
-            f"{source.name}: {MANIFEST} was changed, or signed by another key than "
-            f"{fingerprint(key)}; nothing in this record is proven"
-        ) from None
-    try:
-        form = decoded(content, _Head).form
-        if form != FORM:
-            raise NotProven(
-                f"{source.name}: {MANIFEST} of form {form}, expected {FORM}; verify it with the "
-                "hilcell that exported it"
-            )
-        manifest = decoded(content, Manifest)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
-    if manifest.key != fingerprint(key):
-        raise NotProven(f"{source.name}: {MANIFEST} names another key than that which signed it")
-    outside = [name for name in manifest.files if not sound(name)]
-    if outside:
-        raise NotProven(
-            f"{source.name}: {MANIFEST} names {len(outside)} files that are not within the record, "
-            f"the first {clean(outside[0])!r}; nothing was read there"
-        )
-    return manifest
 
 
 def sound(name: str) -> bool:
@@ -217,75 +294,6 @@ def sound(name: str) -> bool:
     parts = name.split("/")
     plain = not any(each in name for each in ("\\", ":", "\0"))
     return plain and PurePosixPath(name).parts == tuple(parts) and ".." not in parts
-
-
-def _read(source: _Record, name: str, most: int) -> bytes:
-    size = source.sizes.get(name)
-    if size is None:
-        why = "is no plain file" if name in source.sizes else "is missing"
-        raise NotProven(f"{source.name}: {name} {why}; nothing in this record is proven")
-    if size > most:
-        raise NotProven(f"{source.name}: {name} has {size} bytes, wanted at most {most}")
-    with _as_not_proven(f"{source.name}: {name}"), source.open(name) as file:
-        return file.read(most)
-
-
-def _difference(source: _Record, name: str, entry: FileEntry) -> str:
-    """Return how a file differs from what was signed; "" where it does not."""
-    if name not in source.sizes:
-        return "is missing"
-    size = source.sizes[name]
-    if size is None:
-        return "is no plain file"
-    if size != entry.bytes:
-        return f"differs: {size} bytes, signed were {entry.bytes}"
-    digest = hashlib.sha256()
-    try:
-        with source.open(name) as file:
-            while chunk := file.read(2**20):
-                digest.update(chunk)
-    except (OSError, *_SPOILED) as error:
-        return f"cannot be read: {clean(str(error))}"
-    return "" if digest.hexdigest() == entry.sha256 else "differs: another SHA-256"
-
-
-@contextmanager
-def _opened(place: Path) -> Iterator[_Record]:
-    name = clean(str(place))
-    with ExitStack() as stack:
-        with _as_not_proven(name):
-            kind = place.stat().st_mode
-            if stat.S_ISDIR(kind):
-                record = _Record(name, _in_folder(place), lambda file: (place / file).open("rb"))
-            elif stat.S_ISREG(kind):
-                archive = stack.enter_context(zipfile.ZipFile(place))
-                record = _Record(name, _in_archive(archive), archive.open)
-            else:  # a device may never end
-                raise NotProven(f"{name}: it is neither a folder nor a file")
-        yield record
-
-
-def _in_folder(place: Path) -> dict[str, int | None]:
-    """Return the sizes of a folder's files; links are not followed."""
-    sizes: dict[str, int | None] = {}
-    for folder, folders, files in os.walk(place, onerror=_refuse):
-        for path in (Path(folder, name) for name in [*folders, *files]):
-            there = path.lstat()
-            if not stat.S_ISDIR(there.st_mode):
-                size = there.st_size if stat.S_ISREG(there.st_mode) else None
-                sizes[path.relative_to(place).as_posix()] = size
-    return sizes
-
-
-def _in_archive(archive: zipfile.ZipFile) -> dict[str, int | None]:
-    """Return the sizes of its files; one that is in it twice, or packed by LZMA, has None."""
-    packed = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
-    sizes: dict[str, int | None] = {}
-    for each in archive.infolist():
-        if not each.is_dir():
-            plain = each.filename not in sizes and each.compress_type in packed
-            sizes[each.filename] = each.file_size if plain else None
-    return sizes
 
 
 @contextmanager
@@ -298,7 +306,3 @@ def _as_not_proven(what: str) -> Iterator[None]:
         raise NotProven(
             f"{what}: it is neither an exported folder nor its archive: {clean(str(error))}"
         ) from None
-
-
-def _refuse(error: OSError) -> None:
-    raise error

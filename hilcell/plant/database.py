@@ -68,9 +68,9 @@ class Database:
         logging.getLogger("psycopg").addHandler(self._UNHEARD)
         self.engine: Engine = sa.create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._remote:
-            event.listen(self.engine, "do_connect", _connected)
+            event.listen(self.engine, "do_connect", self._connected)
         else:
-            event.listen(self.engine, "connect", _checked_keys)
+            event.listen(self.engine, "connect", self._check_keys)
 
     @contextmanager
     def transaction(self, *, migrating: bool = False) -> Iterator[Connection]:
@@ -110,7 +110,7 @@ class Database:
             # One at a time; sqlite3 would also keep each table by itself.
             alone = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
             connection.exec_driver_sql(alone if self._remote else "BEGIN IMMEDIATE")
-            before = _version(connection)
+            before = self._version(connection)
             if before is None:
                 self._check_empty(connection)
             else:
@@ -120,7 +120,7 @@ class Database:
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
             if self._remote:
-                _grant(connection)
+                self._grant(connection)
         return before or ""
 
     def close(self) -> None:
@@ -137,8 +137,50 @@ class Database:
             folder = clean(str(file.parent))
             raise self._refusal(f"the folder {folder} is not there; make it, or name another file")
 
+    @staticmethod
+    def _connected(dialect: object, record: object, words: list[str], options: Json) -> object:
+        """Open a connection as SQLAlchemy asks for it, with the deadlines of a server."""
+        from hilcell.plant import deadlines  # loads psycopg
+
+        return deadlines.connect(*words, **options)
+
+    @staticmethod
+    def _check_keys(connection: object, _: object) -> None:
+        connection.execute("PRAGMA foreign_keys=ON")  # type: ignore[attr-defined] # sqlite3's own
+
+    @staticmethod
+    def _version(connection: Connection) -> str | None:
+        """Return the schema's version; None where there is none."""
+        if not sa.inspect(connection).has_table("alembic_version"):
+            return None
+        found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+        return None if found is None else str(found)
+
+    @staticmethod
+    def _grant(connection: Connection) -> None:
+        """Let cells insert and engineers read; the two roles are made where they are not there."""
+        for role in (CELL, ENGINEER):
+            there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
+            if connection.execute(there, {"role": role}).scalar() is None:
+                # The server's other databases share the roles: another `init` may make them now.
+                make = f"""
+                DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
+                EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
+                END $$
+                """
+                connection.execute(text(make))
+        tables = ", ".join(table.name for table in (RUN, *PARTS))
+        for order in (
+            f"GRANT INSERT ON {tables} TO {CELL}",
+            f"GRANT SELECT ({', '.join(KNOWN)}) ON {RUN.name} TO {CELL}",
+            f"GRANT EXECUTE ON FUNCTION plant_month(date) TO {CELL}",
+            f"GRANT SELECT ON {tables} TO {ENGINEER}",
+            f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
+        ):
+            connection.execute(text(order))
+
     def _check(self, connection: Connection) -> None:
-        found = _version(connection)
+        found = self._version(connection)
         if found is None:
             raise self._none()
         schema = sa.inspect(connection)
@@ -172,14 +214,14 @@ class Database:
         cause = error.orig if isinstance(error, exc.StatementError) and error.orig else error
         said = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
         words = clean(" ".join((said or str(cause)).split()))
-        for secret in _secrets(self._url):
+        for secret in self._secrets:
             words = words.replace(secret, HIDDEN)
-        if _login_refused(cause, words):
+        if self._login_refused(cause, words):
             return self._refusal(
                 f"login refused: {words.rpartition(FATAL)[2].strip()}; check the URL's user and "
                 "database, and the password in ~/.pgpass; the owner lets users in"
             )
-        if _away(error, cause):
+        if self._away(error, cause):
             remote, local = "the server and the network", "the folder, its rights and the disk"
             return PlantAway(
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
@@ -198,6 +240,40 @@ class Database:
                 "owner of the database makes both by `hilcell plant init`"
             )
         return refused
+
+    @staticmethod
+    def _login_refused(cause: BaseException, words: str) -> bool:
+        """Whether the server answered that this user does not come in: no repetition helps."""
+        asked = getattr(cause, "pgconn", None)
+        if asked is None or getattr(cause, "sqlstate", None) is not None:
+            return False
+        if FATAL not in words:
+            return bool(asked.needs_password)  # and there was none
+        unknown = re.compile(
+            r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|"
+            r"not permitted to log in|(role|database) .* does not exist|"
+            r"permission denied for database"
+        )
+        full = "too many connections"
+        return bool(unknown.search(words) or (asked.used_password and full not in words))
+
+    @staticmethod
+    def _away(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
+        """Whether the database is not to be used at all, rather than by this order."""
+        if isinstance(error, exc.DBAPIError) and error.connection_invalidated:
+            return True
+        limits = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
+        limited = str(getattr(cause, "sqlstate", "")).startswith(limits)
+        wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
+        return isinstance(error, exc.OperationalError) and not (limited or wrong)
+
+    @property
+    def _secrets(self) -> list[str]:
+        """Return the passwords of the URL, the longest first: one may be a part of another."""
+        url = self._url
+        given = [url.password, *(word for name, word in url.query.items() if SECRET.search(name))]
+        words = (each if isinstance(each, tuple) else (each,) for each in given)
+        return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
 
 
 def _parsed(url: str) -> URL:
@@ -236,77 +312,3 @@ def _options(backend: str) -> set[str]:
     from psycopg.pq import Conninfo  # an optional package's
 
     return {each.keyword.decode() for each in Conninfo.get_defaults()}
-
-
-def _login_refused(cause: BaseException, words: str) -> bool:
-    """Whether the server answered that this user does not come in: no repetition helps."""
-    asked = getattr(cause, "pgconn", None)
-    if asked is None or getattr(cause, "sqlstate", None) is not None:
-        return False
-    if FATAL not in words:
-        return bool(asked.needs_password)  # and there was none
-    unknown = re.compile(
-        r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|not permitted to log in|"
-        r"(role|database) .* does not exist|permission denied for database"
-    )
-    full = "too many connections"
-    return bool(unknown.search(words) or (asked.used_password and full not in words))
-
-
-def _away(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
-    """Whether the database is not to be used at all, rather than by this order."""
-    if isinstance(error, exc.DBAPIError) and error.connection_invalidated:
-        return True
-    limits = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
-    limited = str(getattr(cause, "sqlstate", "")).startswith(limits)
-    wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
-    return isinstance(error, exc.OperationalError) and not (limited or wrong)
-
-
-def _secrets(url: URL) -> list[str]:
-    """Return the passwords of a URL, the longest first: one may be a part of another."""
-    given = [url.password, *(word for name, word in url.query.items() if SECRET.search(name))]
-    words = (each if isinstance(each, tuple) else (each,) for each in given)
-    return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
-
-
-def _connected(dialect: object, record: object, words: list[str], options: Json) -> object:
-    """Open a connection as SQLAlchemy asks for it, with the deadlines of a server."""
-    from hilcell.plant import deadlines  # loads psycopg
-
-    return deadlines.connect(*words, **options)
-
-
-def _checked_keys(connection: object, _: object) -> None:
-    connection.execute("PRAGMA foreign_keys=ON")  # type: ignore[attr-defined] # sqlite3's own
-
-
-def _version(connection: Connection) -> str | None:
-    """Return the schema's version; None where there is none."""
-    if not sa.inspect(connection).has_table("alembic_version"):
-        return None
-    found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-    return None if found is None else str(found)
-
-
-def _grant(connection: Connection) -> None:
-    """Let cells insert and engineers read; the two roles are made where they are not there."""
-    for role in (CELL, ENGINEER):
-        there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
-        if connection.execute(there, {"role": role}).scalar() is None:
-            # The server's other databases share the roles: another `init` may make them now.
-            make = f"""
-            DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
-            EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
-            END $$
-            """
-            connection.execute(text(make))
-    tables = ", ".join(table.name for table in (RUN, *PARTS))
-    for order in (
-        f"GRANT INSERT ON {tables} TO {CELL}",
-        f"GRANT SELECT ({', '.join(KNOWN)}) ON {RUN.name} TO {CELL}",
-        f"GRANT EXECUTE ON FUNCTION plant_month(date) TO {CELL}",
-        f"GRANT SELECT ON {tables} TO {ENGINEER}",
-        f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
-    ):
-        connection.execute(text(order))

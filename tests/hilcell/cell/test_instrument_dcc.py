@@ -6,7 +6,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.uncertainty import NotRead, read_dcc
+from hilcell.cell.uncertainty import InstrumentDcc, NotRead
 
 ERRORS = (
     "<si:valueXMLList>0.002 -0.006 0.004</si:valueXMLList>"
@@ -45,7 +45,10 @@ def written(folder: Path, text: str, name: str = "tracker.xml") -> Path:
 
 
 def test_number_date_and_laboratory_name_a_certificate(tmp_path: Path) -> None:
-    assert read_dcc(written(tmp_path, dcc())).words == "TC-2026-0417, 2026-04-17, Muster GmbH"
+    assert (
+        InstrumentDcc.read(written(tmp_path, dcc())).words
+        == "TC-2026-0417, 2026-04-17, Muster GmbH"
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,7 +59,7 @@ def test_number_date_and_laboratory_name_a_certificate(tmp_path: Path) -> None:
 def test_the_largest_error_and_its_u_at_k_2_are_the_limit(
     tmp_path: Path, inner: str, limit_mm: float
 ) -> None:
-    found = read_dcc(written(tmp_path, dcc(listed(inner))))
+    found = InstrumentDcc.read(written(tmp_path, dcc(listed(inner))))
     assert found.largest_error_mm("errors") == pytest.approx(limit_mm)
 
 
@@ -74,15 +77,15 @@ def test_the_largest_error_and_its_u_at_k_2_are_the_limit(
 )
 def test_what_is_no_certificate_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(NotRead):
-        read_dcc(written(tmp_path, text))
+        InstrumentDcc.read(written(tmp_path, text))
 
 
 def test_no_file_and_no_text_are_refused(tmp_path: Path) -> None:
     with pytest.raises(NotRead):
-        read_dcc(tmp_path / "none.xml")
+        InstrumentDcc.read(tmp_path / "none.xml")
     (tmp_path / "sixteen.xml").write_bytes(dcc().encode("utf-16"))
     with pytest.raises(NotRead):
-        read_dcc(tmp_path / "sixteen.xml")
+        InstrumentDcc.read(tmp_path / "sixteen.xml")
 
 
 @pytest.mark.parametrize(
@@ -101,7 +104,7 @@ def test_no_file_and_no_text_are_refused(tmp_path: Path) -> None:
     ids=["none", "two", "no length", "no factor", "factor 0", "two U", "word", "NaN", "too large"],
 )
 def test_a_quantity_that_means_something_else_is_refused(tmp_path: Path, quantities: str) -> None:
-    found = read_dcc(written(tmp_path, dcc(quantities)))
+    found = InstrumentDcc.read(written(tmp_path, dcc(quantities)))
     with pytest.raises(NotRead):
         found.largest_error_mm("errors")
 
