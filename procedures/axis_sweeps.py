@@ -165,8 +165,26 @@ class AxisSweeps:
     def result(self, log: Log) -> Result:
         """Return the figures of each axis, or why none was swept."""
         said = ["", *(each.reason for each in log.happened(AxesNotSwept))]
-        axes = [_swept(record) for record in log.curves.values()]
+        axes = [self._reported(record) for record in log.curves.values()]
         return {"sweeps": Sweeps(left_out=said[-1], axes=axes)}
+
+    @staticmethod
+    def _reported(record: CurveMeasured) -> Swept:
+        return Swept(
+            axis=record.axis,
+            used=record.holds,
+            reason=record.reason,
+            range_deg=np.degrees([record.low_rad, record.high_rad]).tolist(),
+            cycles=record.cycles,
+            amplitude_urad=record.amplitudes_urad,
+            lag_ms=record.lag_s * 1e3,
+            lag_u_ms=record.lag_sigma_s * 1e3,
+            noise_urad=record.noise_rad * 1e6,
+            signal_urad=record.signal_rad * 1e6,
+            share=record.share,
+            differ_urad=record.differ_rad * 1e6,
+            lost=record.lost,
+        )
 
 
 def left_out(cell: Cell) -> str:
@@ -217,24 +235,6 @@ def cube_joints(cell: Cell) -> CubeJoints:
     joints_rad = plan.check_reach(cell, plan.poses_at(cell, places_mm), "cube")
     middle_rad = joints_rad[len(joints_rad) // 2]
     return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
-
-
-def _swept(record: CurveMeasured) -> Swept:
-    return Swept(
-        axis=record.axis,
-        used=record.holds,
-        reason=record.reason,
-        range_deg=np.degrees([record.low_rad, record.high_rad]).tolist(),
-        cycles=record.cycles,
-        amplitude_urad=record.amplitudes_urad,
-        lag_ms=record.lag_s * 1e3,
-        lag_u_ms=record.lag_sigma_s * 1e3,
-        noise_urad=record.noise_rad * 1e6,
-        signal_urad=record.signal_rad * 1e6,
-        share=record.share,
-        differ_urad=record.differ_rad * 1e6,
-        lost=record.lost,
-    )
 
 
 def sweep_words(result: Result) -> str:

@@ -110,25 +110,25 @@ class BaseFrame:
             angle_u_mrad=(u[3:] * 1e3).tolist(),
             circle_rms_mm=frame.circle_rms_mm,
             radius_mm=frame.radius_mm,
-            arcs=[each for axis in (1, 6) for each in _shorter_arcs(log, axis)],
+            arcs=[each for axis in (1, 6) for each in self._shorter_arcs(log, axis)],
         )
         return {"base": found}
 
-
-def _shorter_arcs(log: Log, axis: int) -> Iterator[Arc]:
-    """Yield the circle's uncertainties, the shortest arc first."""
-    points = log.select("base", axis=axis)
-    begin_deg, end_deg = sweep_of(log.cell, axis)[1]
-    for arc in arcs(len(points)):
-        circle = circle_of(log.cell, log, axis, [points[n] for n in arc])
-        u = np.sqrt(np.diag(circle.covariance))
-        yield Arc(
-            axis=axis,
-            arc_deg=abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
-            points=len(arc),
-            centre_u_mm=float(np.linalg.norm(u[:3])),
-            axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
-        )
+    @staticmethod
+    def _shorter_arcs(log: Log, axis: int) -> Iterator[Arc]:
+        """Yield the circle's uncertainties, the shortest arc first."""
+        points = log.select("base", axis=axis)
+        begin_deg, end_deg = sweep_of(log.cell, axis)[1]
+        for arc in arcs(len(points)):
+            circle = circle_of(log.cell, log, axis, [points[n] for n in arc])
+            u = np.sqrt(np.diag(circle.covariance))
+            yield Arc(
+                axis=axis,
+                arc_deg=abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
+                points=len(arc),
+                centre_u_mm=float(np.linalg.norm(u[:3])),
+                axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
+            )
 
 
 def arcs(points: int) -> list[range]:

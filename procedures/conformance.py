@@ -194,19 +194,26 @@ class Conformance:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a real cell that would move fast."""
         if cell.simulation is None:
-            _check_slow(cell)
+            wanted = {
+                "robot.speed_percent=10": cell.robot.speed_percent <= 10.0,
+                "rail.speed_mm_s=25": not cell.has_rail or cell.rail.speed_mm_s <= 25.0,
+            }
+            if fast := [f"--set {setting}" for setting, slow in wanted.items() if not slow]:
+                raise HilcellError(
+                    f"real devices are tried slowly: add {' '.join(fast)}", code="HC-C10"
+                )
         trial_s = 120.0  # of one driver, in real time
-        return Step(self.name, 0, len(_ports(cell)) * trial_s)
+        return Step(self.name, 0, len(self._ports(cell)) * trial_s)
 
     def perform(self, session: CellSession) -> None:
         """Journal what each promise has found, then a verdict on each driver."""
-        for port in _ports(session.cell):
+        for port in self._ports(session.cell):
             if session.cell.simulation is None:
                 bench = GuardedBench(session, port)
                 self._try(session, port, partial(self._on_real, bench))
             else:
                 with Trial(session.cell, port, outer=session.clock.check) as trial:
-                    trial.begin(_waiting(session.log, port))
+                    trial.begin(self._waiting(session.log, port))
                     self._try(session, port, trial.judge)
 
     @staticmethod
@@ -216,7 +223,7 @@ class Conformance:
         return Outcome(promise.name, "not applicable", SIMULATED_ONLY)
 
     def _try(self, session: CellSession, port: Port, judged: Callable[[Promise], Outcome]) -> None:
-        for promise in _waiting(session.log, port):
+        for promise in self._waiting(session.log, port):
             session.checkpoint()
             session.add(PromiseJudged(port=port, **judged(promise).facts()))
         if (key := f"{NAME} {port}") not in session.log.verdicts:
@@ -226,33 +233,21 @@ class Conformance:
 
     def result(self, log: Log) -> Result:
         """Return what each promise has found, by port."""
-        return {NAME: {port: _found(log, port) for port in _ports(log.cell)}}
+        return {NAME: {port: _found(log, port) for port in self._ports(log.cell)}}
 
+    @staticmethod
+    def _ports(cell: Cell) -> list[Port]:
+        return [port for port in PORTS if port != "rail" or cell.has_rail]
 
-def _ports(cell: Cell) -> list[Port]:
-    return [port for port in PORTS if port != "rail" or cell.has_rail]
-
-
-def _waiting(log: Log, port: Port) -> list[Promise]:
-    known = {each.promise for each in _found(log, port)}
-    return [promise for promise in promises_of(port) if promise.name not in known]
+    @staticmethod
+    def _waiting(log: Log, port: Port) -> list[Promise]:
+        known = {each.promise for each in _found(log, port)}
+        return [promise for promise in promises_of(port) if promise.name not in known]
 
 
 def _found(log: Log, port: str) -> list[Outcome]:
     judged = [each for each in log.happened(PromiseJudged) if each.port == port]
     return [typed(each, Outcome, from_attributes=True) for each in judged]
-
-
-def _check_slow(cell: Cell) -> None:
-    wanted = {
-        "robot.speed_percent=10": cell.robot.speed_percent <= 10.0,
-        "rail.speed_mm_s=25": not cell.has_rail or cell.rail.speed_mm_s <= 25.0,
-    }
-    if fast := [setting for setting, slow in wanted.items() if not slow]:
-        raise HilcellError(
-            "real devices are tried slowly: add " + " ".join(f"--set {each}" for each in fast),
-            code="HC-C10",
-        )
 
 
 def conformance_table(result: Result) -> Table:

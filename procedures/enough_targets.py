@@ -225,20 +225,20 @@ class SequentialRule:
         """Return after each error (N,) whether the mean is shown to be below its limit."""
         bound_mm = max(self.max_limit_mm, 2 * self.mean_limit_mm)
         gains = (self.mean_limit_mm - errors) / (bound_mm - self.mean_limit_mm)
-        return _won(gains, self.accept_risk)
+        return self._won(gains, self.accept_risk)
 
     def _above(self, errors: Array) -> Bools:
         """Return after each error (N,) whether the mean is shown to be above its limit."""
-        return _won(errors / self.mean_limit_mm - 1.0, self.reject_risk)
+        return self._won(errors / self.mean_limit_mm - 1.0, self.reject_risk)
 
     def _rarely_above(self, count: int) -> Bools:
         """Return after each of ``count`` errors within the maximum whether they are enough."""
         return (1.0 - self.share) ** np.arange(1, count + 1) <= self.accept_risk
 
-
-def _won(gains: Array, risk: float) -> Bools:
-    """Return after each gain (N,), >= -1, whether the bets' mean has reached 1 / risk."""
-    stakes = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
-    logs = np.cumsum(np.log1p(stakes * gains[:, None]), axis=0)
-    won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)) >= -np.log(risk)
-    return won
+    @staticmethod
+    def _won(gains: Array, risk: float) -> Bools:
+        """Return after each gain (N,), >= -1, whether the bets' mean has reached 1 / risk."""
+        stakes = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
+        logs = np.cumsum(np.log1p(stakes * gains[:, None]), axis=0)
+        won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)) >= -np.log(risk)
+        return won

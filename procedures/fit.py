@@ -156,7 +156,7 @@ class SignCheck:
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
         found = sign_errors(session.log)
-        limit = _limit(session.log, found.before_mm)
+        limit = self._limit(session.log, found.before_mm)
         judged = SignChecked(
             holds=found.ratio < limit,
             limit=limit,
@@ -175,6 +175,18 @@ class SignCheck:
         """Return both errors of the target."""
         return {"sign": sign_errors(log)}
 
+    @staticmethod
+    def _limit(log: Log, before_mm: float) -> float:
+        """Return the limit of the ratio: wider by twice the readings' noise, 1 at most.
+
+        The wrong sign gives about 2, a right correction less than the middle.
+        """
+        clearly = 0.5  # the corrected error over the one before
+        noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
+        before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
+        noise_mm = float(np.sqrt(corrected_mm2 + clearly**2 * before_mm2))
+        return min(1.0, clearly + 2.0 * noise_mm / before_mm)
+
 
 def sign_errors(log: Log) -> SignErrors:
     """Return the errors of the target as sent and corrected."""
@@ -182,18 +194,6 @@ def sign_errors(log: Log) -> SignErrors:
     before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
     ratio = corrected_mm / before_mm
     return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
-
-
-def _limit(log: Log, before_mm: float) -> float:
-    """Return the limit of the ratio: wider by twice the readings' noise, 1 at most.
-
-    The wrong sign gives about 2, a right correction less than the middle.
-    """
-    clearly = 0.5  # the corrected error over the one before
-    noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
-    before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
-    noise_mm = float(np.sqrt(corrected_mm2 + clearly**2 * before_mm2))
-    return min(1.0, clearly + 2.0 * noise_mm / before_mm)
 
 
 def worst_mm(log: Log) -> Array:

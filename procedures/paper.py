@@ -180,8 +180,8 @@ class Compared:
         wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
         sent_mm = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, 3]
         grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
-        once_mm = wanted_mm - _by_eqs_9_10(grid, errors_mm, wanted_mm)
-        twice_mm = wanted_mm - _by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
+        once_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, wanted_mm)
+        twice_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
         return float(lengths_mm(sent_mm - twice_mm).max())
 
     def transfer(self) -> tuple[float, float]:
@@ -192,7 +192,7 @@ class Compared:
         """
         log, cell = self.log, self.log.cell
         frames, centre_mm = Frames(cell, log), cell.grid.centre.matrix()[:3, 3]
-        reference_mm2 = _variance_mm2(log.matrix("base"), log.frames["base"].C, centre_mm)
+        reference_mm2 = self._variance_mm2(log.matrix("base"), log.frames["base"].C, centre_mm)
         found = []
         for station in other_stations(cell):
             by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)
@@ -204,7 +204,7 @@ class Compared:
             covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(cell))
             u_mm = np.sqrt(
                 reference_mm2
-                + _variance_mm2(by_bases, covariance, centre_mm)
+                + self._variance_mm2(by_bases, covariance, centre_mm)
                 + self.result.stations[station.name].tool_uncertainty_mm ** 2
             )
             found.append((float(np.linalg.norm(off_mm)), float(u_mm)))
@@ -220,12 +220,12 @@ class Compared:
         """Return how many stations the planner takes for the longest work piece."""
         from hilcell.programs.plan import plan  # loads long, and few runs judge the paper
 
-        return float(len(plan(self.log.cell, _longest_work_piece(self.log.cell)).stations))
+        return float(len(plan(self.log.cell, self._longest_work_piece(self.log.cell)).stations))
 
     def by_every_set(self) -> Limits:
         """Return the fewest stations for the longest work piece, by trying every set of them."""
         cell = self.log.cell
-        ok = _reached(cell, _longest_work_piece(cell).points_mm)
+        ok = _reached(cell, self._longest_work_piece(cell).points_mm)
         for count in range(1, len(cell.station) + 1):
             for chosen in combinations(range(len(cell.station)), count):
                 if ok[:, chosen].any(axis=1).all():
@@ -335,48 +335,50 @@ class Compared:
         share = 0.8  # the floor is a mean of 30 distances and scatters by 8 %
         return 0.85, 1.0 - share * floor(self.log).mean / self.mean(where, Sent.BEFORE)
 
+    @staticmethod
+    def _by_eqs_9_10(grid: Grid, errors_mm: Array, points_mm: Array) -> Array:
+        """Return e (N, 3) at points (N, 3) that are no vertices, by eqs 9-10 word for word."""
+        vertices_mm, vertex_errors_mm = grid.vertices_mm().reshape(-1, 3), errors_mm.reshape(-1, 3)
+        found = []
+        for point in points_mm:
+            corners = (np.abs(vertices_mm - point) <= grid.pitch_mm).all(axis=1)
+            nearness = 1.0 / np.linalg.norm(vertices_mm[corners] - point, axis=1)
+            found.append(nearness / nearness.sum() @ vertex_errors_mm[corners])
+        return np.array(found)
+
+    @staticmethod
+    def _variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
+        """Return the variance (trace) of a point (3,) that a frame with this covariance carries."""
+        J = np.hstack([np.eye(3), -cross_matrix(T[:3, :3] @ point_mm)])
+        return float(np.trace(J @ covariance @ J.T))
+
+    @staticmethod
+    def _longest_work_piece(cell: Cell) -> Holes:
+        """Return three rows of holes along the rail, as far as the stations together reach.
+
+        On the far face of the grid's cube, with the grid's orientation.
+        """
+        from hilcell.programs.holes import Holes
+
+        pitch_mm = 100.0
+        arm, rails_mm = cell.robot.arm(), [station.rail_mm for station in cell.station]
+        span_mm = float(np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum())
+        middle_mm, half_mm = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
+        rows_mm = middle_mm + half_mm * [[1.0, 0.0, -1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0]]
+        along_mm = np.arange(min(rails_mm) - span_mm, max(rails_mm) + span_mm, pitch_mm)
+        steps_mm = along_mm[:, None] * np.array(cell.layout.rail_direction)
+        points_mm = (apply(cell.layout.nominal_base(0.0), rows_mm)[:, None] + steps_mm).reshape(
+            -1, 3
+        )
+        points_mm = points_mm[_reached(cell, points_mm).any(axis=1)]
+        tools = np.broadcast_to(_tool(cell), (len(points_mm), 1, 3, 3))
+        return Holes([f"H{number}" for number in range(len(points_mm))], points_mm, tools)
+
 
 def commanded_rad(points: list[Point]) -> Array:
     """Return the commanded joints (N, 6)."""
     joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
     return np.radians(joints_deg)
-
-
-def _by_eqs_9_10(grid: Grid, errors_mm: Array, points_mm: Array) -> Array:
-    """Return e (N, 3) at points (N, 3) that are no vertices, by eqs 9-10 word for word."""
-    vertices_mm, vertex_errors_mm = grid.vertices_mm().reshape(-1, 3), errors_mm.reshape(-1, 3)
-    found = []
-    for point in points_mm:
-        corners = (np.abs(vertices_mm - point) <= grid.pitch_mm).all(axis=1)
-        nearness = 1.0 / np.linalg.norm(vertices_mm[corners] - point, axis=1)
-        found.append(nearness / nearness.sum() @ vertex_errors_mm[corners])
-    return np.array(found)
-
-
-def _variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
-    """Return the variance (trace) of a point (3,) that a frame with this covariance carries."""
-    J = np.hstack([np.eye(3), -cross_matrix(T[:3, :3] @ point_mm)])
-    return float(np.trace(J @ covariance @ J.T))
-
-
-def _longest_work_piece(cell: Cell) -> Holes:
-    """Return three rows of holes along the rail, as far as the stations together reach.
-
-    On the far face of the grid's cube, with the grid's orientation.
-    """
-    from hilcell.programs.holes import Holes
-
-    pitch_mm = 100.0
-    arm, rails_mm = cell.robot.arm(), [station.rail_mm for station in cell.station]
-    span_mm = float(np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum())
-    middle_mm, half_mm = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
-    rows_mm = middle_mm + half_mm * [[1.0, 0.0, -1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0]]
-    along_mm = np.arange(min(rails_mm) - span_mm, max(rails_mm) + span_mm, pitch_mm)
-    steps_mm = along_mm[:, None] * np.array(cell.layout.rail_direction)
-    points_mm = (apply(cell.layout.nominal_base(0.0), rows_mm)[:, None] + steps_mm).reshape(-1, 3)
-    points_mm = points_mm[_reached(cell, points_mm).any(axis=1)]
-    tools = np.broadcast_to(_tool(cell), (len(points_mm), 1, 3, 3))
-    return Holes([f"H{number}" for number in range(len(points_mm))], points_mm, tools)
 
 
 def _tool(cell: Cell) -> Array:

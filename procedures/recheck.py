@@ -43,7 +43,6 @@ from procedures.world_frame import Home, WorldFrame
 
 TABLE = "recheck"
 MARGIN = 0.05  # of the volume's sides: poses keep off its faces
-TILT_SHARE = 0.9  # of the angle by which targets may turn
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 GOLDEN = 1.2207440846057596  # root of x^4 = x + 1: its powers spread points evenly in space
 
@@ -137,9 +136,9 @@ def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     tilt_deg = calibration.validity.orientation_tolerance_deg
     if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
         return poses
-    station = cell.reference
+    station, tilt_share = cell.reference, 0.9  # of the angle by which targets may turn
     for n in range(1, len(poses), 2):
-        turns = np.radians(TILT_SHARE * tilt_deg) * np.roll(AXES, -n, axis=0)
+        turns = np.radians(tilt_share * tilt_deg) * np.roll(AXES, -n, axis=0)
         tried = turned(np.tile(poses[n], (len(turns), 1, 1)), turns)
         driven = np.flatnonzero(drivable(cell, station, tried))
         if len(driven):

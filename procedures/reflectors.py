@@ -39,13 +39,13 @@ class Reflectors:
                 "is none to compare it with",
                 code="HC-C10",
             )
-        measured = readings(cell, len(_places_of(cell)), cell.nest_samples)
+        measured = readings(cell, len(self._places_of(cell)), cell.nest_samples)
         return step(self.name, 0, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Have each reflector carried to the nest, measure it, and judge them all."""
         cell, nest = session.cell, session.cell.layout.floor[0]
-        for place in _places_of(cell):
+        for place in self._places_of(cell):
             session.borrowed_point(PointId(REFLECTOR, nest=place), place, nest)
         session.restored(nest)
         session.frame_world()
@@ -62,10 +62,10 @@ class Reflectors:
         ]
         return {"reflectors": rows}
 
-
-def _places_of(cell: Cell) -> list[str]:
-    seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
-    return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
+    @staticmethod
+    def _places_of(cell: Cell) -> list[str]:
+        seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
+        return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
 
 
 def reflector_table(result: Result) -> Table:

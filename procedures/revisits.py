@@ -77,7 +77,7 @@ class Revisits:
         cell, log = session.cell, session.log
         station, poses = cell.reference, visits(cell, self._kind)
         T_W_B = session.frames.base_in_world(station)
-        while waiting := [visit for visit in poses if _waits(log, visit.id)]:
+        while waiting := [visit for visit in poses if self._waits(log, visit.id)]:
             session.expect(station, np.array([visit.joints_rad for visit in waiting]))
             for id, joints_rad, vertex_mm in waiting:
                 session.hold_station(station)
@@ -121,11 +121,11 @@ class Revisits:
         del figures["holds"]
         return {"reversal": figures}
 
-
-def _waits(log: Log, id: PointId) -> bool:
-    """Whether a pose waits to be visited, or to be visited once more."""
-    point = log.find(id)
-    return point is None or overtaken(log, point)
+    @staticmethod
+    def _waits(log: Log, id: PointId) -> bool:
+        """Whether a pose waits to be visited, or to be visited once more."""
+        point = log.find(id)
+        return point is None or overtaken(log, point)
 
 
 def _chosen(cell: Cell) -> list[int]:
@@ -147,21 +147,19 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
     numbers, ids = _chosen(cell), vertex_ids(grid_of(cell))
     sides = [n for n in numbers if free[n] and kind == REVISIT][:4]
-    found = _on_circles(cell) if kind == REVISIT else []
+    found = list[Visit]()
+    if kind == REVISIT:  # ends of the base frame's sweeps; in a quick plan where it began
+        last = points_on_arc(cell) - 1
+        ends = [(1, 0)] if cell.plan.quick else [(1, 0), (1, last), (6, 0), (6, last)]
+        found = [
+            Visit(PointId(REVISIT, axis=axis, number=n), sweep(cell, axis)[n]) for axis, n in ends
+        ]
     for n in numbers:
         below = PointId(kind, vertex=ids[n].vertex)
         above = PointId(REVERSAL, vertex=ids[n].vertex, side=1)
         sent = [below, above] if n in sides else [below]
         found += [Visit(id, joints_rad[n], vertices_mm[n]) for id in sent]
     return found
-
-
-def _on_circles(cell: Cell) -> list[Visit]:
-    """Return the ends of both sweeps of the base frame, in a quick plan only where it began."""
-    last = points_on_arc(cell) - 1
-    ends = [(1, 0)] if cell.plan.quick else [(1, 0), (1, last), (6, 0), (6, last)]
-    sweeps = {axis: sweep(cell, axis) for axis, _ in ends}
-    return [Visit(PointId(REVISIT, axis=axis, number=n), sweeps[axis][n]) for axis, n in ends]
 
 
 def suspicion_words(result: Result) -> str:

@@ -62,7 +62,7 @@ class RobotGrid:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), vertices_mm)
             plan.check_range(cell, world_mm, f"grid at {station.name}")
         sent_rad = [joints_rad]
-        _check_orientations(cell)
+        self._check_orientations(cell)
         for n, R in enumerate(plan.more_orientations(cell)):
             what = f"grid vertex in orientation {_named(cell.plan.grid_orientations[n])}"
             sent_rad.append(plan.check_targets(cell, there, matrix(R, vertices_mm), what))
@@ -77,13 +77,15 @@ class RobotGrid:
         cell, station = session.cell, session.cell.reference
         vertices_mm, ids = grid_of(cell).serpentine_mm(), vertex_ids(grid_of(cell))
         T_W_B = session.frames.base_in_world(station)
-        vertices = _sent(cell, T_W_B, ids, plan.poses_at(cell, vertices_mm))
+        vertices = self._sent(cell, T_W_B, ids, plan.poses_at(cell, vertices_mm))
         self._measure_all(session, station, vertices)
         for each in self._doubtful(session, vertices):
             self._measure(session, station, each, retake=True)
         for number, R in enumerate(plan.more_orientations(cell), start=1):
             again = [PointId(ORIENTED, vertex=id.vertex, place=number) for id in ids]
-            self._measure_all(session, station, _sent(cell, T_W_B, again, matrix(R, vertices_mm)))
+            self._measure_all(
+                session, station, self._sent(cell, T_W_B, again, matrix(R, vertices_mm))
+            )
         session.close_step(carried=True)
         session.reach("measure_grid")
 
@@ -113,31 +115,31 @@ class RobotGrid:
         """Return nothing of its own: the errors are judged by fit and validation."""
         return {}
 
+    @staticmethod
+    def _check_orientations(cell: Cell) -> None:
+        """Raise `HilcellError` for equal orientations, or the grid's own: they add nothing."""
+        of = cell.grid.centre.matrix()[None, :3, :3]
+        found = np.concatenate([of, plan.more_orientations(cell)])
+        names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
+        for n, m in combinations(range(len(found)), 2):
+            same_rad = 1e-4  # nearer orientations are one
+            if not float(np.linalg.norm(to_rotvec(found[n].T @ found[m]))) > same_rad:
+                raise HilcellError(
+                    f"plan.grid_orientations: {names[m]} is the same orientation as {names[n]}: "
+                    "the vertices would be measured twice in it; leave one out",
+                    code="HC-C10",
+                )
 
-def _check_orientations(cell: Cell) -> None:
-    """Raise `HilcellError` for orientations that are equal, or the grid's own: they add nothing."""
-    of = cell.grid.centre.matrix()[None, :3, :3]
-    found = np.concatenate([of, plan.more_orientations(cell)])
-    names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
-    for n, m in combinations(range(len(found)), 2):
-        same_rad = 1e-4  # nearer orientations are one
-        if not float(np.linalg.norm(to_rotvec(found[n].T @ found[m]))) > same_rad:
-            raise HilcellError(
-                f"plan.grid_orientations: {names[m]} is the same orientation as {names[n]}: the "
-                "vertices would be measured twice in it; leave one out",
-                code="HC-C10",
-            )
+    @staticmethod
+    def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
+        joints_rad = cell.robot.nominal().joints_for(poses)
+        world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), plan.angles_deg(T_W_B, poses)
+        return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))
 
 
 def _named(angles_deg: Sequence[float]) -> str:
     a, b, c = angles_deg
     return f"A {a:g}°, B {b:g}°, C {c:g}°"
-
-
-def _sent(cell: Cell, T_W_B: Array, ids: list[PointId], poses: Array) -> list[Vertex]:
-    joints_rad = cell.robot.nominal().joints_for(poses)
-    world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), plan.angles_deg(T_W_B, poses)
-    return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))
 
 
 CANDIDATES = 128

@@ -358,7 +358,7 @@ class FrameRepeatability:
         Its interval is that of an F distribution with six degrees of freedom for every station
         compared: the errors of one frame move all six points together.
         """
-        base, station = _moved_mm(log, "base"), _moved_mm(log, "station")
+        base, station = self._moved_mm(log, "base"), self._moved_mm(log, "station")
         rms_mm = {"base": rms([*base.values()]), "station": rms([*station.values()])}
         ratio, freedoms = rms_mm["base"] / rms_mm["station"], 6 * len(base)
         spread = float(np.sqrt(f_quantile(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
@@ -371,16 +371,16 @@ class FrameRepeatability:
         )
         return {"frame_repeatability": found}
 
-
-def _moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
-    """Return by station how far the six points are from their places at the reference (mm), seen
-    in its ``kind`` of frame: "base" or "station".
-    """
-    reference_mm = _seen_from(log, kind, log.cell.reference)
-    return {
-        station.name: lengths_mm(_seen_from(log, kind, station) - reference_mm).tolist()
-        for station in plan.other_stations(log.cell)
-    }
+    @staticmethod
+    def _moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
+        """Return by station how far the six points are from their places at the reference (mm),
+        seen in its ``kind`` of frame: "base" or "station".
+        """
+        reference_mm = _seen_from(log, kind, log.cell.reference)
+        return {
+            station.name: lengths_mm(_seen_from(log, kind, station) - reference_mm).tolist()
+            for station in plan.other_stations(log.cell)
+        }
 
 
 def _seen_from(log: Log, kind: str, station: Station) -> Array:

@@ -193,7 +193,7 @@ class TouchStation:
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a station that is not calibrated, and poses out of reach."""
         station = station_of(cell)
-        _entry(calibration_named(cell, TABLE), station)
+        self._entry(calibration_named(cell, TABLE), station)
         touch = touch_spans(cell, station)
         if not touch:
             raise HilcellError(
@@ -208,7 +208,7 @@ class TouchStation:
         calibration, station = use(session, TABLE), station_of(session.cell)
         reference = session.cell.reference
         for each in (reference, station):
-            key, entry = f"station.{each.name}", _entry(calibration, each)
+            key, entry = f"station.{each.name}", self._entry(calibration, each)
             if key not in session.log.frames:
                 run = calibration.provenance.latest
                 taken = Frame(matrix=entry.T_W_S, covariance=entry.covariance, calibration=run)
@@ -227,20 +227,20 @@ class TouchStation:
         touched = Touching(station=station, calibration=used(log).provenance.latest)
         return {"touch": found, "touched": touched}
 
+    @staticmethod
+    def _entry(calibration: Calibration, station: Station) -> StationEntry:
+        if station.name not in calibration.stations:
+            known = ", ".join(calibration.stations)
+            raise NoCalibration(
+                f"station {station.name} is not calibrated by run {calibration.provenance.latest}; "
+                f"calibrated: {known}"
+            )
+        return calibration.stations[station.name]
+
 
 def station_of(cell: Cell) -> Station:
     """Return the station that is touched; raises `SettingsError` for one that is unknown."""
     return cell.station_named(cell.touch.station or cell.grid.station)
-
-
-def _entry(calibration: Calibration, station: Station) -> StationEntry:
-    if station.name not in calibration.stations:
-        known = ", ".join(calibration.stations)
-        raise NoCalibration(
-            f"station {station.name} is not calibrated by run {calibration.provenance.latest}; "
-            f"calibrated: {known}"
-        )
-    return calibration.stations[station.name]
 
 
 def touch_table(result: Result) -> Table:

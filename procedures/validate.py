@@ -78,11 +78,13 @@ class Validate:
                 spans += plan.leg(cell, here, station)
             for how in BOTH if cell.plan.quick else Sent:
                 measured = touch_spans(cell, station) if how == Sent.CHOSEN else []
-                sent_rad = joints_rad[: _planned(cell, how)]
+                sent_rad = joints_rad[: self._planned(cell, how)]
                 measured.append(plan.flange_points(cell, sent_rad, seats=how in BOTH))
                 count = sum(span.measured for span in measured)
                 proofs = (
-                    plan.closing(cell, carried=True, points=count) if how in _closed(cell) else []
+                    plan.closing(cell, carried=True, points=count)
+                    if how in self._closed(cell)
+                    else []
                 )
                 spans += [*measured, *proofs]
                 points += count
@@ -105,7 +107,7 @@ class Validate:
                     self._send(session, station, how, numbers, poses, models.get(how))
                 if quick and how == Sent.CHOSEN:
                     enough_targets.keep_guard(session, name)
-                if how in _closed(cell):
+                if how in self._closed(cell):
                     session.close_step(carried=True)
         self._judge(session)
         judge_suspicions(session)
@@ -133,7 +135,7 @@ class Validate:
             session.retake_waiting()  # at another station, it ends the visit
             session.hold_station(station)
             if visit != session.log.visit:
-                sent = _command(session, station, how, wanted, model)
+                sent = self._command(session, station, how, wanted, model)
                 joints_rad = session.cell.robot.nominal().joints_for(sent)
                 session.expect(station, joints_rad[n:])
                 visit = session.log.visit
@@ -145,7 +147,7 @@ class Validate:
     def _judge(self, session: CellSession) -> None:
         limits = limits_of(session.cell)
         for where, stations in judged_places(session.cell).items():
-            place = _place_of(session.log, where, stations)
+            place = self._place_of(session.log, where, stations)
             turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
             found = judged(
                 place.chosen.mean,
@@ -174,12 +176,88 @@ class Validate:
     def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
         places, touched = judged_places(log.cell), touches(log)
-        found = {where: _place_of(log, where, stations) for where, stations in places.items()}
-        for where, bounds in _bounds(log, places).items():
+        found = {where: self._place_of(log, where, stations) for where, stations in places.items()}
+        for where, bounds in self._bounds(log, places).items():
             place = found[where]
             chosen = replace(place.chosen, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
             found[where] = replace(place, chosen=chosen, bounds=bounds)
         return {"validation": found} | ({"touch": touched} if touched else {})
+
+    @staticmethod
+    def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
+        calibration = learnt_so_far(log)
+        if calibration is None:
+            return {}
+        try:
+            found = coverages(calibration, log, places)
+            turns = turn_coverages(calibration, log, places)
+        except NoBound:  # the report says why
+            return {}
+        return {
+            place: replace(each.figures, orientation=turns.get(place))
+            for place, each in found.items()
+        }
+
+    @staticmethod
+    def _command(
+        session: CellSession, station: Station, how: Sent, poses: Array, model: ErrorModel | None
+    ) -> Array:
+        """Return the poses (N, 4, 4) in {B} to send, for those of the station frame's {B}.
+
+        The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
+        three slide points, the chosen way from the touch poses of this visit.
+        """
+        if model is None:
+            return poses
+        frames, targets_mm = session.frames, poses[:, :3, 3]
+        if how == Sent.IDW:
+            T_W_B = frames.carried("three_points", station)
+            at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
+        else:
+            touch_once(session, station, model)
+            at_mm = frames.on_visit_mm(station, targets_mm)
+        at = matrix(poses[:, :3, :3], at_mm)
+        return corrected_poses(grid_of(session.cell), at, model)
+
+    @staticmethod
+    def _place_of(log: Log, where: str, stations: list[str]) -> Place:
+        """Return the errors before, by the paper's method and by the chosen one, without bounds.
+
+        With several reflectors on the flange, those of the orientation as well.
+        """
+        together = where in (log.cell.grid.station, OTHERS)
+        series, turns = validation(log, stations), validated_turns(log, stations)
+        sent = {
+            how: SentErrors(
+                **errors.figures._asdict(),
+                orientation=turns[how].figures if how in turns else None,
+            )
+            for how, errors in series.items()
+        }
+        return Place(
+            points=len(series[Sent.CHOSEN]),
+            points_sent={how: len(errors) for how, errors in series.items()},
+            before=sent[Sent.BEFORE],
+            idw=sent.get(Sent.IDW),
+            chosen=sent[Sent.CHOSEN],
+            decision=enough_targets.judgement(log, stations) if log.cell.plan.quick else None,
+            floor=floor(log) if together else None,
+        )
+
+    @staticmethod
+    def _closed(cell: Cell) -> tuple[Sent, ...]:
+        """Return the ways after which the tracker is proven; the last of each station at least.
+
+        Once a station in a quick plan, and where the reflector is carried by hand.
+        """
+        return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
+
+    @staticmethod
+    def _planned(cell: Cell, how: Sent) -> int | None:
+        """Return how many targets a quick plan sends where all is well; None is all of them."""
+        if not cell.plan.quick:
+            return None
+        return enough_targets.least_targets(cell) if how == Sent.CHOSEN else enough_targets.BLOCK
 
 
 def judge_suspicions(session: CellSession) -> None:
@@ -202,81 +280,6 @@ def judge_suspicions(session: CellSession) -> None:
             compared=len(changes),
         )
         session.judge("since", changed)
-
-
-def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
-    calibration = learnt_so_far(log)
-    if calibration is None:
-        return {}
-    try:
-        found = coverages(calibration, log, places)
-        turns = turn_coverages(calibration, log, places)
-    except NoBound:  # the report says why
-        return {}
-    return {
-        place: replace(each.figures, orientation=turns.get(place)) for place, each in found.items()
-    }
-
-
-def _command(
-    session: CellSession, station: Station, how: Sent, poses: Array, model: ErrorModel | None
-) -> Array:
-    """Return the poses (N, 4, 4) in {B} to send the robot to, for those of the station frame's {B}.
-
-    The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
-    three slide points, the chosen way from the touch poses of this visit.
-    """
-    if model is None:
-        return poses
-    frames, targets_mm = session.frames, poses[:, :3, 3]
-    if how == Sent.IDW:
-        T_W_B = frames.carried("three_points", station)
-        at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
-    else:
-        touch_once(session, station, model)
-        at_mm = frames.on_visit_mm(station, targets_mm)
-    at = matrix(poses[:, :3, :3], at_mm)
-    return corrected_poses(grid_of(session.cell), at, model)
-
-
-def _place_of(log: Log, where: str, stations: list[str]) -> Place:
-    """Return the errors before, by the paper's method and by the chosen one, without bounds.
-
-    With several reflectors on the flange, those of the orientation as well.
-    """
-    together = where in (log.cell.grid.station, OTHERS)
-    series, turns = validation(log, stations), validated_turns(log, stations)
-    sent = {
-        how: SentErrors(
-            **errors.figures._asdict(),
-            orientation=turns[how].figures if how in turns else None,
-        )
-        for how, errors in series.items()
-    }
-    return Place(
-        points=len(series[Sent.CHOSEN]),
-        points_sent={how: len(errors) for how, errors in series.items()},
-        before=sent[Sent.BEFORE],
-        idw=sent.get(Sent.IDW),
-        chosen=sent[Sent.CHOSEN],
-        decision=enough_targets.judgement(log, stations) if log.cell.plan.quick else None,
-        floor=floor(log) if together else None,
-    )
-
-
-def _closed(cell: Cell) -> tuple[Sent, ...]:
-    """Return the ways after which the tracker is proven; at each station after the last at least.
-
-    Once a station in a quick plan, and where the reflector is carried by hand.
-    """
-    return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
-
-
-def _planned(cell: Cell, how: Sent) -> int | None:
-    """Return how many targets a quick plan sends where all is well; None is all of them."""
-    if not cell.plan.quick:
-        return None
-    return enough_targets.least_targets(cell) if how == Sent.CHOSEN else enough_targets.BLOCK
 
 
 def target_poses(cell: Cell, seed: int) -> dict[str, Array]:

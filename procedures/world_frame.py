@@ -55,20 +55,6 @@ class Home:
         return {}
 
 
-def _check_lengths(session: CellSession) -> None:
-    """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
-    layout = session.cell.layout
-    if not layout.length or session.log.verdict(LengthsChecked) is not None:
-        return
-    for nest in layout.bar:
-        session.floor_point(PointId(LENGTH, nest=nest.name), nest)
-    found = known_lengths(session.cell, session.log)
-    wrong = [each.text for each in found if not each.holds]
-    session.judge("known-length", LengthsChecked(holds=not wrong, lengths=found, wrong=wrong))
-    if wrong:
-        session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
-
-
 class SetUps(ActResult, frozen=True, kw_only=True):
     """The tracker in {W} at its last set-up and at all of them; how often it moved."""
 
@@ -106,7 +92,7 @@ class WorldFrame:
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
-        _check_lengths(session)
+        self._check_lengths(session)
         if self.proves and not session.cell.layout.by_hand:
             session.frame_world()
         session.reach("frame_world")
@@ -121,6 +107,20 @@ class WorldFrame:
             for each in (() if checked is None else checked.lengths)
         ]
         return {"tracker": tracker} | ({"known_lengths": lengths} if lengths else {})
+
+    @staticmethod
+    def _check_lengths(session: CellSession) -> None:
+        """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
+        layout = session.cell.layout
+        if not layout.length or session.log.verdict(LengthsChecked) is not None:
+            return
+        for nest in layout.bar:
+            session.floor_point(PointId(LENGTH, nest=nest.name), nest)
+        found = known_lengths(session.cell, session.log)
+        wrong = [each.text for each in found if not each.holds]
+        session.judge("known-length", LengthsChecked(holds=not wrong, lengths=found, wrong=wrong))
+        if wrong:
+            session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
 
 
 SAMPLES = 5

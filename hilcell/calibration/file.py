@@ -305,12 +305,12 @@ class _Checks:
         validity = self.calibration.validity
         for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
             yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
-        yield from _rotation("validity.orientation", _array(validity.orientation))
+        yield from _rotation("validity.orientation", self._array(validity.orientation))
         for number, R in enumerate(validity.orientations):
-            yield from _rotation(f"validity.orientations.{number}", _array(R))
+            yield from _rotation(f"validity.orientations.{number}", self._array(R))
         tolerance_deg = validity.orientation_tolerance_deg
         name = "validity.orientation_tolerance_deg"
-        yield from _above_nought(name, tolerance_deg, self.MOST_TURN_DEG)
+        yield from self._above_nought(name, tolerance_deg, self.MOST_TURN_DEG)
         if validity.temperature_c is None:
             return
         yield from _within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
@@ -319,7 +319,7 @@ class _Checks:
             yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, expected the lower first"
 
     def grid(self) -> Iterator[str]:
-        errors = _array(self.calibration.grid_errors_mm)
+        errors = self._array(self.calibration.grid_errors_mm)
         if errors.ndim != 4 or min(errors.shape[:3]) < 2:
             yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
             return
@@ -342,13 +342,13 @@ class _Checks:
             yield "stations: there is none"
         for name, station in stations.items():
             at = f"stations.{name[:40]}"
-            yield from _frame(f"{at}.T_W_B", _array(station.T_W_B))
-            yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
-            covariance = _array(station.covariance)
+            yield from self._frame(f"{at}.T_W_B", self._array(station.T_W_B))
+            yield from self._frame(f"{at}.T_W_S", self._array(station.T_W_S))
+            covariance = self._array(station.covariance)
             if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
                 yield f"{at}.covariance: expected 6 x 6 finite numbers"
             tool_mm = station.tool_uncertainty_mm
-            yield from _from_nought(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
+            yield from self._from_nought(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
             yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
     def uncertainty(self) -> Iterator[str]:
@@ -359,16 +359,16 @@ class _Checks:
             found = ", ".join(stated.stations) or "none"
             yield f"uncertainty.stations: of {found[:40]}, expected the same as in stations"
         if stated.model_samples is not None:
-            yield from _above_nought("uncertainty.model_samples", stated.model_samples)
-        yield from _from_nought("uncertainty.growth_per_k", stated.growth_per_k, self.MOST_C)
-        yield from _from_nought("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
+            yield from self._above_nought("uncertainty.model_samples", stated.model_samples)
+        yield from self._from_nought("uncertainty.growth_per_k", stated.growth_per_k, self.MOST_C)
+        yield from self._from_nought("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
         for each in chain(stated.lines, *stated.stations.values()):
             at = f"uncertainty, {each.name[:40]}"
             yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
-            if not _is_covariance(_array(each.covariance)):
+            if not self._is_covariance(self._array(each.covariance)):
                 yield f"{at}: expected a covariance of {SIZE} x {SIZE} numbers"
             if each.freedom is not None:
-                yield from _above_nought(f"{at}: freedom", each.freedom)
+                yield from self._above_nought(f"{at}: freedom", each.freedom)
 
     def lost_motion(self) -> Iterator[str]:
         lost = self.calibration.lost_motion
@@ -386,7 +386,7 @@ class _Checks:
         for update in self.calibration.provenance.updates:
             at = f"provenance.updates of run {update.run[:40]}"
             expected = (6,) if update.what == "base" else (0,)
-            if _array(update.motion).shape != expected:
+            if self._array(update.motion).shape != expected:
                 yield f"{at}: motion of {len(update.motion)} numbers, expected {expected[0]}"
             elif update.motion:
                 yield from _within(f"{at}: motion", update.motion, self.MOST_ERROR_MM, "mm")
@@ -395,7 +395,7 @@ class _Checks:
         if self.calibration.targets is None:
             return
         variance_mm2, most_mm2 = self.calibration.targets.variance_mm2, self.MOST_ERROR_MM**2
-        yield from _above_nought("targets.variance_mm2", variance_mm2, most_mm2)
+        yield from self._above_nought("targets.variance_mm2", variance_mm2, most_mm2)
         for each in self.calibration.targets.passes:
             at, count = f"targets of run {each.run[:40]}", len(each.names)
             for name, values, shape, most in (
@@ -403,12 +403,12 @@ class _Checks:
                 ("remainders_mm", each.remainders_mm, (count, 3), self.MOST_ERROR_MM),
                 ("own_mm2", each.own_mm2, (count, 3, 3), self.MOST_ERROR_MM**2),
             ):
-                found = _array(values)
+                found = self._array(values)
                 if found.shape != shape or not np.abs(found).max() <= most:
                     yield f"{at}: {name}: expected {count} rows of finite numbers within +-{most:g}"
                 elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
                     yield f"{at}: own_mm2: a variance that is not above 0"
-            if not _is_covariance(_array(each.common)):
+            if not self._is_covariance(self._array(each.common)):
                 yield f"{at}: common: expected a covariance of {SIZE} x {SIZE} finite numbers"
 
     def verdicts(self) -> Iterator[str]:
@@ -425,28 +425,48 @@ class _Checks:
             elif each.holds and not judged_again(each).holds:
                 yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
 
+    @staticmethod
+    def _is_covariance(found: Array) -> bool:
+        """Whether it is a covariance (7, 7): of sane size, symmetric, no negative variance."""
+        most_variance = 1e12  # mm2, rad2, or a ratio squared
+        if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= most_variance:
+            return False
+        rounding = 1e-6  # of a covariance, relative
+        if not np.abs(found - found.T).max() <= rounding * np.abs(found).max():
+            return False
+        least_variance = 1e-30  # likewise; below is nought
+        scale = np.sqrt(np.maximum(np.diag(found), least_variance))
+        return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -rounding)
 
-def _is_covariance(found: Array) -> bool:
-    """Whether an array is a covariance (7, 7): of sane size, symmetric, no negative variance."""
-    most_variance = 1e12  # mm2, rad2, or a ratio squared
-    if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= most_variance:
-        return False
-    rounding = 1e-6  # of a covariance, relative
-    if not np.abs(found - found.T).max() <= rounding * np.abs(found).max():
-        return False
-    least_variance = 1e-30  # likewise; below is nought
-    scale = np.sqrt(np.maximum(np.diag(found), least_variance))
-    return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -rounding)
+    @staticmethod
+    def _frame(name: str, frame: Array) -> Iterator[str]:
+        if frame.shape != (4, 4):
+            yield f"{name}: expected 4 x 4 numbers"
+            return
+        if not np.array_equal(frame[3], [0, 0, 0, 1]):
+            yield f"{name}: its last row must be 0, 0, 0, 1"
+        yield from _rotation(name, frame[:3, :3])
+        yield from _within(name, frame[:3, 3], MOST_MM, "mm")
 
+    @staticmethod
+    def _above_nought(name: str, value: float, most: float = math.inf) -> Iterator[str]:
+        if not 0 < value <= most:
+            yield f"{name}: {value:g}, expected above 0" + (
+                f", <= {most:g}" if most < math.inf else ""
+            )
 
-def _frame(name: str, frame: Array) -> Iterator[str]:
-    if frame.shape != (4, 4):
-        yield f"{name}: expected 4 x 4 numbers"
-        return
-    if not np.array_equal(frame[3], [0, 0, 0, 1]):
-        yield f"{name}: its last row must be 0, 0, 0, 1"
-    yield from _rotation(name, frame[:3, :3])
-    yield from _within(name, frame[:3, 3], MOST_MM, "mm")
+    @staticmethod
+    def _from_nought(name: str, value: float, most: float) -> Iterator[str]:
+        if not 0 <= value <= most:
+            yield f"{name}: {value:g}, expected 0 .. {most:g}"
+
+    @staticmethod
+    def _array(nested: ArrayLike) -> Array:
+        """Return an array of numbers, empty where the lists are ragged."""
+        try:
+            return np.array(nested, dtype=float)
+        except ValueError:
+            return np.full(0, math.nan)
 
 
 def _rotation(name: str, R: Array) -> Iterator[str]:
@@ -456,25 +476,7 @@ def _rotation(name: str, R: Array) -> Iterator[str]:
         yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
 
 
-def _above_nought(name: str, value: float, most: float = math.inf) -> Iterator[str]:
-    if not 0 < value <= most:
-        yield f"{name}: {value:g}, expected above 0" + (f", <= {most:g}" if most < math.inf else "")
-
-
-def _from_nought(name: str, value: float, most: float) -> Iterator[str]:
-    if not 0 <= value <= most:
-        yield f"{name}: {value:g}, expected 0 .. {most:g}"
-
-
 def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
     largest = float(np.abs(np.asarray(values, dtype=float)).max())
     if not largest <= most:
         yield f"{name}: {largest:g} {unit}, expected within +-{most:g} {unit}"
-
-
-def _array(nested: ArrayLike) -> Array:
-    """Return an array of numbers, empty where the lists are ragged."""
-    try:
-        return np.array(nested, dtype=float)
-    except ValueError:
-        return np.full(0, math.nan)

@@ -123,20 +123,15 @@ def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
     kept: Bools = np.asarray(np.isfinite(values).all(axis=1))
     highest = _quantile(1.0 - false_alarms / len(values))
     while 2 * np.count_nonzero(kept) > len(values):
-        off_mm = _studentized_mm(A[kept], values[kept])
+        Q = np.linalg.qr(A[kept])[0]
+        residuals = values[kept] - Q @ (Q.T @ values[kept])
+        left = np.maximum(1.0 - np.sum(Q**2, axis=1), 1e-9)
+        off_mm = np.linalg.norm(residuals, axis=1) / np.sqrt(left)  # studentized
         sigma_mm = float(np.median(off_mm)) / _quantile(0.5)
         if np.max(off_mm) <= max(highest * sigma_mm, least_mm):
             break
         kept[np.flatnonzero(kept)[np.argmax(off_mm)]] = False
     return ~kept.reshape(errors.shape[:3])
-
-
-def _studentized_mm(A: Array, values: Array) -> Array:
-    """Return the norms (N,) of the studentized residuals of values (N, 3)."""
-    Q = np.linalg.qr(A)[0]
-    residuals = values - Q @ (Q.T @ values)
-    left = np.maximum(1.0 - np.sum(Q**2, axis=1), 1e-9)
-    return np.asarray(np.linalg.norm(residuals, axis=1) / np.sqrt(left))
 
 
 def _quantile(share: float) -> float:

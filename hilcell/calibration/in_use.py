@@ -69,7 +69,9 @@ class CalibrationFile:
             folder = find_run(runs, name)
             path = folder / CALIBRATION
             if not path.is_file():
-                raise NoCalibration(f"run {folder.name} wrote no calibration; {_instead(folder)}")
+                raise NoCalibration(
+                    f"run {folder.name} wrote no calibration; {cls._instead(folder)}"
+                )
         return cls(read_calibration(path), path, runs)
 
     @cached_property
@@ -103,6 +105,28 @@ class CalibrationFile:
         with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
             return read_log(self.folder).cell if self.folder else None
         return None
+
+    @staticmethod
+    def _instead(folder: Path) -> str:
+        used = recheck = None
+        with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+            log = read_log(folder)
+            used, recheck = calibration_in(log), log.verdict(Rechecked)
+        if used is None:
+            with suppress(HilcellError):
+                rows = read_index(folder.parent)
+                for row in rows:
+                    if row.name == folder.name and row.readable:
+                        of_cell = (row.cell, row.serial, row.simulated, row.machine_seed)
+                        if current := current_of(rows, *of_cell):
+                            return f"name {current}, the current calibration of its cell"
+            return "name a finished `hilcell run calibrate`"
+        latest = used.provenance.latest
+        if recheck is not None and recheck.verdict == "valid":
+            return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
+        if recheck is not None and recheck.verdict == "redo":
+            return f"it found that the calibration of {latest} no longer holds: calibrate again"
+        return f"it used that of {latest}"
 
 
 class Chosen(NamedTuple):
@@ -187,28 +211,6 @@ def calibration_in(log: Log) -> Calibration | None:
     facts = (record.fact for record in reversed(log.events))
     used = next((fact for fact in facts if isinstance(fact, CalibrationUsed)), None)
     return None if used is None else typed(used.content, Calibration)
-
-
-def _instead(folder: Path) -> str:
-    used = recheck = None
-    with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
-        log = read_log(folder)
-        used, recheck = calibration_in(log), log.verdict(Rechecked)
-    if used is None:
-        with suppress(HilcellError):
-            rows = read_index(folder.parent)
-            for row in rows:
-                if row.name == folder.name and row.readable:
-                    of_cell = (row.cell, row.serial, row.simulated, row.machine_seed)
-                    if current := current_of(rows, *of_cell):
-                        return f"name {current}, the current calibration of its cell"
-        return "name a finished `hilcell run calibrate`"
-    latest = used.provenance.latest
-    if recheck is not None and recheck.verdict == "valid":
-        return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
-    if recheck is not None and recheck.verdict == "redo":
-        return f"it found that the calibration of {latest} no longer holds: calibrate again"
-    return f"it used that of {latest}"
 
 
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:

@@ -160,12 +160,7 @@ def largest_turn(log: Log, turned: Turned | None) -> Turn:
     """Return the largest error of orientation and its U; no numbers where none was measured."""
     if turned is None or not len(turned):
         return UNKNOWN_TURN
-    return Turn(float(turned.angles_deg.max()), float(expanded_deg(log, turned).max()))
-
-
-def expanded_deg(log: Log, turned: Turned) -> Array:
-    """Return U (N,) of each angle: along the axis about which it is least certain."""
-    return _expanded_deg(turned_rad2(log, turned))
+    return Turn(float(turned.angles_deg.max()), float(expanded_deg(turned_rad2(log, turned)).max()))
 
 
 def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
@@ -185,7 +180,7 @@ def check_turn_limit(cell: Cell) -> None:
         return
     levers = turn_levers(cell.robot.seats_mm, np.eye(3)[None])
     per_mm2_rad2 = np.sum(levers @ np.swapaxes(levers, -1, -2), axis=1)
-    (least_deg,) = _expanded_deg(stated_mm2(cell) * per_mm2_rad2)
+    (least_deg,) = expanded_deg(stated_mm2(cell) * per_mm2_rad2)
     if not limit_deg > least_deg:
         raise HilcellError(
             f"validation.max_tolerance_deg {limit_deg:g}: nothing could be accepted, the tracker "
@@ -195,8 +190,8 @@ def check_turn_limit(cell: Cell) -> None:
         )
 
 
-def _expanded_deg(covariances_rad2: Array) -> Array:
-    """Return U (N,) along the axis of the largest variance of each covariance (N, 3, 3)."""
+def expanded_deg(covariances_rad2: Array) -> Array:
+    """Return U (N,) of each angle, of covariances (N, 3, 3): along the axis of the largest."""
     u_rad = np.sqrt(np.linalg.eigvalsh(covariances_rad2)[:, -1])
     return np.degrees([expanded_mm(each) for each in u_rad])
 

@@ -325,7 +325,7 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
                 begin = (
                     f"Update: the robot's base has moved by {self.shift_mm:.3f} mm ± "
                     f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
-                    f"{self.turn_urad:.0f} µrad, {_instead(self.suspicions)} This run's "
+                    f"{self.turn_urad:.0f} µrad, {self._instead(self.suspicions)} This run's "
                     "calibration has the base where it seems to stand now: take its base frames "
                     "over on the controller and compensate the programs again."
                 )
@@ -356,6 +356,19 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
             f"Calibrate again: no motion of the base explains the errors; worst is {pose.pose} at "
             f"({at}) mm: {pose.error_mm:.3f} mm, predicted {pose.bound_mm:.3f} mm (95 %), and "
             f"{pose.left_mm:.3f} mm after the best motion. {hint}"
+        )
+
+    @staticmethod
+    def _instead(causes: list[Suspicion]) -> str:
+        if causes:
+            return (
+                f"or the reflector has slipped on its mount by {causes[0].size:.3f} mm, or an "
+                "axis's zero is lost: the poses do not tell them apart. See first that the "
+                "reflector sits on its mount and that the mastering is right."
+            )
+        return (
+            "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. "
+            "See first that the mastering is right."
         )
 
 
@@ -405,16 +418,3 @@ def recheck_result(log: Log) -> RecheckResult:
         suspicions=suspicions(found, judgement, log.cell.robot.arm(), commanded_rad(points)),
     )
     return msgspec.structs.replace(result, text=result.words_of_worst(judgement.worst))
-
-
-def _instead(causes: list[Suspicion]) -> str:
-    if causes:
-        return (
-            f"or the reflector has slipped on its mount by {causes[0].size:.3f} mm, or an axis's "
-            "zero is lost: the poses do not tell them apart. See first that the reflector sits on "
-            "its mount and that the mastering is right."
-        )
-    return (
-        "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. See "
-        "first that the mastering is right."
-    )

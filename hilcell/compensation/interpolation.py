@@ -55,8 +55,17 @@ class Interpolation(LearntModel):
 
     @classmethod
     def of_grid(cls, lattice: MeasuredGrid) -> Self:
-        """Return the model with R estimated."""
-        return cls(lattice, _residual_mm2(cls, lattice))
+        """Return the model with R: the covariance of left-out vertices' misses beyond readings."""
+        own = lattice.covariance_mm2
+        lows, inner, weights = _wide_cells(cls, lattice)
+        missed = _missed_mm(cls, lattice)
+        corners = _at(own, lows[:, None, :] + CORNERS * _span(lattice.grid))
+        readings = np.einsum("mc,bcxy->xy", weights**2, corners)
+        readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
+        values, axes = np.linalg.eigh(missed.T @ missed - readings)
+        share: float = len(lows) * float(_unshared(weights).sum())
+        half = axes * np.sqrt(np.maximum(values, 0.0))
+        return cls(lattice, np.asarray(half @ half.T / share))
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
@@ -182,20 +191,20 @@ class NearestPoses(LearntModel):
         missed_mm = -poses.error_mm
         for fold in np.unique(poses.fold):
             out = poses.fold == fold
-            missed_mm[out] += _blended(points_mm[~out], poses.error_mm[~out], points_mm[out])
+            missed_mm[out] += cls._blended(points_mm[~out], poses.error_mm[~out], points_mm[out])
         return missed_mm
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at poses (N, 4, 4); their places alone count."""
-        error_mm = _blended(self.points_mm, self.errors_mm, poses[:, :3, 3])
+        error_mm = self._blended(self.points_mm, self.errors_mm, poses[:, :3, 3])
         return Prediction(error_mm, np.broadcast_to(self.covariance_mm2, (len(poses), 3, 3)))
 
-
-def _blended(points_mm: Array, errors_mm: Array, targets_mm: Array) -> Array:
-    distance = np.linalg.norm(targets_mm[:, None] - points_mm, axis=-1)
-    nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
-    weights = inverse_distance_weights(np.take_along_axis(distance, nearest, axis=1))
-    return np.asarray(np.einsum("nk,nkx->nx", weights, errors_mm[nearest]))
+    @staticmethod
+    def _blended(points_mm: Array, errors_mm: Array, targets_mm: Array) -> Array:
+        distance = np.linalg.norm(targets_mm[:, None] - points_mm, axis=-1)
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
+        weights = inverse_distance_weights(np.take_along_axis(distance, nearest, axis=1))
+        return np.asarray(np.einsum("nk,nkx->nx", weights, errors_mm[nearest]))
 
 
 def inverse_distance_weights(distance: Array) -> Array:
@@ -238,20 +247,6 @@ def _missed_mm(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     predicted = np.einsum("mc,bcx->bmx", weights, corners)
     left: Array = predicted - _at(errors, lows[:, None, :] + inner)
     return left.reshape(-1, 3)
-
-
-def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
-    """Return the covariance R (3, 3) of left-out vertices' misses beyond their readings."""
-    own = lattice.covariance_mm2
-    lows, inner, weights = _wide_cells(model, lattice)
-    missed = _missed_mm(model, lattice)
-    corners = _at(own, lows[:, None, :] + CORNERS * _span(lattice.grid))
-    readings = np.einsum("mc,bcxy->xy", weights**2, corners)
-    readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
-    values, axes = np.linalg.eigh(missed.T @ missed - readings)
-    share: float = len(lows) * float(_unshared(weights).sum())
-    half = axes * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(half @ half.T / share)
 
 
 def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:

@@ -226,10 +226,10 @@ class Kinematic(LearntModel):
         )  # fmt: skip
         placed, size = kinematics.placed, len(kinematics.names)
         covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
-        _check_covariance(covariance)
+        cls._check_covariance(covariance)
         state = State(
             _frame("base", entry.base),
-            _seats_mm(seats),
+            cls._seats_mm(seats),
             _numbers("values", entry.values, (size - placed,), MOST_MM),
             np.zeros(placed),
         )
@@ -242,6 +242,27 @@ class Kinematic(LearntModel):
             robot, kinematics, state, covariance, noise, entry.decision, entry.directions,
             entry.condition, entry.outliers,
         )  # fmt: skip
+
+    @staticmethod
+    def _seats_mm(places: list[list[float]]) -> Array:
+        """Return reflectors (K, 3): one, or three and more that span a triangle."""
+        seats_mm = _numbers("reflector_mm", places, (len(places), 3), MOST_MM)
+        across_mm = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
+        least_across_mm = 1.0
+        if len(seats_mm) > 1 and not across_mm[1] > least_across_mm:
+            raise ModelError("more_reflectors_mm: an orientation needs a triangle of reflectors")
+        return seats_mm
+
+    @staticmethod
+    def _check_covariance(covariance: Array) -> None:
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        scale = np.outer(sigma, sigma)
+        symmetric = 1e-9  # of the parameters' correlations
+        if not (np.abs(covariance - covariance.T) <= symmetric * scale).all():
+            raise ModelError("covariance: not symmetric")
+        positive = np.where(sigma > 0.0, sigma, 1.0)
+        if not np.linalg.eigvalsh(covariance / np.outer(positive, positive)).min() >= -symmetric:
+            raise ModelError("covariance: a variance below zero")
 
 
 def curves_used(measured: Measured) -> CurvesUsed:
@@ -368,27 +389,6 @@ def _frame(name: str, rows: list[list[float]]) -> Array:
     if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
         raise ModelError(f"{name}: is not rigid")
     return T
-
-
-def _seats_mm(places: list[list[float]]) -> Array:
-    """Return reflectors (K, 3): one, or three and more that span a triangle."""
-    seats_mm = _numbers("reflector_mm", places, (len(places), 3), MOST_MM)
-    across_mm = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
-    least_across_mm = 1.0
-    if len(seats_mm) > 1 and not across_mm[1] > least_across_mm:
-        raise ModelError("more_reflectors_mm: an orientation needs a triangle of reflectors")
-    return seats_mm
-
-
-def _check_covariance(covariance: Array) -> None:
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.outer(sigma, sigma)
-    symmetric = 1e-9  # of the parameters' correlations
-    if not (np.abs(covariance - covariance.T) <= symmetric * scale).all():
-        raise ModelError("covariance: not symmetric")
-    positive = np.where(sigma > 0.0, sigma, 1.0)
-    if not np.linalg.eigvalsh(covariance / np.outer(positive, positive)).min() >= -symmetric:
-        raise ModelError("covariance: a variance below zero")
 
 
 def _numbers(name: str, found: object, shape: tuple[int, ...], most: float) -> Array:

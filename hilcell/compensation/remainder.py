@@ -175,7 +175,7 @@ class _Known:
             np.concatenate([each.remainders_mm for each in passes]),
             levers,
             np.array(block_diag(*(each.common for each in passes))),
-            [_Groups.of(members, places, own_mm2) for members in _members(places)],
+            [_Groups.of(members, places, own_mm2) for members in cls._members(places)],
         )
 
     def nearest(self, poses: Array) -> tuple[Ints, Ints]:
@@ -223,20 +223,20 @@ class _Known:
         picked: Array = values[members]
         return picked.reshape(len(members), 3 * members.shape[1], -1)
 
+    @staticmethod
+    def _members(places: Array) -> list[Ints]:
+        """Return the groups (G, M) of each size M that hang together by steps of `NEAR_MM`."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+        from scipy.spatial import cKDTree
 
-def _members(places: Array) -> list[Ints]:
-    """Return the groups (G, M) of each size M that hang together by steps of `NEAR_MM`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    pairs = cKDTree(places).query_pairs(NEAR_MM, output_type="ndarray")
-    shape = (len(places), len(places))
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape)
-    count, labels = connected_components(links, directed=False)
-    groups = [np.flatnonzero(labels == label) for label in range(count)]
-    sizes = sorted({len(group) for group in groups})
-    return [np.array([group for group in groups if len(group) == size]) for size in sizes]
+        pairs = cKDTree(places).query_pairs(NEAR_MM, output_type="ndarray")
+        shape = (len(places), len(places))
+        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape)
+        count, labels = connected_components(links, directed=False)
+        groups = [np.flatnonzero(labels == label) for label in range(count)]
+        sizes = sorted({len(group) for group in groups})
+        return [np.array([group for group in groups if len(group) == size]) for size in sizes]
 
 
 def _places(poses: Array) -> Array:

@@ -99,12 +99,12 @@ class ArmTargets(TargetFiles):
             sent_rad = reach.near(command, joints_rad, names)
             header, rows = JOINT_HEADER, list(joint_rows(names, sent_rad))
         if program is not None:
-            _check_program(program, reach, joints_rad, sent, source, say)
+            cls._check_program(program, reach, joints_rad, sent, source, say)
         stamp = Stamp(f"fit of {Path(train.source).name}", written_now())
         corrected = Corrected(names, zyx_from_pose(targets.poses), sent, bounds, stamp)
         return cls(
             source, program, corrected, ROOT, sent[:, :3], header, rows, controller,
-            _beyond(names, joints_rad, train),
+            cls._beyond(names, joints_rad, train),
         )  # fmt: skip
 
     @property
@@ -133,51 +133,56 @@ class ArmTargets(TargetFiles):
             *filter(None, [self.remark]),
         ]
 
+    @staticmethod
+    def _check_program(
+        program: Program,
+        reach: Reach,
+        joints_rad: Array,
+        command: Array,
+        source: Path,
+        say: Callable[[str], object],
+    ) -> None:
+        """Refuse what only a calibration can judge, other postures, and other whole turns."""
+        problems = [
+            f"{each.where}: strokes are corrected by `compensate` alone" for each in program.strokes
+        ]
+        if program.base is not None and any(program.base.values):
+            problems.append(f"{program.base.where}: the base set there is not {ROOT}")
+        if problems:
+            raise SettingsError(str(source), problems)
+        if statuses_of(program, 0):
+            try:
+                status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
+            except ReachError as error:
+                say(f"{source.name}: the postures of its targets were not checked: {error}")
+            else:
+                stated = statuses_of(program, status)
+                check_posture(
+                    status, [each for each in stated if each[1] & POSTURE_BITS not in others]
+                )
+        if program.needs_arm:
+            try:
+                program.check_joints(reach.arm, reach.base, command)
+            except ReachError as error:
+                say(f"{source.name}: {program.needs_arm} were not checked: {error}")
 
-def _check_program(
-    program: Program,
-    reach: Reach,
-    joints_rad: Array,
-    command: Array,
-    source: Path,
-    say: Callable[[str], object],
-) -> None:
-    """Refuse what only a calibration can judge, other postures, and other whole turns."""
-    problems = [
-        f"{each.where}: strokes are corrected by `compensate` alone" for each in program.strokes
-    ]
-    if program.base is not None and any(program.base.values):
-        problems.append(f"{program.base.where}: the base set there is not {ROOT}")
-    if problems:
-        raise SettingsError(str(source), problems)
-    if statuses_of(program, 0):
-        try:
-            status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
-        except ReachError as error:
-            say(f"{source.name}: the postures of its targets were not checked: {error}")
-        else:
-            stated = statuses_of(program, status)
-            check_posture(status, [each for each in stated if each[1] & POSTURE_BITS not in others])
-    if program.needs_arm:
-        try:
-            program.check_joints(reach.arm, reach.base, command)
-        except ReachError as error:
-            say(f"{source.name}: {program.needs_arm} were not checked: {error}")
-
-
-def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
-    """Return which joints go beyond those that were measured, or "": nothing was learnt there."""
-    margin_rad = np.radians(5.0)  # beyond the measured joints that still counts as within
-    low, high = train.joints_rad.min(axis=0) - margin_rad, train.joints_rad.max(axis=0) + margin_rad
-    beyond = ~((joints_rad >= low) & (joints_rad <= high))
-    if not beyond.any():
-        return ""
-    axes = ", ".join(f"A{axis + 1}" for axis in np.flatnonzero(beyond.any(axis=0)))
-    rows = np.flatnonzero(beyond.any(axis=1)).tolist()
-    return (
-        f"{counted(len(rows), 'target')} beyond the joints measured ({axes}), {names[rows[0]]} the "
-        "first; errors there are extrapolated: measure poses there, or move the targets"
-    )
+    @staticmethod
+    def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
+        """Return which joints go beyond those measured, or "": nothing was learnt there."""
+        margin_rad = np.radians(5.0)  # beyond the measured joints that still counts as within
+        low, high = (
+            train.joints_rad.min(axis=0) - margin_rad,
+            train.joints_rad.max(axis=0) + margin_rad,
+        )
+        beyond = ~((joints_rad >= low) & (joints_rad <= high))
+        if not beyond.any():
+            return ""
+        axes = ", ".join(f"A{axis + 1}" for axis in np.flatnonzero(beyond.any(axis=0)))
+        rows = np.flatnonzero(beyond.any(axis=1)).tolist()
+        return (
+            f"{counted(len(rows), 'target')} beyond the joints measured ({axes}), {names[rows[0]]} "
+            "the first; errors there are extrapolated: measure poses there, or move the targets"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,7 +111,14 @@ class Holes:
 
 def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
     """Read holes by normals or angles, {T} in the tip's frame ``T_D_T``; raises `SettingsError`."""
-    rows = read_named_rows(path, read_file(path), [NORMALS, HEADER], "holes", _fault_of)
+
+    def fault_of(header: list[str], values: list[float]) -> str:
+        least_normal = 1e-6  # a shorter one is a zero that was rounded
+        if header == NORMALS and not np.linalg.norm(values[3:]) >= least_normal:
+            return f"normal {values[3:]} has no length"
+        return ""
+
+    rows = read_named_rows(path, read_file(path), [NORMALS, HEADER], "holes", fault_of)
     if len(rows.names) > MOST_HOLES:
         problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"
         raise SettingsError(str(path), [problem])
@@ -131,10 +138,3 @@ def tools_against(normals: Array) -> Array:
     angles_rad = np.arange(TURNS) * 2 * np.pi / TURNS
     turns = from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0])
     return np.asarray(np.einsum("nij,kjl->nkil", first, turns))
-
-
-def _fault_of(header: list[str], values: list[float]) -> str:
-    least_normal = 1e-6  # a shorter one is a zero that was rounded
-    if header == NORMALS and not np.linalg.norm(values[3:]) >= least_normal:
-        return f"normal {values[3:]} has no length"
-    return ""

@@ -299,7 +299,7 @@ class StationJobs:
             )
         summary = msgspec.json.format(msgspec.json.encode(self.summary), indent=1) + b"\n"
         files += [(SUMMARY, summary), (SHEET, sheet_html(self.sheet()).encode())]
-        _make(folder)
+        self._make(folder)
         write_together(
             {folder / name: content for name, content in files},
             inputs=[self.source, released.path, *inputs],
@@ -440,19 +440,19 @@ class StationJobs:
             holes, job.stroke,
         )  # fmt: skip
 
-
-def _make(folder: Path) -> None:
-    """Make a folder, or take an empty one: files of another job in it would be taken for these."""
-    if folder.suffix.lower() in KNOWN and not folder.exists():
-        raise NotWritten(f"{folder} is a file by its name; name a folder, as {folder.stem}")
-    if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - no name raises
-        raise NotWritten(f"{folder} is a file; name a folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise NotWritten(f"{folder} is not empty; name a new folder")
-    except OSError as error:
-        raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
+    @staticmethod
+    def _make(folder: Path) -> None:
+        """Make a folder, or take an empty one: another job's files would be taken for these."""
+        if folder.suffix.lower() in KNOWN and not folder.exists():
+            raise NotWritten(f"{folder} is a file by its name; name a folder, as {folder.stem}")
+        if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - no name raises
+            raise NotWritten(f"{folder} is a file; name a folder")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise NotWritten(f"{folder} is not empty; name a new folder")
+        except OSError as error:
+            raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, slots=True)

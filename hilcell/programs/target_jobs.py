@@ -136,27 +136,29 @@ class StationTargets(TargetFiles):
         if stands_in_root(program) and known_station:
             root = released.calibration.base(station)
         if program is None:
-            names, listed = _listed(source, say)
+            names, listed = cls._listed(source, say)
         else:
             names, listed = program.names, program.values()
-        nominal = _taken_in(root, listed)  # in {W}
+        nominal = cls._taken_in(root, listed)  # in {W}
         released.refuse_corrected(source, names, nominal[:, :3], listed[:, :3])
         known = released.cell if cell is None and program is None else cell
-        tip = _tip(known, tool, program, source)
+        tip = cls._tip(known, tool, program, source)
         if program is not None and known_station:
-            _check_base(released.calibration, station, program.base, nominal)  # a cause of the next
+            cls._check_base(
+                released.calibration, station, program.base, nominal
+            )  # a cause of the next
         try:
             targets = released.corrected(station, names, nominal, tip, known)
         except OutsideGrid as error:  # the unit of a program is that of its format
             hint = unit_hint(listed[:, :3]) if program is None else ""
             raise OutsideGrid(f"{source.name}: {error}{hint}") from error
         if program is not None:
-            _check_program(released, targets, program, source, cell, tip, strokes, say)
-        stated = targets.command if root is None else _taken_in(inverse(root), targets.command)
+            cls._check_program(released, targets, program, source, cell, tip, strokes, say)
+        stated = targets.command if root is None else cls._taken_in(inverse(root), targets.command)
         points = [(nominal[:, :3], targets.command[:, :3])]
         if root is not None:  # as the program has them, which another station's correction reads
             points.append((listed[:, :3], stated[:, :3]))
-        remarks = list(_where(known, tip))
+        remarks = list(cls._where(known, tip))
         setting = setting_tool(program)
         if cell is not None and setting is not None and setting.tool is None:
             note = f"{source.name}: it sets no tool: taken to run with that of {tip.name}"
@@ -202,91 +204,138 @@ class StationTargets(TargetFiles):
             *self.released.notes(),
         ]
 
+    @staticmethod
+    def _where(cell: Cell | None, tip: Tip) -> Iterator[str]:
+        """Yield where targets and bounds hold, where that is not the reflector's centre."""
+        if cell is None:
+            yield f"{tip.words}: no tool is known without --cell CELL"
+        if tip.table is not None:
+            yield tip.words
+        elif (drill_mm := drill_mm_of(cell)) is not None:
+            at_mm = " ".join(f"{each:g}" for each in drill_mm)
+            yield f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}"
 
-def _where(cell: Cell | None, tip: Tip) -> Iterator[str]:
-    """Yield where targets and bounds hold, where that is not the reflector's centre."""
-    if cell is None:
-        yield f"{tip.words}: no tool is known without --cell CELL"
-    if tip.table is not None:
-        yield tip.words
-    elif (drill_mm := drill_mm_of(cell)) is not None:
-        at_mm = " ".join(f"{each:g}" for each in drill_mm)
-        yield f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}"
+    @staticmethod
+    def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Array]:
+        """Read a list, which may be a program of an unknown format, and warn of twins."""
+        from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
 
+        try:
+            names, targets = read_targets(source)
+        except SettingsError as error:
+            suffix = source.suffix.lower()
+            if suffix in ("", ".csv", ".txt"):  # read as a list of targets without a remark
+                raise
+            known = ", ".join(suffixes()) or "none"
+            hint = f"no format of programs is installed for {suffix} (installed: {known})"
+            raise SettingsError(error.source, [*error.problems, hint]) from error
+        holes = Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None])
+        for warning in holes.warnings:
+            say(warning)
+        return names, targets
 
-def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Array]:
-    """Read a list of targets, which may be a program of an unknown format, and warn of twins."""
-    from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
+    @staticmethod
+    def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
+        """Return the tip: of a program's tool, else the named; raises `SettingsError`."""
+        setting = setting_tool(program)
+        if cell is None or setting is None:
+            return tip_named(cell, name)
+        number = setting.reflector_number(cell.robot.options)
+        if setting.tool is None:
+            return tip_named(cell, name, number)
+        return tip_of_program(cell, name, setting.tool, number, source.name)
 
-    try:
-        names, targets = read_targets(source)
-    except SettingsError as error:
-        suffix = source.suffix.lower()
-        if suffix in ("", ".csv", ".txt"):  # read as a list of targets without a remark
-            raise
-        known = ", ".join(suffixes()) or "none"
-        hint = f"no format of programs is installed for {suffix} (installed: {known})"
-        raise SettingsError(error.source, [*error.problems, hint]) from error
-    holes = Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None])
-    for warning in holes.warnings:
-        say(warning)
-    return names, targets
+    @staticmethod
+    def _check_program(
+        released: Released,
+        targets: Corrected,
+        program: Program,
+        source: Path,
+        cell: Cell | None,
+        tip: Tip,
+        strokes: Strokes,
+        say: Callable[[str], object],
+    ) -> None:
+        stroke_miss_mm = 0.05  # that strokes may miss by where nothing else is stated
+        station, name = targets.stamp.station, source.name
+        if strokes.miss_mm is not None:
+            limits = StrokeLimits(strokes.longest_mm, strokes.miss_mm, "--stroke-tolerance")
+        elif isinstance(targets.bounds, NoBound):
+            why = "as no 95 % bound can be stated"
+            limits = StrokeLimits(strokes.longest_mm, stroke_miss_mm, why)
+        else:  # within which no difference is sure
+            bound_mm = targets.bounds.radii_mm
+            limits = StrokeLimits(strokes.longest_mm, bound_mm, "the point's 95 % bound")
+        missed = check_strokes(
+            released.calibration, station, targets.nominal, targets.command, program.strokes,
+            limits, tip,
+        )  # fmt: skip
+        if program.strokes:
+            say(
+                f"{name}: strokes keep the correction of the point before them, and miss by at "
+                f"most {missed.across_mm:.3f} mm across (the hole's position) and "
+                f"{missed.along_mm:.3f} mm along (its depth), by the model every {STEP_MM:g} mm; "
+                f"allowed: {limits.source}"
+            )
+        setting = setting_tool(program)
+        if cell is None and setting is not None and setting.tool is not None:
+            say(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
+        if cell is not None:
+            status = cell.robot.status
+            check_posture(status, statuses_of(program, status))
+            if rides_on_robot(cell):
+                slide = program.slide if isinstance(program, StatesSlide) else None
+                StationTargets._check_slide(cell.station_named(station), slide)
+            T_W_B = released.calibration.base(station)
+            program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
+        elif program.needs_arm:
+            say(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 
+    @staticmethod
+    def _taken_in(T: Array | None, values: Array) -> Array:
+        """Return targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
+        return values if T is None else zyx_from_pose(T @ poses_from_zyx(values))
 
-def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
-    """Return the tip of targets: of a program's tool, else the named; raises `SettingsError`."""
-    setting = setting_tool(program)
-    if cell is None or setting is None:
-        return tip_named(cell, name)
-    number = setting.reflector_number(cell.robot.options)
-    if setting.tool is None:
-        return tip_named(cell, name, number)
-    return tip_of_program(cell, name, setting.tool, number, source.name)
+    @staticmethod
+    def _check_base(
+        calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
+    ) -> None:
+        """Raise `HilcellError` where a base set by numbers is not {W}, at ``targets`` (N, 6).
 
+        A controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
+        """
+        if stated is None:
+            return
+        wanted = inverse(calibration.base(station))
+        places = targets[:, :3]
+        off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(wanted, places))
+        worst = float(off_mm.max())
+        base_mm = 0.05  # at the targets: numbers of a program are rounded
+        if not worst <= base_mm:
+            numbers = zyx_from_pose(wanted[None])[0]
+            words = ",".join(
+                f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
+            )
+            raise HilcellError(
+                f"{stated.where}: the base set there is not the world frame {{W}} of the targets "
+                f"at {station}: it puts them up to {worst:.3f} mm elsewhere, expected <= "
+                f"{base_mm:g} mm; set {{{words}}}, as calibrated, and take the targets in {{W}}",
+                code="HC-C10",
+            )
 
-def _check_program(
-    released: Released,
-    targets: Corrected,
-    program: Program,
-    source: Path,
-    cell: Cell | None,
-    tip: Tip,
-    strokes: Strokes,
-    say: Callable[[str], object],
-) -> None:
-    stroke_miss_mm = 0.05  # that strokes may miss by where nothing else is stated
-    station, name = targets.stamp.station, source.name
-    if strokes.miss_mm is not None:
-        limits = StrokeLimits(strokes.longest_mm, strokes.miss_mm, "--stroke-tolerance")
-    elif isinstance(targets.bounds, NoBound):
-        why = "as no 95 % bound can be stated"
-        limits = StrokeLimits(strokes.longest_mm, stroke_miss_mm, why)
-    else:  # within which no difference is sure
-        bound_mm = targets.bounds.radii_mm
-        limits = StrokeLimits(strokes.longest_mm, bound_mm, "the point's 95 % bound")
-    missed = check_strokes(
-        released.calibration, station, targets.nominal, targets.command, program.strokes, limits,
-        tip,
-    )  # fmt: skip
-    if program.strokes:
-        say(
-            f"{name}: strokes keep the correction of the point before them, and miss by at most "
-            f"{missed.across_mm:.3f} mm across (the hole's position) and {missed.along_mm:.3f} mm "
-            f"along (its depth), by the model every {STEP_MM:g} mm; allowed: {limits.source}"
+    @staticmethod
+    def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
+        """Raise `HilcellError` where a program moves the slide elsewhere than to its station."""
+        slide_mm = (
+            5.0  # a program's place is the drive's, and the strip's decides: no other station
         )
-    setting = setting_tool(program)
-    if cell is None and setting is not None and setting.tool is not None:
-        say(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
-    if cell is not None:
-        status = cell.robot.status
-        check_posture(status, statuses_of(program, status))
-        if rides_on_robot(cell):
-            slide = program.slide if isinstance(program, StatesSlide) else None
-            _check_slide(cell.station_named(station), slide)
-        T_W_B = released.calibration.base(station)
-        program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
-    elif program.needs_arm:
-        say(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
+        if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
+            place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
+            raise HilcellError(
+                f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
+                f"{station.name}: correct the program for the station that it drives to",
+                code="HC-C10",
+            )
 
 
 STEP_MM = 1.0  # between places of a stroke where the model is asked
@@ -297,38 +346,6 @@ class StrokeError(HilcellError):
     """Strokes over which the correction of the point before them does not hold."""
 
     code = "HC-C10"
-
-
-def _taken_in(T: Array | None, values: Array) -> Array:
-    """Return targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
-    return values if T is None else zyx_from_pose(T @ poses_from_zyx(values))
-
-
-def _check_base(
-    calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
-) -> None:
-    """Raise `HilcellError` where a base set by numbers is not {W}, as judged at ``targets`` (N, 6).
-
-    A controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
-    """
-    if stated is None:
-        return
-    wanted = inverse(calibration.base(station))
-    places = targets[:, :3]
-    off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(wanted, places))
-    worst = float(off_mm.max())
-    base_mm = 0.05  # at the targets: numbers of a program are rounded
-    if not worst <= base_mm:
-        numbers = zyx_from_pose(wanted[None])[0]
-        words = ",".join(
-            f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
-        )
-        raise HilcellError(
-            f"{stated.where}: the base set there is not the world frame {{W}} of the targets at "
-            f"{station}: it puts them up to {worst:.3f} mm elsewhere, expected <= "
-            f"{base_mm:g} mm; set {{{words}}}, as calibrated, and take the targets in {{W}}",
-            code="HC-C10",
-        )
 
 
 def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
@@ -343,24 +360,41 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
         )
 
 
-def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
-    """Raise `HilcellError` where a program moves the slide elsewhere than to its station."""
-    slide_mm = 5.0  # a program's place is the drive's, and the strip's decides: no other station
-    if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
-        place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
-        raise HilcellError(
-            f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
-            f"{station.name}: correct the program for the station that it drives to",
-            code="HC-C10",
-        )
-
-
 class StrokeLimits(NamedTuple):
     """How far strokes may lead, and each of N targets' may miss, by ``source``, in words."""
 
     longest_mm: float
     miss_mm: Array | float
     source: str
+
+    def worst_miss(
+        self, ways: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array,
+        names: Sequence[str],
+    ) -> StrokeMiss:  # fmt: skip
+        """Return the largest of all; raises `StrokeError` naming those over ``most_mm`` (N,)."""
+        bad, worst = list[str](), StrokeMiss()
+        for way, missed, most, name in zip(ways, missed_mm, most_mm.tolist(), names, strict=True):
+            way_mm = way[-1] - way[0]
+            direction = way_mm / max(float(np.linalg.norm(way_mm)), ROUNDING_MM)
+            along_mm = missed @ direction
+            across_mm = lengths_mm(missed - along_mm[:, None] * direction)
+            found = StrokeMiss(float(across_mm.max()), float(np.abs(along_mm).max()))
+            worst = StrokeMiss(*map(max, worst, found))
+            if not (found.across_mm <= most and found.along_mm <= most):
+                depth_mm = float(lengths_mm(way)[across_mm.argmax()])
+                bad.append(
+                    f"{name}: {found.across_mm:.3f} mm across at {depth_mm:.0f} mm from the point, "
+                    f"{found.along_mm:.3f} mm along; wanted <= {most:.3f} mm, {self.source}"
+                )
+        if bad:
+            raise StrokeError(
+                f"{len(bad)} of {len(names)} strokes miss their line, on which they keep the "
+                f"correction of the point before them: by up to {worst.across_mm:.3f} mm across "
+                f"(the hole's position) and {worst.along_mm:.3f} mm along (its depth); shorten "
+                "them, state their end as a point, which is corrected by itself, or state what the "
+                f"drilling allows with --stroke-tolerance MM\n{indented(bad)}"
+            )
+        return worst
 
 
 class StrokeMiss(NamedTuple):
@@ -412,7 +446,7 @@ def check_strokes(
     ways = [_way(each) for each in strokes]
     missed_mm = _missed(calibration, T_B_W, targets[at], command[at], ways, tip)
     most_mm = np.broadcast_to(limits.miss_mm, len(targets))[at]
-    return _refuse_missed(ways, missed_mm, most_mm, names, limits.source)
+    return limits.worst_miss(ways, missed_mm, most_mm, names)
 
 
 def _way(stroke: Stroke) -> Array:
@@ -441,31 +475,3 @@ def _missed(
     sent_mm = [way @ each.T for way, each in zip(ways, turn, strict=True)]
     total_mm = change_mm + np.concatenate(sent_mm) - np.concatenate(ways)
     return np.split(total_mm, np.cumsum(counts)[:-1])
-
-
-def _refuse_missed(
-    ways: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array, names: Sequence[str],
-    source: str,
-) -> StrokeMiss:  # fmt: skip
-    bad, worst = list[str](), StrokeMiss()
-    for way, missed, most, name in zip(ways, missed_mm, most_mm.tolist(), names, strict=True):
-        direction = (way[-1] - way[0]) / max(float(np.linalg.norm(way[-1] - way[0])), ROUNDING_MM)
-        along_mm = missed @ direction
-        across_mm = lengths_mm(missed - along_mm[:, None] * direction)
-        found = StrokeMiss(float(across_mm.max()), float(np.abs(along_mm).max()))
-        worst = StrokeMiss(*map(max, worst, found))
-        if not (found.across_mm <= most and found.along_mm <= most):
-            depth_mm = float(lengths_mm(way)[across_mm.argmax()])
-            bad.append(
-                f"{name}: {found.across_mm:.3f} mm across at {depth_mm:.0f} mm from the point, "
-                f"{found.along_mm:.3f} mm along; wanted <= {most:.3f} mm, {source}"
-            )
-    if bad:
-        raise StrokeError(
-            f"{len(bad)} of {len(names)} strokes miss their line, on which they keep the correction"
-            f" of the point before them: by up to {worst.across_mm:.3f} mm across (the hole's "
-            f"position) and {worst.along_mm:.3f} mm along (its depth); shorten them, state their "
-            "end as a point, which is corrected by itself, or state what the drilling allows with "
-            f"--stroke-tolerance MM\n{indented(bad)}"
-        )
-    return worst

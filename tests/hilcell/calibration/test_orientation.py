@@ -21,6 +21,7 @@ from hilcell.calibration.orientation import (
     turn_bounds_deg,
     turn_coverages,
     turned_of,
+    turned_rad2,
 )
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction, Turn
@@ -110,7 +111,7 @@ def test_the_uncertainty_of_an_orientation_covers_reflectors_that_are_seen_elsew
     (id,) = ids("validate", 1)
     exact = logged([(id, ORIENTED)], {"validate": SEATS_MM})
     turned = turned_of(exact, exact.select("validate"), SEATS_MM)
-    (U_deg,) = expanded_deg(exact, turned)
+    (U_deg,) = expanded_deg(turned_rad2(exact, turned))
     turns_deg = []
     for _ in range(200):
         off_mm = rng.normal(0.0, 0.01, (3, 3))
