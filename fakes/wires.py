@@ -24,7 +24,6 @@ from hilcell.ports import HilcellError
 
 HOST = "127.0.0.1"
 RECEIVE = 4096
-LATE_EVERY, LATE_S = 47, 0.001
 
 
 def listen(port: int) -> socket.socket:
@@ -248,6 +247,7 @@ class Segments:
     """The sending side of one connection, by what ``sends`` all bytes that it is given."""
 
     SPLIT_EVERY = 7
+    LATE_EVERY, LATE_S = 47, 0.001
 
     def __init__(self, sends: Callable[[bytes], object]) -> None:
         self._sends = sends
@@ -256,8 +256,8 @@ class Segments:
     def send(self, data: bytes) -> None:
         """Send ``data``; raises `OSError`."""
         self.sent += 1
-        if self.sent % LATE_EVERY == 0:
-            time.sleep(LATE_S)
+        if self.sent % self.LATE_EVERY == 0:
+            time.sleep(self.LATE_S)
         apart_every, apart_s = 3 * self.SPLIT_EVERY, 0.0005  # so that each half is read by itself
         if self.sent % self.SPLIT_EVERY == 0 and len(data) > 1:
             cut = 1 + self.sent % (len(data) - 1)

@@ -14,7 +14,7 @@ from typing import Any, cast
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
-from drivers.spatialanalyzer.tracker_t2sa import MEASURE, T2saBridge
+from drivers.spatialanalyzer.tracker_t2sa import T2saBridge
 from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
@@ -106,7 +106,7 @@ def packages(data: bytes) -> None:
                 if unlike(recipe):
                     return
             elif kind == rtde.Kind.INPUTS:
-                rtde.Recipe.from_answer(INPUTS, payload).lacking(rtde.IN_USE)
+                rtde.Recipe.from_answer(INPUTS, payload).lacking("IN_USE")
             elif kind == rtde.Kind.DATA and recipe is not None:
                 UrState.checked(recipe.decode(payload), 0.0, 0.0)
 
@@ -163,7 +163,7 @@ def bridge_replies(data: bytes) -> None:
     """Lines of T2SA: the answers to a setting and to a measurement."""
     bridge = T2saBridge(Wire(data), WallClock(threading.Event()))
     bridge.exchange("!SET_SIM:0")
-    bridge.position(MEASURE, "A;G;P1")
+    bridge.position(T2saBridge.MEASURE, "A;G;P1")
 
 
 def bridge_samples() -> Iterable[bytes]:

@@ -106,7 +106,6 @@ class Command(IntEnum):
 
     @property
     def spoken(self) -> str:
-        """The command in words."""
         return self.name.lower().replace("_", " ")
 
     def failed(self, status: int) -> DeviceError:

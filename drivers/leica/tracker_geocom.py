@@ -110,7 +110,6 @@ class Rpc(IntEnum):
 
     @property
     def spoken(self) -> str:
-        """The procedure in words."""
         return self.name.lower().replace("_", " ")
 
     @property
@@ -271,15 +270,6 @@ def status_text(code: int) -> str:
     return f"code {code} ({STATUS.get(code, 'unknown')})"
 
 
-def angles_to(xyz_mm: Array) -> tuple[float, float]:
-    """Return Hz, in [0, 2 pi), and V of a position (3,) in the instrument's frame.
-
-    Its x points to Hz zero and its z up; y is to the left, as in every right-handed frame.
-    """
-    x, y, z = map(float, xyz_mm)
-    return -math.atan2(y, x) % math.tau, math.atan2(math.hypot(x, y), z)
-
-
 def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
     """Return the position (3,) at two angles and a slope distance."""
     across_m = distance_m * math.sin(v_rad)
@@ -378,7 +368,7 @@ class LeicaGeocomTracker:
         known = options.reflector
         check_reflector(reflector, known, f"the prism constant is that of {known!r}")
         self._prove()
-        self._ask(Rpc.TURN_TO, *angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
+        self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
         if samples > 1:
             std_mm = std_of_repeats(points_mm, options.max_std_mm)
@@ -643,3 +633,12 @@ class LeicaGeocomTracker:
     def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
         close = np.isclose(found, wanted, rtol=1e-6, atol=1e-6)
         return bool(np.all(close & np.isfinite(found)))
+
+    @staticmethod
+    def angles_to(xyz_mm: Array) -> tuple[float, float]:
+        """Return Hz, in [0, 2 pi), and V of a position (3,) in the instrument's frame.
+
+        Its x points to Hz zero and its z up; y is to the left, as in every right-handed frame.
+        """
+        x, y, z = map(float, xyz_mm)
+        return -math.atan2(y, x) % math.tau, math.atan2(math.hypot(x, y), z)

@@ -58,8 +58,6 @@ from hilcell.wire.channel import Host, Port
 REPLY_S = 5.0
 MEASURE_S = 30.0
 BUSY_PAUSE_S = 0.2
-HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
-MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
 READY = ("Instrument is connected", "READY")
 BUSY = 201
 LONGEST_WORDS = 120
@@ -172,6 +170,9 @@ def other_form(xyz_mm: Array, named_mm: Array, near_mm: Array, limit_mm: float) 
 class T2saBridge:
     """An open connection. One thread asks; ``stop`` may come from any thread."""
 
+    HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
+    MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
+
     def __init__(self, link: Link, clock: Clock) -> None:
         self._clock = clock
         # A date in the PC's own format may hold letters of any alphabet.
@@ -184,7 +185,7 @@ class T2saBridge:
         """Halt the measurement under way, without waiting for an answer."""
         lines, self._stopped = self._lines, True
         if lines is not None:
-            lines.send(HALT, "stop")
+            lines.send(self.HALT, "stop")
 
     def close(self) -> None:
         """Close the connection; a second close does nothing."""
@@ -201,7 +202,7 @@ class T2saBridge:
             self._clock.wait(BUSY_PAUSE_S)
         if not reply.accepted:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
-            again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(MEASURE)
+            again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
             kind = NoReading if again else DeviceError
             act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
             raise kind(
@@ -226,9 +227,9 @@ class T2saBridge:
         self._wire().send(command, self._spoken(command))
         patience = Patience(limit_s)
         while (reply := self._reply(patience)) is not None:
-            if command.startswith((MEASURE, POSITION)) or not reply.is_result:
+            if command.startswith((self.MEASURE, self.POSITION)) or not reply.is_result:
                 return reply
-        if not command.startswith(MEASURE):
+        if not command.startswith(self.MEASURE):
             raise self.lost("no answer in time", self._spoken(command))
         self._give_up()
         found = f"no answer to {self._spoken(command)} in {limit_s:.1f} s"
@@ -241,8 +242,8 @@ class T2saBridge:
 
     def _give_up(self) -> None:
         """Halt a measurement that brought no reply, and make sure that none is to come."""
-        self._after(HALT, lambda reply: reply.accepted and not reply.is_result)
-        self._after(LASER, lambda reply: reply.is_laser)
+        self._after(self.HALT, lambda reply: reply.accepted and not reply.is_result)
+        self._after(self.LASER, lambda reply: reply.is_laser)
 
     def _after(self, command: str, answers: Callable[[Reply], bool]) -> None:
         """Request, and drop all replies up to the one that answers."""
@@ -276,9 +277,8 @@ class T2saBridge:
             raise TRACKER.failed("HC-T34", "use", found)
         return self._lines
 
-    @staticmethod
-    def _limit_s(command: str) -> float:
-        return MEASURE_S if command.startswith(MEASURE) else REPLY_S
+    def _limit_s(self, command: str) -> float:
+        return MEASURE_S if command.startswith(self.MEASURE) else REPLY_S
 
     @staticmethod
     def _spoken(command: str) -> str:
@@ -373,7 +373,7 @@ class T2saTracker:
         """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
         limit_s = MEASURE_S
         patience = Patience(limit_s, limit_s)
-        while not (reply := bridge.exchange(STATUS)).is_ready:
+        while not (reply := bridge.exchange(bridge.STATUS)).is_ready:
             if patience.over():
                 alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
                 raise TRACKER.failed(
@@ -418,14 +418,14 @@ class T2saTracker:
 
     def _warm(self, bridge: T2saBridge) -> None:
         """Switch the laser on where it is off, and wait until it has warmed up."""
-        state = bridge.ask(LASER).text
+        state = bridge.ask(bridge.LASER).text
         if "LOFF" in state:
             bridge.ask("!LST:1")
-            state = bridge.ask(LASER).text
+            state = bridge.ask(bridge.LASER).text
         ends_s = self._clock.now_s() + self.WARM_S
         while "WARM" in state and self._clock.now_s() < ends_s:
             self._clock.wait(self.WARM_LOOK_S)
-            state = bridge.ask(LASER).text
+            state = bridge.ask(bridge.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
             raise TRACKER.failed(
@@ -440,7 +440,7 @@ class T2saTracker:
     def _compare(self, bridge: T2saBridge, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
         for name, listed_mm in points.spread(self.COMPARED):
-            found_mm = bridge.position(POSITION, self._path(name))
+            found_mm = bridge.position(bridge.POSITION, self._path(name))
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
                 form = other_form(found_mm, np.full(3, np.nan), listed_mm, self.SAME_MM)
                 form = form and f" {form}"
@@ -482,7 +482,7 @@ class T2saTracker:
 
     def _measured(self, bridge: T2saBridge, name: str, named_mm: Array) -> Array:
         """Return the position (3,) of the reflector that is found from a named point."""
-        xyz_mm = bridge.position(MEASURE, self._path(name))
+        xyz_mm = bridge.position(bridge.MEASURE, self._path(name))
         if not bool(np.all(np.isfinite(xyz_mm))):
             raise TRACKER.no_reading(
                 "HC-T14", "measure", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm)

@@ -39,16 +39,7 @@ from drivers.universal_robots.health import (
     refused_motion,
     runtime_text,
 )
-from drivers.universal_robots.rtde import (
-    BRAKE,
-    GO,
-    MAX_NUMBER,
-    NOTHING,
-    POLYSCOPE,
-    Order,
-    UrLink,
-    UrState,
-)
+from drivers.universal_robots.rtde import Order, UrLink, UrState
 from drivers.wires.tcp import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
@@ -118,7 +109,7 @@ class UrRtdeRobot:
     def connect(self) -> list[Identity]:
         """Open all connections, verify everything, and send the script; nothing moves."""
         self._close_wires()
-        self._session = secrets.randbelow(MAX_NUMBER) + BRAKE + 1
+        self._session = secrets.randbelow(UrLink.MAX_NUMBER) + Order.BRAKE + 1
         self._stopped, options = False, self._options
         with on_failure(self.close):
             self._open_panels()
@@ -193,7 +184,7 @@ class UrRtdeRobot:
                 "HC-B69",
                 "connect",
                 f"this PolyScope ({software}) does not tell its {untold}",
-                wanted=POLYSCOPE,
+                wanted=UrLink.POLYSCOPE,
             )
         check_identity(model, options.model, serial, options.serial)
         address = f"{options.host}:{options.rtde_port}"
@@ -260,7 +251,7 @@ class UrRtdeRobot:
         """Send the script; return when it has said that it runs."""
         link, options = self.link(), self._options
         # The script may begin before these registers arrive, which must move nothing then.
-        self._order = Order(0, link.fresh().joints_rad, 0.0, command=NOTHING)
+        self._order = Order(0, link.fresh().joints_rad, 0.0, command=Order.NOTHING)
         link.write(self._order)
         line = TcpLink(ROBOT, options.host, options.script_port, self._attend)
         try:
@@ -301,7 +292,7 @@ class UrRtdeRobot:
             raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
         self._open_panels()
         self.look([self.link().next()])
-        number = self._order.sequence % MAX_NUMBER + 1
+        number = self._order.sequence % UrLink.MAX_NUMBER + 1
         self._order = Order(number, target_rad, speed_rad_s)
         self._under_way, self._ended_s = True, None
         self._watch.begin()
@@ -416,7 +407,7 @@ class UrRtdeRobot:
 
     def brake(self, *, wanted: bool) -> None:
         """Brake by the script, or take the brake back."""
-        self._order = replace(self._order, stop=BRAKE if wanted else GO)
+        self._order = replace(self._order, stop=Order.BRAKE if wanted else Order.GO)
         self.live()
 
     def braked(self, state: UrState) -> None:

@@ -38,7 +38,6 @@ from hilcell.ports import Array, DeviceError
 
 VERSION = 2  # of the protocol
 LONGEST = 4096
-NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 FORMATS = {
     "BOOL": "?",
     "UINT8": "B",
@@ -92,14 +91,14 @@ class Recipe:
 
     @classmethod
     def from_answer(cls, names: Sequence[str], payload: bytes) -> Recipe:
-        """Return the recipe that an answer sets up; types may be `NOT_FOUND` or `IN_USE`."""
+        """Return the recipe that an answer sets up; types may be ``NOT_FOUND`` or ``IN_USE``."""
         types = tuple(payload[1:].decode("ascii", "replace").split(","))
         if not payload or len(types) != len(names):
             raise RtdeError(f"{len(types)} types for {len(names)} fields")
         return cls(payload[0], tuple(names), types)
 
     def lacking(self, why: str) -> list[str]:
-        """Return the fields with this type: `NOT_FOUND` or `IN_USE`."""
+        """Return the fields with this type: ``NOT_FOUND`` or ``IN_USE``."""
         return [name for name, each in zip(self.names, self.types, strict=True) if each == why]
 
     def decode(self, payload: bytes) -> dict[str, Numbers]:
@@ -183,8 +182,6 @@ INPUTS = (
     "input_int_register_27",
     *(f"input_double_register_{n}" for n in range(24, 31)),  # the joints, and the speed
 )
-NOTHING, MOVE_JOINTS = 0, 1  # commands
-GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,6 +244,9 @@ class UrState:
 class Order:
     """The values of the registers that command the script."""
 
+    NOTHING, MOVE_JOINTS = 0, 1  # commands
+    GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
+
     sequence: int
     target_rad: Array
     speed_rad_s: float
@@ -270,13 +270,11 @@ def unlike(recipe: Recipe) -> list[str]:
     ]
 
 
-POLYSCOPE = "PolyScope 3.12, 5.6 or later"
-MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
-
-
 class UrLink:
     """One connection. Writes and ``end_script`` may come from any thread, all else from one."""
 
+    POLYSCOPE = "PolyScope 3.12, 5.6 or later"
+    MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
     ANSWER_S = 3.0
     SILENT_S = 1.0  # without a package
     LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
@@ -298,9 +296,9 @@ class UrLink:
         self._emptied_s = 0.0  # when the buffer was last seen empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
-        self._order, self._ending = Order(0, np.zeros(6), 0.0, command=NOTHING), 0
+        self._order, self._ending = Order(0, np.zeros(6), 0.0, command=Order.NOTHING), 0
         # The register keeps the last number of the connection before.
-        self._question = secrets.randbelow(MAX_NUMBER) + 1
+        self._question = secrets.randbelow(self.MAX_NUMBER) + 1
         with on_failure(self._link.close):
             self.version = self._set_up()
         self._thread.start()
@@ -310,7 +308,7 @@ class UrLink:
 
         ``patiently`` waits on when a stop was asked for. Raises `DeviceError`.
         """
-        self._question = self._question % MAX_NUMBER + 1
+        self._question = self._question % self.MAX_NUMBER + 1
         seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
@@ -355,7 +353,7 @@ class UrLink:
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
         with self._writing:
-            self._life = self._life % MAX_NUMBER + 1
+            self._life = self._life % self.MAX_NUMBER + 1
             self._order = order
             self._write()
 
@@ -382,24 +380,18 @@ class UrLink:
 
     def _set_up(self) -> str:
         if not self._accepts(Kind.VERSION, struct.pack(">H", VERSION)):
-            raise ROBOT.refused(
-                "HC-B69", "connect", f"version {VERSION} of RTDE is refused", wanted=POLYSCOPE
-            )
+            raise self._unsupported(f"version {VERSION} of RTDE is refused")
         version = self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
         if len(version) != 16:
             found = f"a controller version of {len(version)} bytes, wanted 16"
             raise self._no_rtde(Kind.CONTROLLER_VERSION, found)
         self._outputs = self._recipe(Kind.OUTPUTS, OUTPUTS, struct.pack(">d", self._rate_hz))
         if found := ", ".join(unlike(self._outputs)):
-            raise ROBOT.refused(
-                "HC-B69", "connect", f"unexpected type of {found}", wanted=POLYSCOPE
-            )
+            raise self._unsupported(f"unexpected type of {found}")
         self._inputs = self._recipe(Kind.INPUTS, INPUTS)
         self._echo = self._recipe(Kind.INPUTS, (ECHO,))
         if not self._accepts(Kind.START):
-            raise ROBOT.refused(
-                "HC-B69", "connect", "the exchange is not started", wanted=POLYSCOPE
-            )
+            raise self._unsupported("the exchange is not started")
         return ".".join(map(str, struct.unpack(">4I", version)))
 
     def _accepts(self, kind: Kind, payload: bytes = b"") -> bool:
@@ -414,11 +406,9 @@ class UrLink:
             recipe = Recipe.from_answer(names, answer)
         except RtdeError as error:
             raise self._link.broken("set up", str(error)) from error
-        if lacking := recipe.lacking(NOT_FOUND):
-            raise ROBOT.refused(
-                "HC-B69", "connect", f"the controller has no {', '.join(lacking)}", wanted=POLYSCOPE
-            )
-        if held := recipe.lacking(IN_USE):
+        if lacking := recipe.lacking("NOT_FOUND"):
+            raise self._unsupported(f"the controller has no {', '.join(lacking)}")
+        if held := recipe.lacking("IN_USE"):
             raise ROBOT.refused(
                 "HC-B68", "connect", f"another client writes {', '.join(held)}", wanted="no other"
             )
@@ -442,6 +432,9 @@ class UrLink:
                 self._arrived.extend(self._packages.feed(data))
             except RtdeError as error:
                 raise self._no_rtde(kind, str(error)) from error
+
+    def _unsupported(self, found: str) -> DeviceError:
+        return ROBOT.refused("HC-B69", "connect", found, wanted=self.POLYSCOPE)
 
     def _no_rtde(self, kind: Kind, found: str) -> DeviceError:
         return self._link.broken(kind.name.lower(), f"{found}; is rtde_port that of RTDE?")

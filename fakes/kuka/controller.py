@@ -58,17 +58,6 @@ def raw_members(text: str) -> dict[str, str]:
     return {name: value for name, value in parts if value}
 
 
-def boolean(value: bool) -> str:
-    return str(value).upper()
-
-
-def parse_boolean(text: str) -> bool:
-    """Return the value of TRUE or FALSE; raises `KrlError`."""
-    if (word := text.strip().upper()) not in ("TRUE", "FALSE"):
-        raise KrlError(text)
-    return word == "TRUE"
-
-
 RAIL_DRIVER = "kuka-e1"
 AXES = tuple(f"A{n}" for n in range(1, 7))
 FRAME = ("X", "Y", "Z", "A", "B", "C")
@@ -235,9 +224,9 @@ class KrlController:
             elif name == "$TIMER[10]":
                 self._timer.set_ms(int(text))
             elif name == "HC_HELD" and self._slide is not None:
-                self._slide.held = parse_boolean(text)
+                self._slide.held = self._parse_boolean(text)
             elif name == "HC_STOP":
-                self._stop(parse_boolean(text))
+                self._stop(self._parse_boolean(text))
             elif name == "$OV_PRO":
                 if not _NUMBER.match(text.strip()) or not math.isfinite(float(text)):
                     raise KrlError(text)
@@ -251,10 +240,10 @@ class KrlController:
     def _all_readers(self) -> dict[str, Callable[[], str]]:
         return {
             "$MODE_OP": lambda: self._mode,
-            "$PERI_RDY": lambda: boolean(not self._emergency),
-            "$STOPMESS": lambda: boolean(self._message),
-            "$ALARM_STOP": lambda: boolean(not self._emergency),
-            "$USER_SAF": lambda: boolean(True),
+            "$PERI_RDY": lambda: self._boolean(not self._emergency),
+            "$STOPMESS": lambda: self._boolean(self._message),
+            "$ALARM_STOP": lambda: self._boolean(not self._emergency),
+            "$USER_SAF": lambda: self._boolean(True),
             "$PRO_STATE": lambda: self._program,
             "$PRO_STATE1": lambda: self._program,
             "$OV_PRO": lambda: str(self._override),
@@ -267,18 +256,20 @@ class KrlController:
             "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
             "$EX_AX_NUM": self._count_slides,
-            "$AXIS_JUS[7]": lambda: boolean(self._faults.take("robot.slide_unmastered") is None),
+            "$AXIS_JUS[7]": lambda: self._boolean(
+                self._faults.take("robot.slide_unmastered") is None
+            ),
             "$AXIS_ACT.E1": self._place,
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
             "HC_VER": lambda: "4",
-            "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
+            "HC_HELD": lambda: self._boolean(self._slide is None or self._slide.held),
             "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, self.EXTERNAL),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
-            "HC_STOP": lambda: boolean(self._in_stop),
+            "HC_STOP": lambda: self._boolean(self._in_stop),
             **{name: lambda name=name: str(self._integers[name]) for name in self._integers},
         }
 
@@ -512,3 +503,14 @@ class KrlController:
                 raise KrlError(text)
             found[name.upper()] = float(number)
         return found
+
+    @staticmethod
+    def _boolean(value: bool) -> str:
+        return str(value).upper()
+
+    @staticmethod
+    def _parse_boolean(text: str) -> bool:
+        """Return the value of TRUE or FALSE; raises `KrlError`."""
+        if (word := text.strip().upper()) not in ("TRUE", "FALSE"):
+            raise KrlError(text)
+        return word == "TRUE"

@@ -22,7 +22,7 @@ class Eki(Dialect):
 
     def name(self, message: bytes) -> bytes:
         """Return the document without the Id of a question, and without its sign of life."""
-        return _ASKED.sub(_kept, self.LIFE.sub(b"", message))
+        return _ASKED.sub(self._kept, self.LIFE.sub(b"", message))
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
         """Whether both have one Id: a state may come once more, with the next."""
@@ -39,9 +39,9 @@ class Eki(Dialect):
         found = _ASKED.search(message)
         return b"" if found is None else found[2]
 
-
-def _kept(found: re.Match[bytes]) -> bytes:
-    return found[0] if int(found[2]) > 0 else found[1] + found[3]
+    @staticmethod
+    def _kept(found: re.Match[bytes]) -> bytes:
+        return found[0] if int(found[2]) > 0 else found[1] + found[3]
 
 
 def kuka_eki(_options: Options) -> dict[str, Dialect]:

@@ -139,8 +139,7 @@ class SampleStream:
         return self._kept + rest
 
 
-METRE = 0
-MM_PER_UNIT = {METRE: 1000.0, 1: 1.0}  # m, mm
+MM_PER_UNIT = {0: 1000.0, 1: 1.0}  # m, mm
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
 STATIONARY, CONTINUOUS_TIME = 0, 1  # modes of measurement
@@ -151,7 +150,7 @@ Arguments = tuple[float, ...]
 # Settings: the commands that write and read them, their status change, their fields, and the values
 # at the beginning.
 SETTINGS: dict[str, tuple[int, int, int, str, Arguments]] = {
-    "units": (5, 6, 6, "<5I", (METRE, 0, 0, 0, 0)),
+    "units": (5, 6, 6, "<5I", (0, 0, 0, 0, 0)),
     "environment": (20, 21, Change.ENVIRONMENT, "<3d", (20.0, 1013.3, 60.0)),
     "refraction": (22, 23, Change.REFRACTION, "<2d", (1.000275, 1.000279)),
     "measurement mode": (24, 25, 17, "<I", (STATIONARY,)),
@@ -493,7 +492,7 @@ class EmsconDevice:
 
     def _packed(self, measured: Measurement) -> bytes:
         in_metres = self._faults.take("tracker.metres") is not None
-        per_unit = MM_PER_UNIT[METRE] if in_metres else self._mm_per_unit()
+        per_unit = 1000.0 if in_metres else self._mm_per_unit()
         signs = self._signs()
         if self._faults.take("tracker.left_handed") is not None:
             signs[1] = -signs[1]

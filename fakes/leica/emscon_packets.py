@@ -14,10 +14,6 @@ from numpy.typing import NDArray
 
 HEAD = struct.Struct("<iI")
 COMMAND = struct.Struct("<iII")
-REPLY = struct.Struct("<iIII")
-RESULT = struct.Struct("<iIIIi17d")
-MULTI = struct.Struct("<iIIiII3d")
-SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
 
 
 class Type(IntEnum):
@@ -86,9 +82,10 @@ class Change(IntEnum):
 
 def reply(command: int, status: int = Status.OK, body: bytes = b"") -> bytes:
     """Return a reply; errors are packets of a type of their own, without body."""
+    layout = struct.Struct("<iIII")
     if status != Status.OK:
-        return REPLY.pack(REPLY.size, Type.ERROR, command, status)
-    return REPLY.pack(REPLY.size + len(body), Type.COMMAND, command, status) + body
+        return layout.pack(layout.size, Type.ERROR, command, status)
+    return layout.pack(layout.size + len(body), Type.COMMAND, command, status) + body
 
 
 def status_change(change: int) -> bytes:
@@ -98,18 +95,21 @@ def status_change(change: int) -> bytes:
 
 def single_result(values: tuple[float, ...], status: int = Status.OK) -> bytes:
     """Return SingleMeasResult: ReturnDataT's status, mode 0, no try mode, 17 doubles."""
-    return RESULT.pack(RESULT.size, Type.SINGLE_RESULT, status, 0, 0, *values)
+    layout = struct.Struct("<iIIIi17d")
+    return layout.pack(layout.size, Type.SINGLE_RESULT, status, 0, 0, *values)
 
 
 def multi_result(
     times_s: NDArray[np.float64], xyz: NDArray[np.float64], air: tuple[float, float, float]
 ) -> bytes:
     """Return MultiMeasResult in mode 1: samples with the tracker's time in s and us."""
-    samples = np.zeros(len(times_s), SAMPLE)
+    layout = struct.Struct("<iIIiII3d")
+    sample = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
+    samples = np.zeros(len(times_s), sample)
     samples["s"], samples["us"] = np.divmod(np.rint(times_s * 1e6), 1_000_000)
     samples["xyz"] = xyz
-    size = MULTI.size + samples.nbytes
-    head = MULTI.pack(size, Type.MULTI_RESULT, Status.OK, len(samples), 1, 0, *air)
+    size = layout.size + samples.nbytes
+    head = layout.pack(size, Type.MULTI_RESULT, Status.OK, len(samples), 1, 0, *air)
     return head + samples.tobytes()
 
 

@@ -91,7 +91,6 @@ class EventTime:
         return self._landmark_s, following(self._landmarks_s, self._landmark_s)
 
     def next_asked_s(self) -> float:
-        """Return when something was asked next."""
         return following(self._asked_s, self.now_s)
 
     def is_next(self, time_s: float) -> bool:

@@ -102,7 +102,6 @@ def _unlike(cell: Cell, session: int, paths: Mapping[str, Path], wires: Recorded
 
 
 def folder_of(cell: Cell) -> Path:
-    """Return the folder that a cell names."""
     return Path("" if cell.simulation is None else cell.simulation.data)
 
 

@@ -45,7 +45,6 @@ class Exchange:
         self.came_s = self.came_s or [self.time_s] * len(self.answers)
 
     def add(self, answer: bytes, came_s: float) -> None:
-        """Take a further answer."""
         self.answers.append(answer)
         self.came_s.append(came_s)
 

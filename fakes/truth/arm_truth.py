@@ -121,7 +121,6 @@ class Deflection(NamedTuple):
         return cls(gravity * URAD, harmonics * URAD, elastic * URAD)
 
     def scaled(self, factor: float) -> Deflection:
-        """Return the same, larger by a factor."""
         return Deflection(
             self.gravity_rad * factor, self.harmonics_rad * factor, self.elastic_rad * factor
         )

@@ -63,7 +63,6 @@ class Dither:
         self._step = 0
 
     def step(self) -> None:
-        """Go on by one step."""
         self._step = (self._step + 1) % STEPS
 
     @property

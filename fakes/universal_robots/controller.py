@@ -130,7 +130,6 @@ class UrController:
             return values
 
     def write(self, values: dict[str, float]) -> None:
-        """Take a client's registers."""
         life = "input_int_register_26"  # the PC's sign
         with self._lock:
             self._strike_on_request()

@@ -95,7 +95,7 @@ def test_data_of_another_recipe_is_refused(payload: bytes) -> None:
 
 def test_what_the_controller_lacks_or_another_holds() -> None:
     recipe = Recipe.from_answer(("a", "b", "c"), b"\x01DOUBLE,NOT_FOUND,IN_USE")
-    assert (recipe.lacking(rtde.NOT_FOUND), recipe.lacking(rtde.IN_USE)) == (["b"], ["c"])
+    assert (recipe.lacking("NOT_FOUND"), recipe.lacking("IN_USE")) == (["b"], ["c"])
     for types in (b"\x01DOUBLE", b""):
         with pytest.raises(RtdeError):
             Recipe.from_answer(("a", "b"), types)

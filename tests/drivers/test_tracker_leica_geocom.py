@@ -669,7 +669,7 @@ def test_hz_turns_clockwise_in_a_right_handed_frame() -> None:
 )
 def test_angles_lead_back_to_their_place(x: float, y: float, z: float) -> None:
     at_mm = np.array([x, y, z])
-    hz, v = geocom.angles_to(at_mm)
+    hz, v = geocom.LeicaGeocomTracker.angles_to(at_mm)
     assert 0 <= hz <= math.tau
     assert 0 <= v <= math.pi
     distance_m = float(np.linalg.norm(at_mm)) / 1000

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from fakes import wires
-from fakes.wires import LATE_EVERY, LATE_S, Segments
+from fakes.wires import Segments
 
 
 class Wire:
@@ -42,6 +42,6 @@ def test_nothing_is_lost_and_every_seventh_packet_is_split() -> None:
 
 
 def test_the_delay_is_far_below_a_millisecond_on_average(pauses: list[float]) -> None:
-    sent(2 * LATE_EVERY)
-    assert pauses.count(LATE_S) == 2
-    assert sum(pauses) / (2 * LATE_EVERY) < 1e-4
+    sent(2 * Segments.LATE_EVERY)
+    assert pauses.count(Segments.LATE_S) == 2
+    assert sum(pauses) / (2 * Segments.LATE_EVERY) < 1e-4

@@ -21,8 +21,6 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
-STRAIGHT_M_S = 0.1  # in to a hole and out of it
-
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
     """Return the files of a station by name."""
@@ -50,7 +48,7 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield f"BAS (#TOOL,{_tool_number(program)} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
     yield "BAS (#ACC_PTP,50 )"
-    yield f"BAS (#VEL_CP,{STRAIGHT_M_S:g} )"
+    yield "BAS (#VEL_CP,0.1 )"  # m/s, in to a hole and out of it
     yield comment("{W} as calibrated, in the robot's root")
     yield f"$BASE={_frame(program.base)}"
     yield "PTP XHOME"
