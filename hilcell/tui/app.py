@@ -66,14 +66,13 @@ class OpeningScreen(BaseScreen):
         yield TextPanel("notice")
         yield TextPanel("keys")
 
-    def on_mount(self) -> None:
-        """Show them."""
+    def begin(self) -> None:
         self.panel("title").show(Content.styled(f"hilcell {__version__}", "bold"))
         what = f"opening run {self._run} ..." if self._run else "looking for a live run ..."
         warning = "hilcell is not a safety function: keep the E-stop in reach."
         self.panel("what").show(f"{what}\n\n{warning}")
         self.panel("notice").display = False
-        super().on_mount()
+        super().begin()
 
 
 def run_to_open(runs: Path, name: str) -> Path | None:

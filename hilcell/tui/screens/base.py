@@ -309,6 +309,10 @@ class BaseScreen(Screen[None]):
         return self.query_one(f"#{name}", TextPanel)
 
     def on_mount(self) -> None:
+        """Begin; subclasses have no ``on_mount``, for Textual calls that of each class."""
+        self.begin()
+
+    def begin(self) -> None:
         """Show what is known already."""
         self.built.set()
         self.show(self.application.view)
@@ -447,11 +451,10 @@ class Page(BaseScreen):
         """Build the parts between title and keys."""
         return iter(())
 
-    def on_mount(self) -> None:
-        """Show title and view."""
+    def begin(self) -> None:
         self.panel("notice").display = False
         self.panel("title").show(Content.styled(self.title_text, "bold"))
-        super().on_mount()
+        super().begin()
         first = next(iter(self.query("Table, Input, #body").results(Widget)), None)
         if first is not None and first.focusable:
             first.focus()

@@ -48,19 +48,18 @@ class HistoryPage(FilterScreen, Page):
         yield Table(columns_for(self.line_width), empty="reading the index ...")
         yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Read the index off the thread that takes keys."""
-        super().on_mount()
-        self._begin()
-        self.set_interval(self.AGAIN_S, self._begin)  # runs begin and end
+        super().begin()
+        self._read_index()
+        self.set_interval(self.AGAIN_S, self._read_index)  # runs begin and end
 
     def on_resize(self) -> None:
-        """Show as many columns as fit."""
-        super().on_resize()
+        """Show as many columns as fit; Textual calls the base class's, too."""
         if self.is_shown:
             self.filter_rows()
 
-    def _begin(self) -> None:
+    def _read_index(self) -> None:
         """Read, once at a time: the first index of many runs takes a while."""
         if not self._reading:
             self._reading = True
@@ -138,9 +137,9 @@ class ComparePage(Page):
         yield TextPanel("comparison_text")
         yield Table(self.COLUMNS, empty="reading both journals ...")
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Compare."""
-        super().on_mount()
+        super().begin()
         self.application.start_task(self._compare())
 
     async def _compare(self) -> None:

@@ -147,9 +147,9 @@ class LogPage(FilterScreen, Page):
         yield rows
         yield self.filter_box("filter: words of a record")
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Begin at the newest record."""
-        super().on_mount()
+        super().begin()
         self.query_one(Table).action_to(-1)
 
     def show(self, view: RunView | None) -> None:
@@ -184,9 +184,9 @@ class ReportPage(TextPage):
         self._state = "computing the figures from the journal ..."
         self._figures: Json | None = None
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Write the report."""
-        super().on_mount()
+        super().begin()
         folder = self.application.shown_session.folder
         self.application.start_task(self._show_figures(folder))
         self.application.start_task(self._write(folder))

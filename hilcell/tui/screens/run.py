@@ -153,14 +153,14 @@ class RunScreen(FilterScreen):
         yield TextPanel("notice")
         yield TextPanel("keys")
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Hide the panels that are empty."""
         for name in ("alarm", "prompt", "verdict", "notice", "below"):
             self.query_one(f"#{name}").display = False
         rows = self.query_one(Table)
         rows.follow = True
         rows.focus()
-        super().on_mount()
+        super().begin()
 
     def show(self, view: RunView | None) -> None:
         """Show every line of the view."""

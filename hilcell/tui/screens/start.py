@@ -140,14 +140,14 @@ class StartScreen(BaseScreen):
                 begin = self.application.options.cell if name == "cell" else value
                 yield TextField(begin, placeholder=hint, id=name)
 
-    def on_mount(self) -> None:
+    def begin(self) -> None:
         """Choose the calibration, and compute its plan."""
         self.panel("notice").display = False
         procedure = self.query_one("#procedure", Choice)
         if "calibrate" in self._names:
             procedure.action_choose(self._names.index("calibrate"))
         procedure.focus()
-        super().on_mount()
+        super().begin()
         self.application.start_task(self._read_summaries())
         self._change()
 

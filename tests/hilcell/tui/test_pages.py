@@ -285,7 +285,7 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         await app.push_screen(page)
         await asyncio.to_thread(reading.wait)
         for _ in range(3):
-            page._begin()
+            page._read_index()
         go_on.set()
         await settle(pilot)
         assert len(reads) == 1
