@@ -123,16 +123,13 @@ class Table:
 
     @property
     def headers(self) -> list[str]:
-        """Return the headers for people."""
         return [column.header for column in self.columns]
 
     @property
     def keys(self) -> list[str]:
-        """Return the headers for programs."""
         return [column.key for column in self.columns]
 
     def texts(self, minus: str = MINUS) -> list[list[str]]:
-        """Return the cells as they are shown."""
         return [
             [column.text(value, minus) for column, value in zip(self.columns, row, strict=True)]
             for row in self.rows

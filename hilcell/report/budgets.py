@@ -51,7 +51,6 @@ class TargetBudget:
 
 
 def target_budget(log: Log, run: str) -> TargetBudget:
-    """Return the bounds that a run's journal allows."""
     calibration = calibration_so_far(log, run)
     if calibration is None:
         return TargetBudget(_why_none(log))
@@ -88,11 +87,9 @@ class Placed:
     coverage: Coverage | None
 
     def use(self, of: Callable[[np.ndarray], float]) -> float | None:
-        """Return a figure of the bounds in use."""
         return None if self.in_use is None else float(of(self.in_use.radii_mm))
 
     def validated(self, of: Callable[[Coverage], float]) -> float | None:
-        """Return a figure of the validation."""
         return None if self.coverage is None else float(of(self.coverage))
 
 
@@ -111,7 +108,6 @@ def placed(budget: TargetBudget) -> list[Placed]:
 
 
 def bounds_sheet(budget: TargetBudget) -> Table:
-    """Return the bounds by place."""
     note = (
         "95 % of 3-D errors should be inside. In use: any target of the cube, at any temperature "
         "that the check of validity allows. In validation: without what stays the same from grid "
@@ -167,7 +163,6 @@ class Row:
 
     @property
     def divisor(self) -> str:
-        """Return by what the estimate is divided."""
         if self.estimate_mm is None:
             return ""
         return "√3" if self.rectangular else "1"
@@ -224,7 +219,6 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
 
 
 def error_rows(budget: Budget) -> list[Row]:
-    """Return the lines of a measured error."""
     return [
         Row(
             each.name,
@@ -241,7 +235,6 @@ def error_rows(budget: Budget) -> list[Row]:
 
 
 def target_rows(bounds: Bounds) -> list[Row]:
-    """Return the lines of corrected targets."""
     clause = "4.3.7"  # clause of the GUM that evaluates a half-width
     return [
         Row(

@@ -109,7 +109,6 @@ def _calibrated(facts: Facts) -> bool:
 
 
 def procedure_words(facts: Facts) -> str:
-    """Return the method in words."""
     if _calibrated(facts):
         return _correction_words(facts)
     if tests_poses(facts):
@@ -179,7 +178,6 @@ def conditions_words(facts: Facts) -> str:
 
 
 def conformity_words(facts: Facts) -> str:
-    """Return limits and decision rule."""
     if tests_poses(facts):
         return PoseReport(facts).conformity_words()
     limits, plan = facts.cell.validation, facts.cell.plan

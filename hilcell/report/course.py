@@ -171,7 +171,6 @@ def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
 
 
 def course(facts: Facts) -> Table:
-    """Return how the run went."""
     counts = Counter(r.fact.what for r in facts.records if isinstance(r.fact, Event | OtherEvent))
     slide = f", {counts['slide proven']} that the slide did" if facts.cell.has_rail else ""
     note = (

@@ -45,7 +45,6 @@ class Measured:
 
     @property
     def norm_mm(self) -> float | None:
-        """Return the length of the error."""
         return None if self.error_mm is None else float(np.linalg.norm(self.error_mm))
 
     @property
@@ -127,7 +126,6 @@ def _turns_deg(log: Log) -> dict[str, float]:
 
 
 def points_table(facts: Facts) -> Table:
-    """Return every point."""
     return Table(POINTS, points(facts), "points")
 
 
@@ -149,7 +147,6 @@ def _leaves(path: str, value: object) -> Iterable[tuple[str, Value]]:
 
 
 def run_table(facts: Facts) -> Table:
-    """Return the identity of the run."""
     inputs = facts.inputs
     rows: list[tuple[str, Value]] = [
         ("run", facts.run),

@@ -62,12 +62,10 @@ class Facts:
 
     @property
     def inputs(self) -> PlanRecord:
-        """Return the frozen inputs."""
         return self.log.inputs
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end."""
         return self.log.state == "finished"
 
     @property

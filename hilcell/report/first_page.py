@@ -116,7 +116,6 @@ class FirstPage:
         )  # fmt: skip
 
     def judged_places(self) -> dict[str, Judged]:
-        """Return the verdicts of single stations."""
         return {
             place: judged
             for place, stations in places(self.facts.cell).items()
@@ -359,7 +358,6 @@ class Instrument:
 
 
 def instruments(facts: Facts) -> Table:
-    """Return the table of instruments."""
     rows = FirstPage(facts).instrument_rows()
     columns: tuple[Column[Instrument], ...] = (
         Column("instrument", attrgetter("instrument")),

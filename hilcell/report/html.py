@@ -291,7 +291,6 @@ def standing(facts: Facts) -> tuple[str, str]:
 
 
 def sentence(facts: Facts) -> str:
-    """Return the verdict as a sentence."""
     if facts.revoked:
         return "The calibration of this run was revoked: correct nothing by it."
     if tests_poses(facts):

@@ -26,7 +26,6 @@ class PoseReport:
     facts: Facts
 
     def tested(self) -> PoseTest:
-        """Return the result of a pose test."""
         return typed(self.facts.result[ISO], PoseTest)
 
     def results_sheet(self) -> Table:
@@ -43,7 +42,6 @@ class PoseReport:
         return Table(columns, rows, "Results, angles at the worst pose")
 
     def sentence(self) -> str:
-        """Return what was found, in a sentence."""
         found = self.tested()
         robot = "The robot as it is, not corrected,"
         if found.corrected_by:
@@ -120,7 +118,6 @@ def _columns(
 
 
 def uncertainty_words() -> str:
-    """Return the meaning of U."""
     return (
         "U: expanded uncertainty, k = 2 (about 95 %). Of AP it holds scatter, tracker, reflector, "
         "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "

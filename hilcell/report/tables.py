@@ -144,7 +144,6 @@ class Tables:
         return Table(STATIONS, self._framed("station", MeasuredStation), "Stations", note)
 
     def posed(self) -> list[Posed]:
-        """Return every measured frame."""
         matrices = {name: self.facts.log.matrix(name) for name in self.facts.log.frames}
         return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 

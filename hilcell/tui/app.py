@@ -60,7 +60,6 @@ class OpeningScreen(BaseScreen):
         self._run = run
 
     def compose(self) -> ComposeResult:
-        """Build the lines."""
         yield TextPanel("title")
         yield TextPanel("what")
         yield TextPanel("notice")
@@ -133,7 +132,6 @@ class Palette(CommandPalette):
             raise error
 
     async def action_enter(self) -> None:
-        """Choose what is highlighted."""
         await self.query_one(Input).action_submit()
 
     async def action_page(self, name: str) -> None:
@@ -143,7 +141,6 @@ class Palette(CommandPalette):
             await found.run_action(name)
 
     def action_erase(self) -> None:
-        """Take a letter back; with none left, go back."""
         box = self.query_one(Input)
         if box.value:
             box.action_delete_left()
@@ -160,7 +157,6 @@ class ActionProvider(Provider):
             yield DiscoveryHit(words, act)
 
     async def search(self, query: str) -> Hits:
-        """Yield the allowed actions that match."""
         matcher = self.matcher(query)
         for words, act in self._allowed():
             if (score := matcher.match(words)) > 0:
@@ -271,7 +267,6 @@ class HilcellApp(Application):
             self.do_new()
 
     def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
-        """Show a run in place of the one shown; a live one goes on in background."""
         from hilcell.tui.screens.run import PointFilter, RunScreen
 
         before = self.session if self.session and self.session.folder == folder else None
@@ -311,7 +306,6 @@ class HilcellApp(Application):
             self.post_message(RunUpdated(session))
 
     def on_run_updated(self, message: RunUpdated) -> None:
-        """Apply what the feed has read and show it."""
         from hilcell.tui.engine.feed import utc_now
 
         session = message.session
@@ -377,7 +371,6 @@ class HilcellApp(Application):
         return BY_NAME[name].everywhere or not typing
 
     def action_do(self, name: str) -> None:
-        """Do what a key means."""
         self.do(name)
 
     def do(self, name: str) -> None:
@@ -428,7 +421,6 @@ class HilcellApp(Application):
             self.push_screen(page())
 
     def action_command_palette(self) -> None:
-        """Show the palette, or go back from it."""
         if isinstance(self.screen, Palette):
             self.pop_screen()
         else:
@@ -467,7 +459,6 @@ class HilcellApp(Application):
             )
 
     def do_new(self) -> None:
-        """Open the form for a new run."""
         from hilcell.tui.screens.start import StartScreen
 
         self.open_runs.show(None)

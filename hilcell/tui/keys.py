@@ -89,7 +89,6 @@ Keymap = dict[str, tuple[str, ...]]
 
 
 def default_file() -> Path:
-    """Return the default path of the file of keys."""
     base = os.environ.get("XDG_CONFIG_HOME", "")
     return (Path(base) if base else Path.home() / ".config") / "hilcell" / "keys.toml"
 
@@ -176,7 +175,6 @@ def conflicts(keymap: Keymap) -> list[str]:
 
 
 def shown(key: str) -> str:
-    """Return a key as it is printed."""
     return _SHOWN.get(key, key.replace("ctrl+", "^"))
 
 

@@ -164,7 +164,6 @@ class Stack(Lines):
         ]
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
-        """Return the lines of all parts."""
         return [*chain.from_iterable(part.lines(width, height) for part in self._parts)]
 
 
@@ -177,11 +176,9 @@ class Drawing(Lines):
 
     @property
     def state(self) -> object:
-        """Return the state that was given."""
         return self._state
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
-        """Return the lines."""
         return self._draw(width, height)
 
 
@@ -193,7 +190,6 @@ class Rule(Lines):
     remark: Content = BLANK
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
-        """Return one line."""
         left = Content.assemble(("─ ", "$stale"), self.title, " ")
         tail = Content.assemble(" ", self.remark, (" ─", "$stale")) if self.remark else BLANK
         room = width - left.cell_length - tail.cell_length
@@ -214,7 +210,6 @@ class Fitting(Filler):
     texts: tuple[Content, ...]
 
     def drawn(self, width: int) -> Content:
-        """Return a text of at most ``width`` columns."""
         return next((each for each in self.texts if each.cell_length <= width), BLANK)
 
 
@@ -232,7 +227,6 @@ class Bar(Filler):
     guard: float = 0.0
 
     def drawn(self, width: int) -> Content:
-        """Return the bar."""
         halves = math.floor(2 * width * self.share + 1e-9) if self.share <= 1.0 else 2 * width
         whole, half = divmod(max(halves, 0), 2)
         filled = whole + half
@@ -263,7 +257,6 @@ class SignedBar(Filler):
     style: str
 
     def drawn(self, width: int) -> Content:
-        """Return the bar."""
         half = (width - 1) // 2
         length = min(round(half * abs(self.share)), half) if math.isfinite(self.share) else 0
         filled, rest = Content.styled("▄" * length, f"{self.style}"), Content(" " * (half - length))

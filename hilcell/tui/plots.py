@@ -193,7 +193,6 @@ class Canvas:
             self._halves[half][column] = ink
 
     def lines(self) -> list[Content]:
-        """Return the rows as styled text."""
         return [self._line(row) for row in range(self.height)]
 
     def _line(self, row: int) -> Content:

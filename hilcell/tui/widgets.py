@@ -51,22 +51,18 @@ class Shown(Visual):
         self.state, self._source, self._plain = source.state, source, plain
 
     def content(self, width: int, height: int = 0) -> Content:
-        """Return the lines for a panel of this size."""
         lines = self._source.lines(width, height)
         return Content("\n").join(_safe(line, plain=self._plain) for line in lines)
 
     def render_strips(
         self, width: int, height: int | None, style: VisualStyle, options: RenderOptions
     ) -> list[Strip]:
-        """Paint the lines."""
         return self.content(width, height or 0).render_strips(width, height, style, options)
 
     def get_optimal_width(self, rules: RulesMap, container_width: int) -> int:
-        """Return all the width there is."""
         return container_width
 
     def get_height(self, rules: RulesMap, width: int) -> int:
-        """Return the number of lines."""
         return len(self._source.lines(width, 0))
 
 
@@ -106,7 +102,6 @@ class Titled(Widget):
     _titles: object = None
 
     def show_titles(self, title: Content, note: str) -> None:
-        """Show both."""
         if (state := (look_of(title), note)) != self._titles:
             self._titles = state
             self.border_title = _safe(title, plain=_is_plain(self))
@@ -143,15 +138,12 @@ class Choice(TextPanel, can_focus=True):
 
     @property
     def value(self) -> str:
-        """Return the chosen word."""
         return self.words[self.index]
 
     def on_mount(self) -> None:
-        """Show the first word."""
         self._draw()
 
     def action_turn(self, step: int) -> None:
-        """Choose the next word."""
         self.action_choose(self.index + step)
 
     def action_choose(self, index: int) -> None:
@@ -268,26 +260,21 @@ class Table(ScrollView, can_focus=True):
         self.refresh()
 
     def on_resize(self) -> None:
-        """Keep the cursor in sight."""
         self.virtual_size = Size(self.size.width, len(self.rows) + 1)
         self._show_cursor()
 
     def choose(self, key: str) -> None:
-        """Put the cursor on a row."""
         found = next((n for n, row in enumerate(self.rows) if row.key == key), None)
         if found is not None:
             self._move(found)
 
     def action_by(self, step: int) -> None:
-        """Move the cursor by some rows."""
         self._move(self.cursor + step)
 
     def action_page(self, step: int) -> None:
-        """Move the cursor by a page."""
         self._move(self.cursor + step * max(self.size.height - 2, 1))
 
     def action_to(self, index: int) -> None:
-        """Move the cursor to the first or the last row."""
         self._move(index if index >= 0 else len(self.rows) + index)
 
     def action_choose(self) -> None:

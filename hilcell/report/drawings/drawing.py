@@ -109,7 +109,6 @@ def rectangle(
 
 
 def circle(x: float, y: float, r: float, fill: str, colour: str) -> str:
-    """Return a circle."""
     return f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{r}" fill="{fill}" stroke="{colour}"/>'
 
 
@@ -167,7 +166,6 @@ class Scale:
         return found
 
     def one(self, value: float) -> float:
-        """Return where one value is on paper."""
         return float(self.at(value))
 
     def ticks(self) -> list[float]:

@@ -86,7 +86,6 @@ class Feed:
         self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def look_now(self) -> None:

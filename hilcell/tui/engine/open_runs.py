@@ -26,7 +26,6 @@ class OpenRuns:
 
     @property
     def live(self) -> list[Session]:
-        """Return the sessions whose runs have an engine at work."""
         return [each for each in self.all if each.view.live]
 
     def show(self, session: Session | None) -> None:

@@ -64,7 +64,6 @@ class RunView:
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 
     def take(self, record: Record) -> None:
-        """Add one durable record."""
         self.log.take(record)
         self.records.append(record)
         if len(self.records) > 2 * MOST_RECORDS:

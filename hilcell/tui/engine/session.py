@@ -54,7 +54,6 @@ class Session:
         self.feed = Feed(folder, deliver, period_s)
 
     def take(self, update: RunUpdate, now: datetime) -> None:
-        """Apply one look of the feed."""
         if not self._unreadable:
             self._take_records(update.records)
         view = self.view
@@ -102,7 +101,6 @@ class Session:
         return log.newest.t if proven and log.newest is not None else ""
 
     def tick(self, now: datetime) -> None:
-        """Update ages and the forecast to the time ``now``."""
         view = self.view
         view.now = now
         view.status_age_s = (
@@ -162,7 +160,6 @@ class Session:
             self.ask("acknowledge", codes=tuple(made.codes), until=made.until)
 
     def close(self, *, leave: bool) -> None:
-        """Detach from the run."""
         self.feed.close(leave=leave)
         if self.process is not None:
             self.process.poll()

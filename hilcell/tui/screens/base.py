@@ -80,7 +80,6 @@ class Application(App[int]):
 
     @property
     def live(self) -> bool:
-        """Whether the run that is shown has an engine at work."""
         return self.view is not None and self.view.live
 
     @property
@@ -109,12 +108,11 @@ class Application(App[int]):
             self.attach(folder)
 
     def show_background_run(self) -> None:
-        """Show the background run again."""
         if self.open_runs.background is not None:
             self.attach(self.open_runs.background.folder)
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
-        """Show a notice on the line above the keys, as `BaseScreen.notice` does."""
+        """Show a notice on the line above the keys, as `BaseScreen.show_notice` does."""
         if isinstance(self.page, BaseScreen):
             self.page.show_notice(text, for_now=for_now, over=over)
 
@@ -135,7 +133,6 @@ class Application(App[int]):
         self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
 
     def allowed(self, name: str) -> bool:
-        """Whether an action does something now."""
         return not self.refusal(name)
 
     def refusal(self, name: str) -> str:
@@ -296,7 +293,6 @@ class BaseScreen(Screen[None]):
 
     @property
     def application(self) -> Application:
-        """Return the application."""
         return cast("Application", self.app)
 
     @property
@@ -305,7 +301,6 @@ class BaseScreen(Screen[None]):
         return max(self.app.size.width, 20) - 1
 
     def panel(self, name: str) -> TextPanel:
-        """Return a panel by its name."""
         return self.query_one(f"#{name}", TextPanel)
 
     def on_mount(self) -> None:
@@ -318,15 +313,12 @@ class BaseScreen(Screen[None]):
         self.show(self.application.view)
 
     def on_resize(self) -> None:
-        """Lay the lines out again."""
         self.call_after_refresh(self.show_again)
 
     def on_screen_resume(self) -> None:
-        """Show the changes since another screen was on top."""
         self.show_again()
 
     def on_descendant_focus(self) -> None:
-        """Show the keys that do something there."""
         if self.is_shown:
             self.panel("keys").show(self.key_line())
 
@@ -336,7 +328,6 @@ class BaseScreen(Screen[None]):
             self.show(self.application.view)
 
     def show(self, view: RunView | None) -> None:
-        """Show the view."""
         self.panel("keys").show(self.key_line())
         if self._notice_state is not None and self._notice_state != _notice_state(view):
             self.show_notice("")
@@ -410,7 +401,6 @@ class BaseScreen(Screen[None]):
         return AlarmContext(now, app.keymap, app.glyphs, app.refusal("pause"), log)
 
     def label(self, name: str) -> str:
-        """Return the current label of an action."""
         view = self.application.view
         if name == "pause" and view is not None:
             if view.prompt is not None:
@@ -440,7 +430,6 @@ class Page(BaseScreen):
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", BACK),)
 
     def compose(self) -> ComposeResult:
-        """Build banner, title, body and key line."""
         yield TextPanel("banner")
         yield TextPanel("title")
         yield from self.body()
@@ -464,7 +453,6 @@ class Page(BaseScreen):
         return action != "back" or not isinstance(self.focused, Input)
 
     def action_back(self) -> None:
-        """Go back to the screen below."""
         self.app.pop_screen()
 
 
@@ -489,13 +477,11 @@ class Confirm(ModalScreen[bool]):
         self._answers = Content.assemble(*answers, *([remark] if remark is not None else []))
 
     def compose(self) -> ComposeResult:
-        """Build the box."""
         with Vertical(id="dialog"):
             yield TextPanel("question")
             yield TextPanel("answers")
 
     def on_mount(self) -> None:
-        """Show the question."""
         self.query_one("#question", TextPanel).show(self._question)
         self.query_one("#answers", TextPanel).show(self._answers)
 
@@ -506,6 +492,5 @@ class Confirm(ModalScreen[bool]):
         question.styles.max_height = max(room, 1)
 
     def action_reply(self, yes: bool) -> None:
-        """Close with the answer."""
         if not yes or cast("Application", self.app).key_is_deliberate:
             self.dismiss(yes)

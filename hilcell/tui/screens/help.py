@@ -84,7 +84,6 @@ class HelpPage(TextPage):
     footer = ("stop", "quit")
 
     def text(self, view: RunView | None) -> Lines:
-        """Return the help."""
         fixed = {title: keys_of(each) for title, each in SCREENS.items()}
         return help_lines(self.application.keymap, self.application.glyphs, fixed)
 

@@ -44,7 +44,6 @@ class HistoryPage(FilterScreen, Page):
         self._reading = False
 
     def body(self) -> ComposeResult:
-        """Build filter and rows."""
         yield Table(columns_for(self.line_width), empty="reading the index ...")
         yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
@@ -77,7 +76,6 @@ class HistoryPage(FilterScreen, Page):
             self.filter_rows()
 
     def filter_rows(self) -> None:
-        """Show the runs that match all words."""
         from hilcell.journal.index import matches
 
         found = [run for run in self._runs if matches(run, self.filter_text)]
@@ -88,7 +86,6 @@ class HistoryPage(FilterScreen, Page):
         self.panel("title").show(Content.styled(title, "bold"))
 
     def on_table_row_selected(self, message: Table.RowSelected) -> None:
-        """Open a run."""
         if message.key:
             self.application.open_run(self.application.options.runs / message.key)
 
@@ -102,7 +99,6 @@ class HistoryPage(FilterScreen, Page):
         self.filter_rows()
 
     def do_compare(self) -> None:
-        """Compare the two marked runs."""
         if len(self._marked) != self.TO_COMPARE:
             self.show_notice(
                 f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
@@ -133,12 +129,10 @@ class ComparePage(Page):
         self._first, self._second = first, second
 
     def body(self) -> ComposeResult:
-        """Build the heading and the rows."""
         yield TextPanel("comparison_text")
         yield Table(self.COLUMNS, empty="reading both journals ...")
 
     def begin(self) -> None:
-        """Compare."""
         super().begin()
         self.application.start_task(self._compare())
 

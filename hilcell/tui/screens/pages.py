@@ -32,12 +32,10 @@ class TextPage(Page):
     fixed = (*Page.fixed, ("▲▼", "scroll"))
 
     def body(self) -> ComposeResult:
-        """Build one text that scrolls."""
         with VerticalScroll(classes="scroll", id="body", can_focus=True):
             yield TextPanel("text")
 
     def show(self, view: RunView | None) -> None:
-        """Show the text."""
         super().show(view)
         self.panel("text").show(self.text(view))
 
@@ -66,7 +64,6 @@ class InterlockPage(TextPage):
     footer = ("stop", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content:
-        """Return conditions and readings."""
         return interlock_page(view, self.application.glyphs) if view is not None else Content("")
 
 
@@ -81,11 +78,9 @@ class DetailPage(TextPage):
         self._key = key
 
     def text(self, view: RunView | None) -> Content | Lines:
-        """Return the point."""
         return point_page(view, self._key) if view is not None else BLANK
 
     def do_retake(self) -> None:
-        """Re-measure this point."""
         self.application.actions.retake(self._key)
 
 
@@ -110,13 +105,11 @@ class FilterScreen(BaseScreen):
         """Show the rows that are wanted."""
 
     def do_find(self) -> None:
-        """Open the filter."""
         box = self.query_one("#find", Input)
         box.display = True
         self.set_focus(box)  # at once: keys typed ahead belong into it
 
     def on_input_changed(self, message: Input.Changed) -> None:
-        """Filter as one types."""
         self.filter_text = message.value
         message.input.display = bool(message.value) or message.input.has_focus  # never unseen
         self.filter_rows()
@@ -141,14 +134,12 @@ class LogPage(FilterScreen, Page):
         self._seq = 0
 
     def body(self) -> ComposeResult:
-        """Build rows and filter."""
         rows = Table(log_columns(BEGIN), empty="no records")
         rows.follow = True
         yield rows
         yield self.filter_box("filter: words of a record")
 
     def begin(self) -> None:
-        """Begin at the newest record."""
         super().begin()
         self.query_one(Table).action_to(-1)
 
@@ -164,7 +155,6 @@ class LogPage(FilterScreen, Page):
             self.filter_rows()
 
     def filter_rows(self) -> None:
-        """Show the records that match all words."""
         words = self.filter_text.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
         view = self.application.view
@@ -185,14 +175,12 @@ class ReportPage(TextPage):
         self._figures: Json | None = None
 
     def begin(self) -> None:
-        """Write the report."""
         super().begin()
         folder = self.application.shown_session.folder
         self.application.start_task(self._show_figures(folder))
         self.application.start_task(self._write(folder))
 
     def text(self, view: RunView | None) -> Lines:
-        """Return where the file is, and the figures."""
         where = self._where, "bold"
         if self._figures is None:
             return Stack(where, BLANK, self._state)

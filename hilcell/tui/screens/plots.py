@@ -62,7 +62,6 @@ class PlotPage(Page):
         return (first, *numbers, *others)
 
     def body(self) -> ComposeResult:
-        """Build the plot's place."""
         yield TextPanel("plot")
 
     def show(self, view: RunView | None) -> None:
@@ -87,18 +86,15 @@ class PlotPage(Page):
         return Content("\n").join([*tabs, *lines])
 
     def action_turn(self, step: int) -> None:
-        """Choose the next plot."""
         if count := self._count:
             self.action_choose((self._choice.tab + step) % count)
 
     def action_choose(self, index: int) -> None:
-        """Choose a plot, if there is one of that number."""
         if index < self._count:
             self._choice.tab, self._choice.series = index, 0
             self.show_again()
 
     def action_change(self, part: str) -> None:
-        """Turn the station, the scale or the series."""
         view = self.application.view
         if view is None or view.log.plan is None:
             return

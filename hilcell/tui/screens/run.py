@@ -137,7 +137,6 @@ class RunScreen(FilterScreen):
         self.points_open = False  # over the verdict of a run that is done
 
     def compose(self) -> ComposeResult:
-        """Build the lines, the box of points and the panel beside it."""
         yield TextPanel("banner")
         with Horizontal(id="middle"):
             with Vertical(id="left"):
@@ -154,7 +153,6 @@ class RunScreen(FilterScreen):
         yield TextPanel("keys")
 
     def begin(self) -> None:
-        """Hide the panels that are empty."""
         for name in ("alarm", "prompt", "verdict", "notice", "below"):
             self.query_one(f"#{name}").display = False
         rows = self.query_one(Table)
@@ -163,7 +161,6 @@ class RunScreen(FilterScreen):
         super().begin()
 
     def show(self, view: RunView | None) -> None:
-        """Show every line of the view."""
         super().show(view)
         if view is None:
             return
@@ -262,7 +259,6 @@ class RunScreen(FilterScreen):
             self.panel("verdict").show(result.lines(view, glyphs))
 
     def on_table_row_highlighted(self) -> None:
-        """Show the point that is chosen now."""
         view = self.application.view
         if self.instead in self.HIDE_POINTS:
             self._open_points()
@@ -275,7 +271,6 @@ class RunScreen(FilterScreen):
 
     @property
     def point_filter(self) -> PointFilter:
-        """Return the filter and order of the points."""
         rows = self.query(Table)
         return PointFilter(self.bad_only, self.worst_first, rows.first().key if rows else "")
 
@@ -312,7 +307,6 @@ class RunScreen(FilterScreen):
         self._wide.show_below(below, view, self._rows, self.application.glyphs, height)
 
     def label(self, name: str) -> str:
-        """Return what a key does now."""
         if name == "sort":
             return "as measured" if self.worst_first else "worst first"
         if name == "bad":
@@ -338,11 +332,9 @@ class RunScreen(FilterScreen):
         return KeyOf(key, FOOTER_WORDS.get(label, label), self.application.allowed(name))
 
     def action_enter(self) -> None:
-        """Answer the prompt, or open the chosen point."""
         self._enter(self.query_one(Table).key)
 
     def on_table_row_selected(self, message: Table.RowSelected) -> None:
-        """Answer the prompt, or open the chosen point."""
         self._enter(message.key)
 
     def _enter(self, key: str) -> None:
@@ -357,25 +349,21 @@ class RunScreen(FilterScreen):
     # -- keys of this screen ------------------------------------------------------------------
 
     def do_bad(self) -> None:
-        """Show bad points only, or all."""
         self.bad_only, self.points_open = not self.bad_only, True
         self.show(self.application.view)
 
     def do_sort(self) -> None:
-        """Order by |e|, or as measured."""
         self.worst_first, self.points_open = not self.worst_first, True
         self.show(self.application.view)
         if self.worst_first:
             self.query_one(Table).action_to(0)
 
     def do_find(self) -> None:
-        """Open the filter over the points."""
         self.points_open = True
         self.show(self.application.view)
         super().do_find()
 
     def filter_rows(self) -> None:
-        """Show the points that match all words."""
         self.show(self.application.view)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
@@ -394,5 +382,4 @@ class RunScreen(FilterScreen):
             self.application.show_background_run()
 
     def do_retake(self) -> None:
-        """Re-measure the chosen point."""
         self.application.actions.retake(self.query_one(Table).key)

@@ -113,7 +113,6 @@ class StartScreen(BaseScreen):
         self._asking = False
 
     def compose(self) -> ComposeResult:
-        """Build the page."""
         yield TextPanel("banner")
         with Horizontal(id="form"):
             with Vertical(id="fields"):
@@ -212,7 +211,6 @@ class StartScreen(BaseScreen):
     # -- fields ---------------------------------------------------------------------------------
 
     def entries(self) -> Entries:
-        """Return the entries of the fields."""
         found = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
         return Entries(
@@ -334,7 +332,6 @@ class PlanSummary(Confirm):
 
 
 def plan_summary(order: Order, plan: process.DryRun) -> Content:
-    """Return what is about to be started."""
     unattended = order.attendance.unattended
     who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
     notes = [
@@ -354,7 +351,6 @@ def plan_summary(order: Order, plan: process.DryRun) -> Content:
 
 
 def summaries(names: list[str]) -> dict[str, str]:
-    """Return the summary of each procedure."""
     from hilcell.cell.devices import load_entry
 
     found: dict[str, str] = {}
@@ -384,7 +380,6 @@ class Checked:
 
     @property
     def has_rail(self) -> bool:
-        """Whether the cell has a rail."""
         return self.plan is None or self.plan.rail
 
     def banner(self, glyphs: Glyphs) -> Lines:

@@ -50,11 +50,9 @@ class StopDriver(LinuxDriver):
     _covered = False
 
     def write(self, data: str) -> None:
-        """Write what is drawn."""
         super().write(without_colours(data, self._app.theme) if self._app.no_color else data)
 
     def run_input_thread(self) -> None:
-        """Read the terminal until the screen ends."""
         parser = XTermParser(self._debug)
         decode = getincrementaldecoder("utf-8")("replace").decode
         with selectors.DefaultSelector() as selector:

@@ -57,7 +57,6 @@ class Palette:
         return getattr(self, f"on_{role}", "") or self.ground
 
     def theme(self) -> Theme:
-        """Return the palette as Textual's theme."""
         variables = {role: self.ink(role) for role in ROLES}
         variables |= {f"{role}-fill": self.fill(role) for role in ROLES}
         variables |= {f"on-{role}": self.on(role) for role in ROLES}

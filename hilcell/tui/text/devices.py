@@ -48,7 +48,6 @@ NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 
 def lamps_of(view: RunView) -> tuple[str, ...]:
-    """Return which lamps the run's cell has."""
     return (*(("rail", "strip") if view.has_rail else ()), "robot", "tracker")
 
 

@@ -247,12 +247,10 @@ class Finished:
 
     @property
     def worst_mean(self) -> Station:
-        """Return the station of the largest mean."""
         return max(self.stations, key=lambda each: gravest(each.judged.mean_mm))
 
     @property
     def worst_single(self) -> Station:
-        """Return the station of the largest single error."""
         return max(self.stations, key=lambda each: gravest(each.judged.max_mm))
 
     @property

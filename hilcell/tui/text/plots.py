@@ -275,7 +275,6 @@ class Measured:
 
 
 def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
-    """Return |e| target by target."""
     count, x = max(len(found.targets), 1), _middles(len(found.targets))
     series = [Series(how.text, INKS[how], x, y) for how, y in found.by_how.items()]
     what = "grid point" if found.grid else "target"
@@ -351,11 +350,9 @@ class Choice:
         return self.tab, tuple(self.picks.items()), tuple(self.turned.items()), self.series
 
     def turn_pick(self) -> None:
-        """Choose the next station, or axis."""
         self.picks[self.tab] += 1
 
     def turn_scale(self) -> None:
-        """Choose the other scale."""
         self.turned[self.tab] += 1
 
     def turn_series(self, count: int) -> None:
@@ -393,7 +390,6 @@ class Shown:
 
     @property
     def title(self) -> Content:
-        """Return the plot's title."""
         scale = ", log scale" if self.scale.is_log else ""
         return Content.styled(f"{self.plot.title}{scale}", "bold")
 

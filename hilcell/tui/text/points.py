@@ -111,7 +111,6 @@ class PointRow:
 
     @classmethod
     def of(cls, log: Log, point: Point, deviation: Deviation | None) -> Self:
-        """Return the row of a point and its deviation."""
         return cls(point, deviation, state_of(log, point, deviation))
 
     @property
@@ -121,7 +120,6 @@ class PointRow:
 
 
 def row_of(log: Log, point: Point) -> PointRow:
-    """Return one point's row."""
     return PointRow.of(log, point, deviation_of(log, point))
 
 
@@ -272,7 +270,6 @@ class PointRows:
         return deviation_of(log, point) if row is None else row.deviation
 
     def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
-        """Return the cells of one point."""
         key, waits = found.point.key, found.point.key in waiting
         known = self._drawn.get(key)
         if known is None or known[0] is not found or known[1:3] != (waits, width):
@@ -310,7 +307,6 @@ def filtered(
 
 
 def point_page(view: RunView, key: str) -> Lines:
-    """Return all that the journal holds of a point."""
     point = view.log.points.get(key)
     if point is None:
         return Stack(f"{key}: the journal holds no such point")

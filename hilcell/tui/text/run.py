@@ -140,7 +140,6 @@ def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> 
 
 
 def is_simulated(view: RunView) -> bool:
-    """Whether the run's cell is a simulated one."""
     return view.log.plan is not None and view.log.plan.simulated
 
 
@@ -157,7 +156,6 @@ def _notices(view: RunView, background: RunView | None) -> tuple[str, ...]:
 
 
 def end_text(view: RunView) -> str:
-    """Return how a background run has ended."""
     worst = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
     why = f": {worst.code} {worst.title}" if worst is not None else ""
     return f"the run behind, {view.run}, has ended: {state_of(view)[0]}{why}"
@@ -280,7 +278,6 @@ def moves(*, has_rail: bool) -> str:
 
 
 def resume_text(view: RunView | None) -> str:
-    """Return what a resumed run will meet."""
     if view is not None and view.calibration_lost:
         return "Its calibration file is written; nothing moves."
     what = moves(has_rail=view is None or view.has_rail)
@@ -330,14 +327,12 @@ class Shown:
         *,
         stale: bool = False,
     ) -> Shown:
-        """Return a point by its place in the run and its name."""
         name = f"{which}: {point.id.words(point.station)}"
         word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
         return cls(name, deviation(log, point), remark, stale, word)
 
     @property
     def tone(self) -> str:
-        """Return the style of |e|."""
         if self.stale or self.deviation is None:
             return "$stale"
         judged = self.deviation.limit_mm is not None
@@ -365,7 +360,6 @@ class Shown:
         return Grid(rows, Col(), Col(3), Col(21), Col(14), Col(28), Col())
 
     def one_line(self, found: Deviation) -> Content:
-        """Return |e| and its components in one line."""
         dx, dy, dz = map(_signed, found.error_mm)
         return Content.assemble(
             " ",

@@ -275,7 +275,6 @@ class Views:
         return rows
 
     def above(self, rows: int) -> Lines:
-        """Return the view from above."""
         of, across = self.of, 1 - self.of.rail
         size_m = float(of.high_mm[of.rail] - of.low_mm[of.rail]) / 1000.0
         cells = self._view((of.rail, across), self.columns, rows)
