@@ -126,7 +126,6 @@ _FORMS = {
     "percent": "0.0",
     "s": "0.000",
 }
-_TIME = re.compile(r"\d{4}-\d\d-\d\dT")
 
 
 def xlsx_of(tables: Sequence[Table], created: datetime, names: Mapping[str, str]) -> bytes:
@@ -166,7 +165,8 @@ def _write_row(
     for column, (value, style) in enumerate(zip(row, styles, strict=True)):
         text = value.name if isinstance(value, Named) else value
         if isinstance(text, str):
-            if style is not None and style.num_format == _FORMS["utc"] and _TIME.match(text):
+            is_time = re.match(r"\d{4}-\d\d-\d\dT", text) is not None
+            if is_time and style is not None and style.num_format == _FORMS["utc"]:
                 # Spreadsheets know no zones.
                 time = datetime.fromisoformat(text).astimezone(UTC).replace(tzinfo=None)
                 sheet.write_datetime(number, column, time, style)

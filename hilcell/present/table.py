@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
 from operator import attrgetter, itemgetter
-from typing import Generic, NamedTuple, Never, TypeVar
+from typing import ClassVar, Generic, NamedTuple, Never, TypeVar
 
 T = TypeVar("T")
 T_contra = TypeVar("T_contra", contravariant=True)
 
 MINUS = "\N{MINUS SIGN}"
-_PLAIN_UNITS = {"°": "deg", "°C": "C", "µrad": "urad"}
-_UNITS_IN_KEYS = _PLAIN_UNITS | {"°C": "c", "%": "percent"}
 
 
 class Named(NamedTuple):
@@ -39,6 +37,9 @@ class Column(Generic[T_contra]):
     place of a figure need none. ``small``: keys, for programs rather than people.
     """
 
+    PLAIN_UNITS: ClassVar = {"°": "deg", "°C": "C", "µrad": "urad"}
+    UNITS_IN_KEYS: ClassVar = PLAIN_UNITS | {"°C": "c", "%": "percent"}
+
     name: str
     of: Callable[[T_contra], Value]
     unit: str = ""
@@ -53,12 +54,12 @@ class Column(Generic[T_contra]):
     @property
     def plain_header(self) -> str:
         """Return name and unit in ASCII, for a terminal: ``turn urad``."""
-        return f"{self.name} {_PLAIN_UNITS.get(self.unit, self.unit)}".rstrip()
+        return f"{self.name} {self.PLAIN_UNITS.get(self.unit, self.unit)}".rstrip()
 
     @property
     def key(self) -> str:
         """Return name and unit for programs: ``x_mm``, ``a_deg``."""
-        unit = _UNITS_IN_KEYS.get(self.unit, self.unit)
+        unit = self.UNITS_IN_KEYS.get(self.unit, self.unit)
         return f"{self.name.lower()}_{unit}".rstrip("_")
 
     def text(self, value: Value, minus: str = MINUS) -> str:

@@ -35,8 +35,6 @@ from hilcell.model.verdicts import Verdict
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
-OPTIONAL = {"two-face", "two-face-closing"}  # steps that a plan may leave out
-MOVING = {"home"}  # steps that move at every start
 STEPS = {
     "home": "Robot parked, rail referenced",
     "world-frame": "World frame {W} from the floor nests",
@@ -81,11 +79,11 @@ class _Course:
         # of the next session, and written before it
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
-            starts = _starts(record.fact)
+            starts = self._starts(record.fact)
             if starts and log.session and not log.over:
-                found.append(Line(last, _cut_off(log), stop=True))
+                found.append(Line(last, self._cut_off(log), stop=True))
             for words in self._words(log, record.fact):
-                found.append(Line(record.t, words, _stops(record)))
+                found.append(Line(record.t, words, self._stops(record)))
                 if isinstance(record.fact, StepBegun):
                     steps.begin(len(found) - 1, record.fact.name)
             if starts:
@@ -103,7 +101,7 @@ class _Course:
 
     def _words(self, log: Log, fact: Fact) -> list[str]:
         """Return a record as sentences; the state of the calibration follows from the steps."""
-        if _starts(fact):
+        if self._starts(fact):
             return [self._start(log)]
         # Routine, or in a table of its own: counted, not listed.
         routine = (
@@ -149,6 +147,24 @@ class _Course:
             case _:
                 words = happened_words(event, self.facts.log).replace("urad", "µrad")
         return f"{words[:1].upper()}{words[1:]}."
+
+    @staticmethod
+    def _stops(record: Record) -> bool:
+        change = record.fact
+        stops = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
+        return isinstance(change, StateChanged) and change.machine == "run" and change.to in stops
+
+    @staticmethod
+    def _starts(fact: Fact) -> bool:
+        return isinstance(fact, StateChanged) and fact.machine == "run" and fact.to == "checking"
+
+    @staticmethod
+    def _cut_off(log: Log) -> str:
+        """Return how the session before ended, which did not end by itself."""
+        newest = [*log.points][-1:]
+        since = f"after {key_words(newest[0], log)}" if newest else "before its first point"
+        how = "Engine gone without notice (killed, or power lost)"
+        return f"{how} {since}, while the run was {log.state}."
 
 
 def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
@@ -211,7 +227,9 @@ class _Steps:
 
     def begin(self, line: int, name: str) -> None:
         self._now = line
-        if name in self._known - MOVING | OPTIONAL:
+        moving = {"home"}  # at every start
+        optional = {"two-face", "two-face-closing"}  # a plan may leave them out
+        if name in self._known - moving | optional:
             self._idle.add(line)
         self._known.add(name)
 
@@ -220,10 +238,10 @@ class _Steps:
 
     def take(self, record: Record, log: Log) -> None:
         """Take a record of the step under way; ``log`` is without it."""
-        if _is_measured(record):
+        if self._is_measured(record):
             self._idle.discard(self._now)
             self._counts[self._now] += record.kind == "point"
-        elif _is_computed(record, log):
+        elif self._is_computed(record, log):
             self._computed.add(self._now)
 
     def words(self, line: int, text: str) -> str:
@@ -233,38 +251,20 @@ class _Steps:
             return f"{text} {counted(count, 'point')}." if count else text
         return f"{text} Computed again, nothing measured." if line in self._computed else ""
 
+    @staticmethod
+    def _is_measured(record: Record) -> bool:
+        """Whether a record is of a reading that is no proof of nests."""
+        fact = record.fact
+        if isinstance(fact, Point):
+            return fact.group != CONTROL or fact.id.kind == BACK
+        return isinstance(fact, StreamRecorded | CurveMeasured)
 
-def _stops(record: Record) -> bool:
-    change = record.fact
-    stops = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
-    return isinstance(change, StateChanged) and change.machine == "run" and change.to in stops
-
-
-def _is_measured(record: Record) -> bool:
-    """Whether a record is of a reading that is no proof of nests."""
-    fact = record.fact
-    if isinstance(fact, Point):
-        return fact.group != CONTROL or fact.id.kind == BACK
-    return isinstance(fact, StreamRecorded | CurveMeasured)
-
-
-def _is_computed(record: Record, log: Log) -> bool:
-    """Whether a record is of a frame or a verdict that was not known as it is now."""
-    match record.fact:
-        case Frame() as frame:
-            return log.frames.get(record.key) != frame
-        case Verdict() as verdict:
-            return log.verdicts.get(record.key) != verdict
-    return False
-
-
-def _starts(fact: Fact) -> bool:
-    return isinstance(fact, StateChanged) and fact.machine == "run" and fact.to == "checking"
-
-
-def _cut_off(log: Log) -> str:
-    """Return how the session before ended, which did not end by itself."""
-    newest = [*log.points][-1:]
-    since = f"after {key_words(newest[0], log)}" if newest else "before its first point"
-    how = "Engine gone without notice (killed, or power lost)"
-    return f"{how} {since}, while the run was {log.state}."
+    @staticmethod
+    def _is_computed(record: Record, log: Log) -> bool:
+        """Whether a record is of a frame or a verdict that was not known as it is now."""
+        match record.fact:
+            case Frame() as frame:
+                return log.frames.get(record.key) != frame
+            case Verdict() as verdict:
+                return log.verdicts.get(record.key) != verdict
+        return False

@@ -279,7 +279,7 @@ class FirstPage:
                 f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
                 f"{validity.orientation_tolerance_deg:g}°{also}; every axis approached from below",
             ),
-            Fact("Temperature", _temperature(validity.temperature_c)),
+            Fact("Temperature", self._temperature(validity.temperature_c)),
             Fact(
                 "Age",
                 f"until {until:%Y-%m-%d} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
@@ -323,6 +323,16 @@ class FirstPage:
         named = bool(rows) and all(each.certificate for each in rows)
         return named and not self.facts.inputs.simulated
 
+    @staticmethod
+    def _temperature(range_c: tuple[float, float] | None) -> str:
+        if range_c is None:
+            return "not measured"
+        low_c, high_c = (range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K)
+        return (
+            f"{low_c:.1f} to {high_c:.1f} °C at the tracker (calibrated {range_c[0]:.1f} to "
+            f"{range_c[1]:.1f} °C)"
+        )
+
 
 def most_places(cell: Cell) -> int:
     """Return how many stations the page has room for."""
@@ -335,16 +345,6 @@ Judgement = Outcome | Literal["revoked", "unfinished", "suspected", "failed chec
 
 def _party(name: str, address: str) -> str:
     return f"{name}, {address}" if name and address else name or address
-
-
-def _temperature(range_c: tuple[float, float] | None) -> str:
-    if range_c is None:
-        return "not measured"
-    low_c, high_c = (range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K)
-    return (
-        f"{low_c:.1f} to {high_c:.1f} °C at the tracker (calibrated {range_c[0]:.1f} to "
-        f"{range_c[1]:.1f} °C)"
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,7 +83,7 @@ class PoseReport:
         )
         note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
         return [
-            Table(listed("condition", "in this test"), _conditions(found), "Test conditions"),
+            Table(listed("condition", "in this test"), self._conditions(found), "Test conditions"),
             Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
             Table(
                 TURNS, found.orientation.items(), "Accuracy and repeatability of angles", TURNS_NOTE
@@ -100,8 +100,40 @@ class PoseReport:
         if not tests_poses(self.facts):
             return []
         found = self.tested()
-        load = ("Load", _load(found))
-        return [("Velocity", _velocity(found)), load, ("Cycles", str(found.cycles))]
+        load = ("Load", self._load(found))
+        return [("Velocity", self._velocity(found)), load, ("Cycles", str(found.cycles))]
+
+    @staticmethod
+    def _velocity(found: PoseTest) -> str:
+        return f"{found.velocity_percent:g} % of the rated velocity"
+
+    def _load(self, found: PoseTest) -> str:
+        load_kg, rated_kg = found.load_kg, found.rated_load_kg
+        if load_kg is None or rated_kg is None:
+            return self._stated(load_kg, "kg")
+        share = f", {100 * load_kg / rated_kg:.0f} %" if rated_kg else ""
+        return f"{load_kg:g} kg of {rated_kg:g} kg rated{share}"
+
+    @staticmethod
+    def _stated(value: float | None, unit: str) -> str:
+        return "not stated" if value is None else f"{value:g} {unit}"
+
+    def _conditions(self, found: PoseTest) -> Iterator[tuple[str, str]]:
+        cube, celsius, missing = found.cube, found.temperature_c, found.not_measured
+        x, y, z = cube.centre_mm
+        corrected = f"corrected by run {found.corrected_by}" if found.corrected_by else "as it is"
+        yield "Robot", corrected
+        yield "Test cube", f"side {cube.side_mm:g} mm about x {x:g}, y {y:g}, z {z:g} mm in {{B}}"
+        yield "Plane, cycle", f"{cube.plane}; {', '.join(CYCLE)}, {found.cycles} times"
+        yield "Approach", "directly from the pose before, as the cycle has it"
+        yield "Velocity", self._velocity(found)
+        yield "Load", self._load(found)
+        yield "Warm-up", self._stated(found.warm_up_min, "min")
+        yield "Stabilisation", f"{found.stabilisation_s:g} s from the end of motion to measurement"
+        air = f"{celsius[0]:.1f} to {celsius[1]:.1f} °C at the tracker" if celsius else ""
+        yield "Temperature", air or "not measured"
+        yield "Tracker noise", f"{found.tracker_noise_mm:.4f} mm of one coordinate, 1 σ"
+        yield "Orientations", f"not measured: {', '.join(missing)}" if missing else "measured"
 
 
 def _columns(
@@ -123,40 +155,6 @@ def uncertainty_words() -> str:
         "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "
         "ends; of RP and RD the statistics of so many cycles. Tracker noise is in RP and RD."
     )
-
-
-def _velocity(found: PoseTest) -> str:
-    return f"{found.velocity_percent:g} % of the rated velocity"
-
-
-def _conditions(found: PoseTest) -> Iterator[tuple[str, str]]:
-    cube, celsius, missing = found.cube, found.temperature_c, found.not_measured
-    x, y, z = cube.centre_mm
-    corrected = f"corrected by run {found.corrected_by}" if found.corrected_by else "as it is"
-    yield "Robot", corrected
-    yield "Test cube", f"side {cube.side_mm:g} mm about x {x:g}, y {y:g}, z {z:g} mm in {{B}}"
-    yield "Plane, cycle", f"{cube.plane}; {', '.join(CYCLE)}, {found.cycles} times"
-    yield "Approach", "directly from the pose before, as the cycle has it"
-    yield "Velocity", _velocity(found)
-    yield "Load", _load(found)
-    yield "Warm-up", _stated(found.warm_up_min, "min")
-    yield "Stabilisation", f"{found.stabilisation_s:g} s from the end of motion to measurement"
-    air = f"{celsius[0]:.1f} to {celsius[1]:.1f} °C at the tracker" if celsius else "not measured"
-    yield "Temperature", air
-    yield "Tracker noise", f"{found.tracker_noise_mm:.4f} mm of one coordinate, 1 σ"
-    yield "Orientations", f"not measured: {', '.join(missing)}" if missing else "measured"
-
-
-def _load(found: PoseTest) -> str:
-    load_kg, rated_kg = found.load_kg, found.rated_load_kg
-    if load_kg is None or rated_kg is None:
-        return _stated(load_kg, "kg")
-    share = f", {100 * load_kg / rated_kg:.0f} %" if rated_kg else ""
-    return f"{load_kg:g} kg of {rated_kg:g} kg rated{share}"
-
-
-def _stated(value: float | None, unit: str) -> str:
-    return "not stated" if value is None else f"{value:g} {unit}"
 
 
 POSES: tuple[Column[tuple[str, Pose]], ...] = (

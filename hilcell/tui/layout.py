@@ -121,7 +121,9 @@ class Grid(Lines):
         """Return the rows, each in as many lines as its longest cell needs."""
         widths, found = self._widths(width) if self._rows else [], []
         for number, row in enumerate(self._rows):
-            cells = [_cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)]
+            cells = [
+                self._cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)
+            ]
             for n in range(max(map(len, cells))):
                 parts = (
                     cell[n] if n < len(cell) else Content(" " * room)
@@ -131,15 +133,19 @@ class Grid(Lines):
                 found.append(line.stylize_before(self._styles.get(number, "")))
         return found
 
-
-def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
-    content = cell if isinstance(cell, Content) else cell.drawn(width)
-    wrapped = content.wrap(width) if column.wraps and 0 < width < content.cell_length else [content]
-    lines = (line.truncate(width, ellipsis=True) for line in wrapped)
-    return [
-        line.pad_left(width - line.cell_length) if column.right else line.truncate(width, pad=True)
-        for line in lines
-    ]
+    @staticmethod
+    def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
+        content = cell if isinstance(cell, Content) else cell.drawn(width)
+        wrapped = (
+            content.wrap(width) if column.wraps and 0 < width < content.cell_length else [content]
+        )
+        lines = (line.truncate(width, ellipsis=True) for line in wrapped)
+        return [
+            line.pad_left(width - line.cell_length)
+            if column.right
+            else line.truncate(width, pad=True)
+            for line in lines
+        ]
 
 
 def ends(left: Cell, right: Cell) -> Grid:

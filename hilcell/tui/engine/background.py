@@ -41,18 +41,17 @@ async def run_in_thread(work: Callable[P, T], *args: P.args, **facts: P.kwargs) 
     return await asyncio.wrap_future(future)
 
 
-FULL_COLLECTION_S = 30.0
-NEVER = 1_000_000_000
-
-
 class GarbageCollector:
     """Takes whole collections over from the interpreter until `end`."""
+
+    PERIOD_S = 30.0
+    NEVER = 1_000_000_000
 
     def __init__(self, now_s: float) -> None:
         self._whole_s = now_s
         self._rested = False  # at the tick before
         self._before = gc.get_threshold()
-        gc.set_threshold(self._before[0], self._before[1], NEVER)
+        gc.set_threshold(self._before[0], self._before[1], self.NEVER)
         gc.freeze()  # what was loaded stays
 
     def tick(self, *, at_rest: bool, now_s: float) -> None:
@@ -60,7 +59,7 @@ class GarbageCollector:
 
         Not at the first tick of a rest: why nothing moves, such as a run's end, is painted first.
         """
-        if at_rest and self._rested and now_s - self._whole_s >= FULL_COLLECTION_S:
+        if at_rest and self._rested and now_s - self._whole_s >= self.PERIOD_S:
             self._whole_s = now_s
             gc.collect()
         self._rested = at_rest

@@ -47,10 +47,27 @@ class StartedEngine:
         recorded = (self.log_file.parent / JOURNAL).is_file()
         if code not in EXIT_REASONS and recorded:
             return ""
-        reason = _last_reason(self.log_file) or EXIT_REASONS.get(code, "no reason given")
+        reason = self._last_reason() or EXIT_REASONS.get(code, "no reason given")
         if recorded:  # the alarm has the details; under it one line is enough
             reason = reason.partition("\n")[0].rstrip(" :")
         return f"the engine ended, exit {code}: {reason}"
+
+    @staticmethod
+    def new_log(folder: Path) -> BinaryIO:
+        """Open a new file: two screens may resume one run at a time."""
+        for number in count(1):
+            with suppress(FileExistsError):
+                return (folder / f"engine-{number}.log").open("xb")
+        raise AssertionError("numbers never end")
+
+    def _last_reason(self) -> str:
+        try:
+            lines = self.log_file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        except OSError:
+            return ""  # the run's folder is gone, or its disk
+        reasons = [number for number, line in enumerate(lines) if line.startswith(REASON)]
+        last = lines[reasons[-1] :][:MOST_LINES] if reasons else lines[-MOST_LINES:]
+        return "\n".join(last).removeprefix(REASON)
 
 
 def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngine:
@@ -61,7 +78,7 @@ def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngin
     folder = runs / run
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _new_log(folder) as log:
+        with StartedEngine.new_log(folder) as log:
             process = subprocess.Popen(  # noqa: S603 - our own interpreter, no shell reads the arguments
                 [*HILCELL, *arguments, "--screen"],
                 stdin=subprocess.DEVNULL,
@@ -72,24 +89,6 @@ def start_engine(runs: Path, run: str, arguments: Sequence[str]) -> StartedEngin
             return StartedEngine(process, Path(log.name))
     except OSError as error:
         raise HilcellError(f"no engine was started: {folder}: {error.strerror}") from error
-
-
-def _new_log(folder: Path) -> BinaryIO:
-    """Open a new file: two screens may resume one run at a time."""
-    for number in count(1):
-        with suppress(FileExistsError):
-            return (folder / f"engine-{number}.log").open("xb")
-    raise AssertionError("numbers never end")
-
-
-def _last_reason(log_file: Path) -> str:
-    try:
-        lines = log_file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    except OSError:
-        return ""  # the run's folder is gone, or its disk
-    reasons = [number for number, line in enumerate(lines) if line.startswith(REASON)]
-    last = lines[reasons[-1] :][:MOST_LINES] if reasons else lines[-MOST_LINES:]
-    return "\n".join(last).removeprefix(REASON)
 
 
 async def run_command(*arguments: str) -> str:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from hilcell.journal.journal import Record
 
 
-WENT_ON = ("running", "pausing", "paused", "suspended", "finished")
 PATIENCE_S: dict[Command, float] = {"answer": 30.0}  # the tracker looks first
 
 
@@ -97,7 +96,8 @@ class Session:
         Where it was opened again, aborted or lost its engine, causes are not known to be gone.
         """
         log = self.view.log
-        proven = log.state in WENT_ON and (self.view.live or log.over)
+        went_on = ("running", "pausing", "paused", "suspended", "finished")
+        proven = log.state in went_on and (self.view.live or log.over)
         return log.newest.t if proven and log.newest is not None else ""
 
     def tick(self, now: datetime) -> None:

@@ -329,7 +329,7 @@ class BaseScreen(Screen[None]):
 
     def show(self, view: RunView | None) -> None:
         self.panel("keys").show(self.key_line())
-        if self._notice_state is not None and self._notice_state != _notice_state(view):
+        if self._notice_state is not None and self._notice_state != self._state_of(view):
             self.show_notice("")
         if view is not None and self.query_one_optional("#banner") is not None:
             from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
@@ -355,7 +355,7 @@ class BaseScreen(Screen[None]):
         if not self.is_shown or (self._notice and not over):
             return
         self._notice = text
-        self._notice_state = _notice_state(self.application.view) if for_now else None
+        self._notice_state = self._state_of(self.application.view) if for_now else None
         panel = self.panel("notice")
         panel.display = bool(text)
         panel.show(Content.styled(text, "$ask"))
@@ -369,10 +369,10 @@ class BaseScreen(Screen[None]):
         """Return element 10: the keys that do something now."""
         typing = isinstance(self.focused, Input)
         fixed = self.in_box if typing else self.fixed_keys()
-        parts = [(_key(key, label), label == BACK) for key, label in fixed]
+        parts = [(self._key_words(key, label), label == BACK) for key, label in fixed]
         parts += [
             (
-                _key(shown(self.application.keymap[name][0]), self.label(name)),
+                self._key_words(shown(self.application.keymap[name][0]), self.label(name)),
                 name in ("stop", "alarms"),
             )
             for name in self.footer
@@ -409,15 +409,15 @@ class BaseScreen(Screen[None]):
             return words.get(pause_command(view), "pause")
         return BY_NAME[name].label
 
+    @staticmethod
+    def _key_words(key: str, label: str) -> Content:
+        return Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
 
-def _key(key: str, label: str) -> Content:
-    return Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
-
-
-def _notice_state(view: RunView | None) -> tuple[str, bool]:
-    if view is None:
-        return "", False
-    return view.state, view.prompt is not None and view.prompt.ready
+    @staticmethod
+    def _state_of(view: RunView | None) -> tuple[str, bool]:
+        if view is None:
+            return "", False
+        return view.state, view.prompt is not None and view.prompt.ready
 
 
 class Page(BaseScreen):

@@ -148,7 +148,7 @@ class ComparePage(Page):
             raise
         if self.is_shown:
             self.panel("comparison_text").show(found.words)
-            self.query_one(Table).show_rows([change_row(each) for each in found.changes])
+            self.query_one(Table).show_rows(found.rows)
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
@@ -169,11 +169,15 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
         ]
         return Content.assemble("\n".join(lines), "\n", (self.verdict, "bold"))
 
-
-def change_row(found: Change) -> Row:
-    """Return one change; one beyond its limit is coloured."""
-    where, what, *figures, unit, verdict = (
-        column.text(column.of(found), minus="-") for column in CHANGES
-    )
-    tone = "fault" if found.verdict == "beyond" else ""
-    return Row(f"{found.place}/{found.what}", (where, f"{what}, {unit}", *figures, verdict), tone)
+    @property
+    def rows(self) -> list[Row]:
+        """Return a row for each change; one beyond its limit is coloured."""
+        rows = []
+        for each in self.changes:
+            where, what, *figures, unit, verdict = (
+                column.text(column.of(each), minus="-") for column in CHANGES
+            )
+            tone = "fault" if each.verdict == "beyond" else ""
+            cells = where, f"{what}, {unit}", *figures, verdict
+            rows.append(Row(f"{each.place}/{each.what}", cells, tone))
+        return rows

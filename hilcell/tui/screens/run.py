@@ -32,11 +32,9 @@ from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.run import (
+    Shown,
     below_lines,
     block_rows,
-    chosen_shown,
-    newest_shown,
-    point_lines,
     rows_for,
 )
 from hilcell.tui.text.side import side_lines
@@ -245,10 +243,10 @@ class RunScreen(FilterScreen):
         table, known = self.query_one(Table), self._table.deviation
         last = table.follow and table.cursor >= len(table.rows) - 1
         if not table.rows or (view.live and last):
-            point = newest_shown(view, known)
+            point = Shown.newest(view, known)
         else:
-            point = chosen_shown(view, table.key, known, chosen=not last)
-        self.panel("deviation").show(point_lines(point, self.application.glyphs, rows))
+            point = Shown.chosen(view, table.key, known, chosen=not last)
+        self.panel("deviation").show(point.lines(self.application.glyphs, rows))
 
     def _show_verdict(self, view: RunView) -> None:
         glyphs, verdict, result = self.application.glyphs, verdict_of(view), self._result_of(view)

@@ -119,10 +119,10 @@ class StartScreen(BaseScreen):
                 yield TextPanel("who")
                 yield from self._fields(FIELDS[:1])
                 names = self._names or ["none is installed"]
-                yield from _choice("procedure", names, [*map(procedure_words, names)])
+                yield from self._choice("procedure", names, [*map(procedure_words, names)])
                 yield from self._fields(FIELDS[1:])
-                yield from _choice("attended", WATCHED)
-                yield from _choice("speed", SPEEDS)
+                yield from self._choice("attended", WATCHED)
+                yield from self._choice("speed", SPEEDS)
                 yield TextPanel("checks")
             yield TextPanel("plan")
         yield TextPanel("before")
@@ -263,7 +263,7 @@ class StartScreen(BaseScreen):
             plan = await process.dry_run(self.order(entries))
         except HilcellError as error:
             refused = str(error) or "refused without a reason"
-        cell = await run_in_thread(_cell_of, entries.cell, self.application.options.settings)
+        cell = await run_in_thread(self._cell_of, entries.cell, self.application.options.settings)
         if change != self._changes or not self.is_shown:
             return  # of earlier fields
         self._request = entries
@@ -303,18 +303,18 @@ class StartScreen(BaseScreen):
         run = new_run(order.procedure)
         self.application.actions.start(runs / run, ["run", *order.replace(name=run).words()])
 
+    @staticmethod
+    def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
+        with Horizontal(classes="field"):
+            yield Label(name)
+            yield Choice(words, name, labels)
 
-def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
-    with Horizontal(classes="field"):
-        yield Label(name)
-        yield Choice(words, name, labels)
-
-
-def _cell_of(name: str, settings: Sequence[str]) -> Cell | None:
-    """Return the cell of a plan; None where its file cannot be read."""
-    with suppress(HilcellError):
-        return load_cell(name, dict(map(assignment, settings)))
-    return None
+    @staticmethod
+    def _cell_of(name: str, settings: Sequence[str]) -> Cell | None:
+        """Return the cell of a plan; None where its file cannot be read."""
+        with suppress(HilcellError):
+            return load_cell(name, dict(map(assignment, settings)))
+        return None
 
 
 def now() -> datetime:
@@ -328,26 +328,26 @@ class PlanSummary(Confirm):
     def __init__(self, order: Order, plan: process.DryRun) -> None:
         mark = (" SIMULATION ", "bold $on-sim on $sim-fill") if plan.simulated else ""
         moved = Content.assemble("\n", mark, " " * plan.simulated, moves(has_rail=plan.rail))
-        super().__init__(plan_summary(order, plan), "start", "back", moved)
+        super().__init__(self.text(order, plan), "start", "back", moved)
 
-
-def plan_summary(order: Order, plan: process.DryRun) -> Content:
-    unattended = order.attendance.unattended
-    who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
-    notes = [
-        f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
-        for step in plan.steps
-        for words in (step.note, step.warning)
-        if words
-    ]
-    return Content.assemble(
-        (f"Start {procedure_words(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
-        f"job {order.job or '-'}, operator {order.operator or '-'}\n",
-        f"{len(plan.steps)} steps, {plan.points} points, "
-        f"{duration(plan.duration_s)} of the cell's time\n",
-        *notes,
-        f"{who}.\n",
-    )
+    @staticmethod
+    def text(order: Order, plan: process.DryRun) -> Content:
+        unattended = order.attendance.unattended
+        who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
+        notes = [
+            f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
+            for step in plan.steps
+            for words in (step.note, step.warning)
+            if words
+        ]
+        return Content.assemble(
+            (f"Start {procedure_words(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
+            f"job {order.job or '-'}, operator {order.operator or '-'}\n",
+            f"{len(plan.steps)} steps, {plan.points} points, "
+            f"{duration(plan.duration_s)} of the cell's time\n",
+            *notes,
+            f"{who}.\n",
+        )
 
 
 def summaries(names: list[str]) -> dict[str, str]:

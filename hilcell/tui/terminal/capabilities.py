@@ -16,8 +16,6 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-_COLOURLESS = re.compile(r"|dumb|unknown|vt52|vt[1-4]\d\d(-.*)?|.*-m(ono)?")
-
 
 def has_colours(environment: Mapping[str, str]) -> bool:
     """Whether the terminal has colours and NO_COLOR is not set (https://no-color.org)."""
@@ -40,7 +38,8 @@ def is_coerced() -> bool:
 
 
 def _is_colourless(environment: Mapping[str, str]) -> bool:
-    return _COLOURLESS.fullmatch(environment.get("TERM", "")) is not None
+    colourless = r"|dumb|unknown|vt52|vt[1-4]\d\d(-.*)?|.*-m(ono)?"
+    return re.fullmatch(colourless, environment.get("TERM", "")) is not None
 
 
 @dataclass(frozen=True, slots=True)

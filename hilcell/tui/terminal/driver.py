@@ -30,16 +30,15 @@ from textual.drivers.linux_driver import LinuxDriver
 from hilcell.tui.terminal.themes import PALETTES, ROLES
 
 TICK_S = 0.05
-# Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
-_ESCAPE = re.compile(rb"\x1b(?![\[\]\\NOPX^_])|\x1b\[27(?:;\d*(?::[12])?)?u")
-
 LATE_S = 2.0
 LATE = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
 
 
 def has_escape(read: bytes) -> bool:
     """Whether these bytes, read at once, hold the Esc key."""
-    return _ESCAPE.search(read) is not None
+    # Esc that begins no sequence, or as the kitty protocol writes it, however often held.
+    escape = rb"\x1b(?![\[\]\\NOPX^_])|\x1b\[27(?:;\d*(?::[12])?)?u"
+    return re.search(escape, read) is not None
 
 
 class StopDriver(LinuxDriver):
@@ -85,17 +84,13 @@ class StopDriver(LinuxDriver):
             return b""
 
 
-_SGR = re.compile(r"\x1b\[([\d;:]+)m")
-_LONG = ("38", "48", "58")  # text, background, underline: a kind and its numbers follow
-_SHORT = frozenset(
-    map(str, [*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)])
-)
 BOLD, UNDERLINE, REVERSE = "1", "4", "7"
 
 
 def without_colours(written: str, theme: str) -> str:
     """Return what Textual writes in a theme, without its colours."""
-    return _SGR.sub(lambda found: _style_without_colours(found[1], theme), written)
+    style = r"\x1b\[([\d;:]+)m"
+    return re.sub(style, lambda found: _style_without_colours(found[1], theme), written)
 
 
 @lru_cache(1024)
@@ -111,14 +106,16 @@ def _style_without_colours(codes: str, theme: str) -> str:
 
 def _split_codes(codes: list[str]) -> tuple[list[str], str]:
     """Return the codes that are no colours, and the background's numbers."""
+    long = ("38", "48", "58")  # text, background, underline: a kind and its numbers follow
+    short = [*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)]
     kept, ground = [], ""
     left = iter(codes)
     for code in left:
-        if code in _LONG:
+        if code in long:
             count = {"5": 1, "2": 3}.get(next(left, ""), 0)
             numbers = [next(left, "") for _ in range(count)]
             ground = ";".join(numbers) if code == "48" else ground
-        elif code not in _SHORT and code.partition(":")[0] not in _LONG:
+        elif code not in map(str, short) and code.partition(":")[0] not in long:
             kept.append(code)
     return kept, ground
 

@@ -443,7 +443,7 @@ class Result:
             (
                 name,
                 *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm)),
-                *_worst_angles(turned.get(name)),
+                *cls._worst_angles(turned.get(name)),
                 "pass" if test.keeps(name) else "FAIL",
             )
             for name, each in test.poses.items()
@@ -462,7 +462,7 @@ class Result:
             words = ("FAIL",), "not within its limits", "fault"
             if passed:
                 words = ("PASS",), "within its limits", "passed"
-        return cls(Head(*words, figures), _distance_words(test), Table(columns, rows))
+        return cls(Head(*words, figures), cls._distance_words(test), Table(columns, rows))
 
     @classmethod
     def of_recheck(cls, found: RecheckResult, log: Log) -> Self:
@@ -508,6 +508,24 @@ class Result:
 
         return Drawing((id(self), glyphs.plain), draw)
 
+    @staticmethod
+    def _distance_words(test: PoseTest) -> str:
+        found = test.distance
+        stated = ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
+        limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
+        said = f"; limits {', '.join(limits)} mm" if limits else ""
+        return (
+            f"distance {found.start}-{found.to}: AD {found.ad_mm:+z.3f} mm (U "
+            f"{found.ad_u95_mm:.3f}), RD ±{found.rd_mm:.3f} mm (U {found.rd_u95_mm:.3f}){said}"
+        )
+
+    @staticmethod
+    def _worst_angles(found: Angles | None) -> tuple[str, str]:
+        """Return the largest AP and RP of a pose's angles, as far as they were measured."""
+        parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
+        ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
+        return ap, rp
+
 
 def result_of(view: RunView) -> Result | None:
     """Return the result of a run that has come to its end; None for every other, or for none."""
@@ -546,23 +564,6 @@ def own_words(name: str, result: Json) -> tuple[Table, str]:
         return table, procedure.words(result)
     except (HilcellError, LookupError, TypeError, ValueError, AttributeError):
         return Table((), ()), ""  # of another version, or of a procedure that is not installed here
-
-
-def _distance_words(test: PoseTest) -> str:
-    found, stated = test.distance, ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
-    limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
-    said = f"; limits {', '.join(limits)} mm" if limits else ""
-    return (
-        f"distance {found.start}-{found.to}: AD {found.ad_mm:+z.3f} mm (U {found.ad_u95_mm:.3f}), "
-        f"RD ±{found.rd_mm:.3f} mm (U {found.rd_u95_mm:.3f}){said}"
-    )
-
-
-def _worst_angles(found: Angles | None) -> tuple[str, str]:
-    """Return the largest AP and RP of a pose's angles, as far as they were measured."""
-    parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
-    ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
-    return ap, rp
 
 
 def _limit(limit_mm: float | None) -> str:

@@ -24,7 +24,6 @@ from hilcell.tui.layout import Lines, Stack, facts_grid
 from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
 
-BAD_STATES = ("out", "undecided", "noisy")
 STATES: dict[Outcome, str] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}
 
 
@@ -125,7 +124,6 @@ def row_of(log: Log, point: Point) -> PointRow:
 
 BARS_FROM, RMS_FROM, WIDE_WITH_BARS = 78, 69, 128  # widths of the table
 BESIDE_NAME, BESIDE_NAME_ALONE = 40, 18  # columns, where stations have none
-MORE_POINTS = 1.1  # times as many points as before: U is taken again
 WIDE = 119  # from here on, nominal and measured places too
 STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
 _STATES = {  # by state: its word with its shape, and its tone
@@ -255,7 +253,7 @@ class PointRows:
     def _take_expanded(self, log: Log) -> None:
         """Take U as the log has it now, where that is due, and judge the known rows by it."""
         count, ended = len(log.points), log.end is not None
-        if count < MORE_POINTS * self._U_of[0] and ended == self._U_of[1]:
+        if count < 1.1 * self._U_of[0] and ended == self._U_of[1]:
             return
         self._U_mm, self._U_of = expanded_of(log), (count, ended)
         for key, (number, row) in self._found.items():
@@ -298,7 +296,7 @@ def filtered(
     rows = [
         row
         for row in points
-        if (not bad_only or row.state in (*BAD_STATES, "again"))
+        if (not bad_only or row.state in ("out", "undecided", "noisy", "again"))
         and all(word.search(searched(row)) for word in words)
     ]
     if worst:

@@ -19,10 +19,6 @@ ELSEWHERE = {  # actions of certain screens: the refusal on all others
     "mark": HISTORY,
     "compare": HISTORY,
 }
-OF_A_RUN = frozenset(
-    ("pause", "retake", "acknowledge", "bad", "sort")
-    + ("alarms", "plots", "interlocks", "log", "report")
-)
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
 NOT_LIVE = "no run is live"
 NO_ANSWER_REASONS = {
@@ -60,7 +56,8 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
             return no_answer_reason(view)
         case "new":
             return ONE_AT_A_TIME if live or background else ""
-    if name not in OF_A_RUN:
+    acts, pages = ("pause", "retake", "acknowledge"), ("alarms", "interlocks", "log", "report")
+    if name not in (*acts, *pages, "plots", "bad", "sort"):
         return ""
     if view is None or view.log.plan is None:
         return "there is no run here to act on"

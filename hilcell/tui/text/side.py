@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from textual.content import Content
 
 from hilcell.calibration.recheck import KIND as RECHECK
@@ -24,7 +23,7 @@ from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section
-from hilcell.tui.plots import Look, Plot, Scale, draw
+from hilcell.tui.plots import Ints, Look, Plot, Scale, draw
 from hilcell.tui.text.plots import (
     Errors3D,
     Measured,
@@ -58,64 +57,12 @@ def side_lines(
         nothing = "the map and the errors appear with the first target"
         return Content.styled(nothing, "$label").wrap(width), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
-    above = map_lines(volume_of(view.log, targets), width, room, plain=look.plain)
+    above = Volume.of(view.log, targets).lines(width, room, plain=look.plain)
     plot = _plot(view.log, targets)
     scale = Scale.log(plot.values, plot.limits, before)
     heading = section(plot.title).lines(width)
     drawn = draw(plot, scale, width, max(height - len(above) - 2, 5), look, named=False)
     return [*above, *heading, _means(plot, look, width), *drawn], scale
-
-
-def volume_of(log: Log, targets: Rows) -> Volume:
-    """Return the map's data: corrected targets, before there are any the errors as sent."""
-    after = [row for row in targets if row.point.id.how == Sent.CHOSEN]
-    raw = [row for row in targets if row.point.id.how in ("", Sent.BEFORE)]
-    shown = after or raw or targets
-    last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
-    newest = max(targets, key=lambda row: log.recorded(row.point))
-    errors = ("|e| after correction" if after else "|e| as sent",)
-    title = OWN.get(newest.point.id.kind, errors)[0]
-    rail = int(np.argmax(np.abs(log.cell.layout.rail_direction[:2]))) if log.cell.has_rail else 1
-    low_mm, high_mm, middles_mm = _extent(log, targets)
-    return Volume(
-        np.array([row.point.nominal_mm for row in shown], dtype=float),
-        np.array([row.norm_mm for row in shown]),
-        low_mm,
-        high_mm,
-        log.cell.validation.max_tolerance_mm if after else None,
-        rail,
-        last if shown[last] is newest else NO_POINT,
-        planned_targets(log) if after else 0,
-        title,
-        tuple((name, float(at[rail])) for name, at in middles_mm.items() if log.cell.has_rail),
-        newest.point.station,
-    )
-
-
-def _extent(log: Log, targets: Rows) -> tuple[Array, Array, dict[str, Array]]:
-    """Return the corners (3,) of what will be measured at all stations, and their middles (3,).
-
-    The targets known so far, moved along the rail: the map does not grow while a run goes on.
-    """
-    direction = np.array(log.cell.layout.rail_direction)
-    shift_mm = {each.name: each.strip_mm * direction for each in log.cell.station}
-    kept = [row.point for row in targets if row.point.station in shift_mm]
-    at_zero = np.array([point.nominal_mm for point in kept], dtype=float).reshape(-1, 3)
-    at_zero -= np.array([shift_mm[point.station] for point in kept]).reshape(-1, 3)
-    low_mm, high_mm = at_zero.min(axis=0), at_zero.max(axis=0)
-    middles_mm = {name: (low_mm + high_mm) / 2 + shift for name, shift in shift_mm.items()}
-    shifts_mm = np.array([*shift_mm.values()])
-    return (low_mm + shifts_mm).min(axis=0), (high_mm + shifts_mm).max(axis=0), middles_mm
-
-
-def planned_targets(log: Log) -> int:
-    """Return how many corrected targets a whole validation has; 0 where that is not stated."""
-    cell, steps = log.cell, log.inputs.steps
-    if cell.plan.quick or not any(step.name == "validate" for step in steps):
-        return 0
-    others = len(cell.station) - 1
-    at_others = cell.validation.others // others * others if others else 0
-    return cell.validation.per_cell * math.prod(cell.grid.cells) + at_others
 
 
 def _plot(log: Log, targets: Rows) -> Plot:
@@ -154,7 +101,6 @@ def _means(plot: Plot, look: Look, width: int) -> Content:
 
 
 NO_POINT = -1
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,28 +163,81 @@ class Volume:
                 return section(title, remark).lines(width)[0]
         return section("map").lines(width)[0]
 
+    @classmethod
+    def of(cls, log: Log, targets: Rows) -> Volume:
+        """Return the map's data: corrected targets, before there are any the errors as sent."""
+        after = [row for row in targets if row.point.id.how == Sent.CHOSEN]
+        raw = [row for row in targets if row.point.id.how in ("", Sent.BEFORE)]
+        shown = after or raw or targets
+        last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
+        newest = max(targets, key=lambda row: log.recorded(row.point))
+        errors = ("|e| after correction" if after else "|e| as sent",)
+        title = OWN.get(newest.point.id.kind, errors)[0]
+        rail = (
+            int(np.argmax(np.abs(log.cell.layout.rail_direction[:2]))) if log.cell.has_rail else 1
+        )
+        low_mm, high_mm, middles_mm = cls._extent(log, targets)
+        return cls(
+            np.array([row.point.nominal_mm for row in shown], dtype=float),
+            np.array([row.norm_mm for row in shown]),
+            low_mm,
+            high_mm,
+            log.cell.validation.max_tolerance_mm if after else None,
+            rail,
+            last if shown[last] is newest else NO_POINT,
+            cls._planned(log) if after else 0,
+            title,
+            tuple((name, float(at[rail])) for name, at in middles_mm.items() if log.cell.has_rail),
+            newest.point.station,
+        )
 
-def map_lines(of: Volume, width: int, height: int, *, plain: bool) -> Lines:
-    """Return the map in at most so many rows; the views that have no room are left out."""
-    beside = width >= Views.ACROSS + Views.FRAME + Views.GAP + Views.LEGEND
-    views = Views(of, Views.ACROSS if beside else width - Views.FRAME, plain=plain)
-    legend = views.legend()
-    lines = [of.heading(width), *([] if beside else views.flowing(width))]
-    room = height - len(lines)
-    both = room >= 2 * (Views.FRAME + 3) + 1
-    rows = min(Views.ROWS, (room - 1) // 2 - Views.FRAME if both else room - Views.FRAME - 1)
-    if views.columns >= 8 and rows >= 2:
-        first = views.above(rows)
-        key: list[Text] = [("|e| in mm", "$label"), *legend, ("blank: not yet", "$label")]
-        key += [""] * len(first)
-        grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=Views.GAP)
-        lines += grid.lines(width) if beside else first
-        lines.append(views.stations())
-        if both:
-            pairs = zip(*views.sides(rows, both=beside), strict=True)
-            sides = Grid(pairs, Col(), Col(), gap=Views.GAP)
-            lines += sides.lines(width)
-    return [line.truncate(width) for line in lines[: max(height, 1)]]
+    @staticmethod
+    def _extent(log: Log, targets: Rows) -> tuple[Array, Array, dict[str, Array]]:
+        """Return the corners (3,) of what will be measured at all stations, and their middles (3,).
+
+        The targets known so far, moved along the rail: the map does not grow while a run goes on.
+        """
+        direction = np.array(log.cell.layout.rail_direction)
+        shift_mm = {each.name: each.strip_mm * direction for each in log.cell.station}
+        kept = [row.point for row in targets if row.point.station in shift_mm]
+        at_zero = np.array([point.nominal_mm for point in kept], dtype=float).reshape(-1, 3)
+        at_zero -= np.array([shift_mm[point.station] for point in kept]).reshape(-1, 3)
+        low_mm, high_mm = at_zero.min(axis=0), at_zero.max(axis=0)
+        middles_mm = {name: (low_mm + high_mm) / 2 + shift for name, shift in shift_mm.items()}
+        shifts_mm = np.array([*shift_mm.values()])
+        return (low_mm + shifts_mm).min(axis=0), (high_mm + shifts_mm).max(axis=0), middles_mm
+
+    @staticmethod
+    def _planned(log: Log) -> int:
+        """Return how many corrected targets a whole validation has; 0 where that is not stated."""
+        cell, steps = log.cell, log.inputs.steps
+        if cell.plan.quick or not any(step.name == "validate" for step in steps):
+            return 0
+        others = len(cell.station) - 1
+        at_others = cell.validation.others // others * others if others else 0
+        return cell.validation.per_cell * math.prod(cell.grid.cells) + at_others
+
+    def lines(self, width: int, height: int, *, plain: bool) -> Lines:
+        """Return the map in at most so many rows; the views that have no room are left out."""
+        beside = width >= Views.ACROSS + Views.FRAME + Views.GAP + Views.LEGEND
+        views = Views(self, Views.ACROSS if beside else width - Views.FRAME, plain=plain)
+        legend = views.legend()
+        lines = [self.heading(width), *([] if beside else views.flowing(width))]
+        room = height - len(lines)
+        both = room >= 2 * (Views.FRAME + 3) + 1
+        rows = min(Views.ROWS, (room - 1) // 2 - Views.FRAME if both else room - Views.FRAME - 1)
+        if views.columns >= 8 and rows >= 2:
+            first = views.above(rows)
+            key: list[Text] = [("|e| in mm", "$label"), *legend, ("blank: not yet", "$label")]
+            key += [""] * len(first)
+            grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=Views.GAP)
+            lines += grid.lines(width) if beside else first
+            lines.append(views.stations())
+            if both:
+                pairs = zip(*views.sides(rows, both=beside), strict=True)
+                sides = Grid(pairs, Col(), Col(), gap=Views.GAP)
+                lines += sides.lines(width)
+        return [line.truncate(width) for line in lines[: max(height, 1)]]
 
 
 class Views:

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from hilcell.tui.engine.background import FULL_COLLECTION_S, NEVER, GarbageCollector, run_in_thread
+from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 
 
 def test_what_is_returned_or_raised_comes_back() -> None:
@@ -88,11 +88,11 @@ def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPa
     before = gc.get_threshold()
     collector = GarbageCollector(0.0)
     try:
-        assert gc.get_threshold() == (*before[:2], NEVER)
+        assert gc.get_threshold() == (*before[:2], GarbageCollector.NEVER)
         for at_rest, now_s in ((True, 1.0), (False, 40.0), (True, 41.0), (True, 42.0)):
             monkeypatch.setattr(gc, "collect", lambda now_s=now_s: collected.append(now_s))
             collector.tick(at_rest=at_rest, now_s=now_s)
-        assert FULL_COLLECTION_S > 2.0
+        assert GarbageCollector.PERIOD_S > 2.0
         assert collected == [42.0]  # what ended at 41 is painted first
         assert kept == ["freeze"]
     finally:

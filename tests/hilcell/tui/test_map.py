@@ -19,9 +19,7 @@ from hilcell.tui.text.side import (
     NO_POINT,
     Grades,
     Volume,
-    map_lines,
     side_lines,
-    volume_of,
 )
 from tests.hilcell.tui.sample_runs import SampleRun, begun, measuring, validated
 
@@ -38,7 +36,7 @@ def volume(errors: tuple[float, ...] = ERRORS, **more: Any) -> Volume:
 
 
 def shown(of: Volume, width: int = WIDE, height: int = 22, *, plain: bool = False) -> list[str]:
-    return [line.plain for line in map_lines(of, width, height, plain=plain)]
+    return [line.plain for line in of.lines(width, height, plain=plain)]
 
 
 def test_shapes_grow_with_the_error() -> None:
@@ -132,16 +130,16 @@ def test_the_map_is_of_corrected_targets_once_there_are_any() -> None:
 
 def test_the_newest_is_that_of_the_map_alone() -> None:
     view, table = rows_of(validated())
-    assert volume_of(view.log, [r for r in table.rows(view.log) if r.deviation]).newest == 1
+    assert Volume.of(view.log, [r for r in table.rows(view.log) if r.deviation]).newest == 1
     other = validated().point(PointId("grid", vertex=(9, 9, 9)), (1000.0, 200.0, 300.0))
     view, table = rows_of(other)
     rows = [row for row in table.rows(view.log) if row.deviation and row.point.nominal_mm]
-    assert volume_of(view.log, rows).newest == NO_POINT
+    assert Volume.of(view.log, rows).newest == NO_POINT
 
 
 def test_the_map_spans_all_stations_from_the_first_point_on() -> None:
     view, table = rows_of(measuring())
-    of = volume_of(view.log, [row for row in table.rows(view.log) if row.deviation])
+    of = Volume.of(view.log, [row for row in table.rows(view.log) if row.deviation])
     strips_mm = [each.strip_mm for each in view.log.cell.station]
     wanted_mm = max(strips_mm) - min(strips_mm)
     assert of.high_mm[1] - of.low_mm[1] >= wanted_mm

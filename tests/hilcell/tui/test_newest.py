@@ -18,9 +18,6 @@ from hilcell.tui.text.run import (
     SMALL_ROWS,
     STALE_S,
     Shown,
-    chosen_shown,
-    newest_shown,
-    point_lines,
 )
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
 from tests.hilcell.tui.views import drawn
@@ -57,7 +54,7 @@ def shown(norm_mm: float, limit_mm: float | None = 1.0, U_mm: float = 0.1, **mor
 def test_it_says_what_the_decision_rule_says(
     norm_mm: float, limit_mm: float | None, said: str, style: str
 ) -> None:
-    lines = point_lines(shown(norm_mm, limit_mm), UNICODE).lines(79)
+    lines = shown(norm_mm, limit_mm).lines(UNICODE).lines(79)
     assert len(lines) == FULL_ROWS
     assert lines[4].plain.strip().startswith(said)
     assert style in str(lines[1].spans)  # the digits
@@ -67,7 +64,7 @@ def test_it_says_what_the_decision_rule_says(
     ("norm_mm", "word"), [(0.5, "was in tol."), (1.5, "was out of tol."), (0.95, "was undecided")]
 )
 def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) -> None:
-    lines = point_lines(shown(norm_mm, stale=True), UNICODE).lines(79)
+    lines = shown(norm_mm, stale=True).lines(UNICODE).lines(79)
     assert f"○ {word}" in lines[4].plain
     for line in lines[1:5]:
         for role in ("passed", "fault"):
@@ -76,31 +73,31 @@ def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) ->
 
 
 def test_the_newest_point_ages() -> None:
-    assert newest_shown(view_after(validated())).remark == "0.4 s ago"
-    assert not newest_shown(view_after(validated())).stale
-    found = newest_shown(view_after(validated(), STALE_S + 6))
+    assert Shown.newest(view_after(validated())).remark == "0.4 s ago"
+    assert not Shown.newest(view_after(validated())).stale
+    found = Shown.newest(view_after(validated(), STALE_S + 6))
     assert (found.stale, found.remark) == (True, "36 s old")
 
 
 def test_a_point_is_not_bright_where_nothing_is_heard() -> None:
     view = view_after(validated())
     view.status_age_s = 2.1
-    assert newest_shown(view).stale
+    assert Shown.newest(view).stale
 
 
 def test_the_digits_of_a_step_before_are_grey() -> None:
-    found = newest_shown(view_after(validated().step(7)))
+    found = Shown.newest(view_after(validated().step(7)))
     assert not found.stale
-    found = newest_shown(view_after(measuring().step(6)))
+    found = Shown.newest(view_after(measuring().step(6)))
     assert found.stale
     assert found.name.startswith("last point: grid point 0-0-4")
 
 
 def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> None:
     story = measuring().point(PointId("repeatability", place=0, number=2), None)
-    found = newest_shown(view_after(story))
+    found = Shown.newest(view_after(story))
     assert found.deviation is None
-    text = drawn(point_lines(found, UNICODE))
+    text = drawn(found.lines(UNICODE))
     assert "repeated pose 1 3 at S1100" in text
     assert "no nominal place, so no deviation" in text
     assert "█" not in text
@@ -108,14 +105,14 @@ def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> No
 
 def test_a_chosen_point_says_that_it_is_chosen() -> None:
     view = view_after(validated())
-    found = chosen_shown(view, "validate/S1100/idw/000")
+    found = Shown.chosen(view, "validate/S1100/idw/000")
     assert found.name == "chosen point: target 1 at S1100, paper method"
     assert found.word == "paper method: no limit"
-    assert chosen_shown(view, "none").deviation is None
+    assert Shown.chosen(view, "none").deviation is None
 
 
 def test_a_point_that_nobody_chose_is_the_last_one() -> None:
-    found = chosen_shown(view_after(measuring()), "grid/0-0-4", chosen=False)
+    found = Shown.chosen(view_after(measuring()), "grid/0-0-4", chosen=False)
     assert found.name == "last point: grid point 0-0-4 at S1100"
 
 
@@ -126,14 +123,14 @@ def test_any_deviation_fits_any_width(
     found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
     for rows in (FULL_ROWS, FULL_ROWS - 1, SMALL_ROWS):
         for glyphs in (UNICODE, ASCII):
-            lines = point_lines(Shown("p", found, ""), glyphs, rows).lines(width)
+            lines = Shown("p", found, "").lines(glyphs, rows).lines(width)
             assert len(lines) <= rows
             assert max(line.cell_length for line in lines) <= max(width, 20)
 
 
 @pytest.mark.parametrize("width", [20, 39, 41, 45, 60])
 def test_digits_are_never_cut(width: int) -> None:
-    text = drawn(point_lines(shown(12.345), UNICODE), width)
+    text = drawn(shown(12.345).lines(UNICODE), width)
     assert "12.345" in text or "▄█  ▀▀█   ▀▀█ █ █ █▀▀" in text
 
 
@@ -145,12 +142,12 @@ def test_bars_have_a_scale_of_1_2_5_that_holds_them(
     error_mm: tuple[float, float, float], scale: str
 ) -> None:
     found = Deviation("p", error_mm, (0.0, 0.0, 0.0), 0.3)
-    assert scale in drawn(point_lines(Shown("p", found, ""), UNICODE)).split()
+    assert scale in drawn(Shown("p", found, "").lines(UNICODE)).split()
 
 
 @pytest.mark.parametrize(("U_mm", "hatched"), [(0.0, 0), (0.1, 9), (math.nan, 0), (9.0, 32)])
 def test_the_guard_band_is_hatched_around_the_limit(U_mm: float, hatched: int) -> None:
-    line = point_lines(shown(0.5, U_mm=U_mm), UNICODE).lines(79)[4].plain
+    line = shown(0.5, U_mm=U_mm).lines(UNICODE).lines(79)[4].plain
     assert line.count("▒") == hatched
     assert "│" in line
     if hatched == 9:

@@ -27,7 +27,7 @@ from hilcell.tui.text.points import (
     state_of,
     to_row,
 )
-from hilcell.tui.text.run import chosen_shown
+from hilcell.tui.text.run import Shown
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
 from tests.hilcell.tui.views import drawn
@@ -262,7 +262,7 @@ def test_of_a_target_measured_again_the_larger_error_counts(
     assert row.deviation is not None
     assert row.deviation.actual_mm[1] == pytest.approx(301.0 + max(0.4, again_mm))
     assert f"{wanted_mm:.3f}" in to_row(row, (), 80).cells
-    assert chosen_shown(RunView("r", log), key).deviation == row.deviation
+    assert Shown.chosen(RunView("r", log), key).deviation == row.deviation
 
 
 def test_the_page_of_a_point_names_both_readings_and_which_counts() -> None:

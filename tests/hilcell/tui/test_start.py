@@ -16,7 +16,7 @@ from hilcell.model.plan import Step
 from hilcell.run.order import Order
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start as text
-from hilcell.tui.screens.start import PlanSummary, StartScreen, plan_summary
+from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.terminal.capabilities import UNICODE
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (
@@ -224,5 +224,5 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:
     step = Step(name="station-frames", points=0, duration_s=0.0, note="on the floor")
     plan = replace(PLAN, steps=[step])
-    said = plan_summary(Order(cell="fixed", runs=RUNS), plan).plain
+    said = PlanSummary.text(Order(cell="fixed", runs=RUNS), plan).plain
     assert "Station frames: on the floor" in said

@@ -13,7 +13,7 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
-from hilcell.tui.screens.history import Compared, ComparePage, change_row
+from hilcell.tui.screens.history import Compared, ComparePage
 from hilcell.tui.text.tables import (
     columns_for,
     history_row,
@@ -146,7 +146,7 @@ def test_the_history_always_has_date_procedure_verdict_and_operator(width: int) 
 
 
 def test_a_comparison_tells_stations_apart_in_80_columns() -> None:
-    rows = [change_row(each) for each in typed(COMPARISON, Compared).changes]
+    rows = typed(COMPARISON, Compared).rows
     widths = [column.width for column in ComparePage.COLUMNS]
     shown = [tuple(c[:w] for c, w in zip(row.cells[:2], widths, strict=False)) for row in rows]
     assert len(set(shown)) == len(rows)
