@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -55,109 +56,126 @@ class PromptBox(Horizontal, Titled):
         )
         picture, enter, reading = self.query(TextPanel)
         title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
-        self.show_titles(title, self._count(view))
-        picture.show(prompt_picture(prompt, view))
-        enter.show(enter_line(prompt, view))
-        reading.show(prompt_task(prompt, view, glyphs, low=low))
+        said = PromptText(prompt, view, glyphs)
+        self.show_titles(title, said.count)
+        picture.show(said.picture())
+        enter.show(said.enter())
+        reading.show(said.task(low=low))
 
-    @staticmethod
-    def _count(view: RunView) -> str:
+
+@dataclass(frozen=True, slots=True)
+class PromptText:
+    """What is written of a prompt of a run."""
+
+    prompt: PromptStatus
+    view: RunView
+    glyphs: Glyphs
+
+    @property
+    def seats(self) -> bool:
+        """Whether the prompt asks to seat a reflector, and no failed reading made it ask."""
+        return bool(self.view.log.life) and not self.view.log.life[-1].change.error
+
+    @property
+    def count(self) -> str:
         """Return how far a step has come that measures where reflectors are seated."""
-        plan = view.log.plan
-        if plan is None or not view.step or not seats(view):
+        plan, step = self.view.log.plan, self.view.step
+        if plan is None or not step or not self.seats:
             return ""
-        number = view.step.number
-        planned = plan.steps[number - 1].points if number <= len(plan.steps) else 0
-        done = len(view.measured.get(number, ()))
+        planned = plan.steps[step.number - 1].points if step.number <= len(plan.steps) else 0
+        done = len(self.view.measured.get(step.number, ()))
         return f"{done + 1} of {planned}" if done < planned else ""
 
+    def picture(self) -> Lines:
+        """Return the plan, over it the words where they say more than the task."""
+        site, seating = Site.of(self.view, self.prompt), self.seats
+        rest = f"robot at safe pose{', slide held' if self.view.has_rail else ''}: nothing moves"
 
-def seats(view: RunView) -> bool:
-    """Whether the prompt asks to seat a reflector, and no failed reading made it ask."""
-    return bool(view.log.life) and not view.log.life[-1].change.error
+        def draw(width: int, height: int) -> list[Content]:
+            drawn = [] if site is None or not seating else site.drawn(width, height - 2)
+            if drawn:
+                above = Content.styled("from above, to scale", "$label")
+                return [above, *drawn, Content.styled(rest, "$label")]
+            words = Content(self.prompt.text).wrap(width)
+            drawn = [] if site is None else site.drawn(width, height - len(words) - 1)
+            return [*words, *([BLANK] if drawn else []), *drawn]
 
+        return Drawing((self.prompt.text, site, seating), draw)
 
-def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
-    """Return the plan, over it the words where they say more than the task."""
-    site, seating = site_of(view, prompt), seats(view)
-    rest = f"robot at safe pose{', slide held' if view.has_rail else ''}: nothing moves"
+    def task(self, *, low: bool = False) -> Lines:
+        """Return the task, how far the reflector is off, and who sees it."""
+        place, off, seen = self._place(), [], []
+        if self.prompt.check:
+            off, seen = self._off(low=low), self._seen()
+        lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
+        return Grid([[line] for line in lines], Col(grows=True))
 
-    def draw(width: int, height: int) -> list[Content]:
-        drawn = [] if site is None or not seating else sketch(site, width, height - 2)
-        if drawn:
-            above = Content.styled("from above, to scale", "$label")
-            return [above, *drawn, Content.styled(rest, "$label")]
-        words = Content(prompt.text).wrap(width)
-        drawn = [] if site is None else sketch(site, width, height - len(words) - 1)
-        return [*words, *([BLANK] if drawn else []), *drawn]
+    def _place(self) -> list[Content]:
+        at, place, layout = BLANK, self.prompt.place, self.view.log.cell.layout
+        nests = {nest.name: nest for nest in (*layout.slide, *layout.standing)}
+        if nest := nests.get(place):
+            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
+            at = Content.assemble(("at ", "$label"), xyz)
+        if not self.seats:
+            return [Content.styled(f"At {place}" if place else "", "bold"), at]
+        take = self.view.log.seated
+        lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
+        seat = Content.assemble(("Seat ", "$label"), (f"it in {place}", "bold"))
+        return [*lines, seat, at]
 
-    return Drawing((prompt.text, site, seating), draw)
+    @property
+    def is_ready(self) -> bool:
+        """Whether Enter answers: the last look was good, or nothing is looked at."""
+        prompt, view = self.prompt, self.view
+        return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
 
+    def _off(self, *, low: bool) -> list[Content]:
+        """Return how far the reflector is off its place, large, and the limit."""
+        prompt, view = self.prompt, self.view
+        known = prompt.seen_mm is not None and prompt.age_s is not None and not view.stale
+        style = "$stale" if not known else "$passed" if self.is_ready else "$ask"
+        text = "-.--"
+        if known and prompt.seen_mm is not None:
+            text = f"{prompt.seen_mm:.{2 if prompt.seen_mm < 100 else 0}f}"
+        limit = "" if prompt.limit_mm is None else f"{prompt.limit_mm:.2f}"
+        what = "off its place, mm" if prompt.expected_mm is not None else "strip off drive, mm"
+        if low:
+            figure = f"{text} mm", f"bold {style}"
+            return [Content.assemble(("off ", "$label"), figure, (f" limit {limit}", "$label"))]
+        beside: list[Cell] = ["", ("limit" if limit else "", "$label"), (limit, "bold")]
+        digits = Grid(zip(large(text, style, self.glyphs), beside, strict=True), Col(17), Col())
+        return [Content.styled(what, "$label"), *digits.lines(25)]
 
-def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool = False) -> Lines:
-    """Return the task, how far the reflector is off, and who sees it."""
-    place, off, seen = _place(prompt, view), [], []
-    if prompt.check:
-        off, seen = _off(prompt, view, glyphs, low=low), _seen(prompt, view, glyphs)
-    lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
-    return Grid([[line] for line in lines], Col(grows=True))
+    def _seen(self) -> list[Content]:
+        """Return who sees the reflector, and how old that is; devices that are lost come first."""
+        prompt, view, glyphs = self.prompt, self.view, self.glyphs
+        lost = "" if view.stale else lost_devices(view)
+        age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
+        if lost:
+            look = [Content.styled(f"  last look {age} ago", "$label")] if age else []
+            return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *look]
+        if not age:
+            return [Content.styled(f"{glyphs.stale} not looked yet", "$label")]
+        ago = Content.styled(f"  {age} ago", "$label")
+        if view.stale:
+            return [Content.styled(f"{glyphs.stale} last look {age} ago", "$stale")]
+        if prompt.expected_mm is None:
+            words = "strip reads well" if prompt.ready else "strip reads badly"
+        else:
+            words = "sees nothing" if prompt.seen_mm is None else "tracker sees it"
+        if prompt.ready:
+            return [Content.styled(f"{glyphs.fresh} {words}", "bold $passed"), ago]
+        shape = glyphs.stale if prompt.seen_mm is None else glyphs.warned
+        return [Content.styled(f"{shape} {words}", "$ask"), ago]
 
-
-def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
-    at, layout = BLANK, view.log.cell.layout
-    nests = {nest.name: nest for nest in (*layout.slide, *layout.standing)}
-    if nest := nests.get(prompt.place):
-        xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
-        at = Content.assemble(("at ", "$label"), xyz)
-    if not seats(view):
-        return [Content.styled(f"At {prompt.place}" if prompt.place else "", "bold"), at]
-    take = view.log.seated
-    lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
-    return [*lines, Content.assemble(("Seat ", "$label"), (f"it in {prompt.place}", "bold")), at]
-
-
-def is_ready(prompt: PromptStatus, view: RunView) -> bool:
-    """Whether Enter answers: the last look was good, or nothing is looked at."""
-    return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
-
-
-def _off(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool) -> list[Content]:
-    """Return how far the reflector is off its place, large, and the limit."""
-    known = prompt.seen_mm is not None and prompt.age_s is not None and not view.stale
-    style = "$stale" if not known else "$passed" if is_ready(prompt, view) else "$ask"
-    text = "-.--"
-    if known and prompt.seen_mm is not None:
-        text = f"{prompt.seen_mm:.{2 if prompt.seen_mm < 100 else 0}f}"
-    limit = "" if prompt.limit_mm is None else f"{prompt.limit_mm:.2f}"
-    what = "off its place, mm" if prompt.expected_mm is not None else "strip off drive, mm"
-    if low:
-        words = ("off ", "$label"), (f"{text} mm", f"bold {style}"), (f" limit {limit}", "$label")
-        return [Content.assemble(*words)]
-    beside: list[Cell] = ["", ("limit" if limit else "", "$label"), (limit, "bold")]
-    digits = Grid(zip(large(text, style, glyphs), beside, strict=True), Col(17), Col())
-    return [Content.styled(what, "$label"), *digits.lines(25)]
-
-
-def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
-    """Return who sees the reflector, and how old that is; devices that are lost come first."""
-    lost = "" if view.stale else lost_devices(view)
-    age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
-    if lost:
-        look = [Content.styled(f"  last look {age} ago", "$label")] if age else []
-        return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *look]
-    if not age:
-        return [Content.styled(f"{glyphs.stale} not looked yet", "$label")]
-    ago = Content.styled(f"  {age} ago", "$label")
-    if view.stale:
-        return [Content.styled(f"{glyphs.stale} last look {age} ago", "$stale")]
-    if prompt.expected_mm is None:
-        words = "strip reads well" if prompt.ready else "strip reads badly"
-    else:
-        words = "sees nothing" if prompt.seen_mm is None else "tracker sees it"
-    if prompt.ready:
-        return [Content.styled(f"{glyphs.fresh} {words}", "bold $passed"), ago]
-    shape = glyphs.stale if prompt.seen_mm is None else glyphs.warned
-    return [Content.styled(f"{shape} {words}", "$ask"), ago]
+    def enter(self) -> Content:
+        """Return the key that answers, grey until it would."""
+        ready, prompt = self.is_ready, self.prompt
+        words = "measure it here" if prompt.expected_mm is not None and self.seats else "go on"
+        if not prompt.check:
+            words = "when it is done"
+        style = "bold $on-ask on $ask-fill" if ready else "$stale on $badge"
+        return Content.assemble((" Enter ", style), (f" {words}", "bold" if ready else "$stale"))
 
 
 def lost_devices(view: RunView) -> str:
@@ -168,22 +186,15 @@ def lost_devices(view: RunView) -> str:
     return f"{few} lost" if names else ""
 
 
-def enter_line(prompt: PromptStatus, view: RunView) -> Content:
-    """Return the key that answers, grey until it would."""
-    ready = is_ready(prompt, view)
-    words = "measure it here" if prompt.expected_mm is not None and seats(view) else "go on"
-    if not prompt.check:
-        words = "when it is done"
-    style = "bold $on-ask on $ask-fill" if ready else "$stale on $badge"
-    return Content.assemble((" Enter ", style), (f" {words}", "bold" if ready else "$stale"))
-
-
 Place = tuple[float, float]  # x and y in {W}, mm
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
     """Where things stand; ``nests`` are those of the wanted one's frame, ``done`` the measured."""
+
+    LEAST_COLUMNS: ClassVar = 24  # for which a drawing is worth it
+    LEAST_ROWS: ClassVar = 5
 
     nests: dict[str, Place]
     done: frozenset[str]
@@ -194,56 +205,52 @@ class Site:
     along: Place  # the rail's direction, of length 1; 0, 0 where there is none
     stations: dict[str, Place]
 
+    @classmethod
+    def of(cls, view: RunView, prompt: PromptStatus) -> Site | None:
+        """Return the places around what a prompt asks for; None where it has no place."""
+        if prompt.expected_mm is None:
+            return None
+        log, layout = view.log, view.log.cell.layout
+        T_W_L = Frames(log.cell, log).tracker_in_world()
+        wanted = apply(T_W_L, np.array([prompt.expected_mm]))[0]
+        last = [*log.points][-1:]
+        rail_mm = log.points[last[0]].rail_mm if last else None
+        if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
+            rail_mm = [log.cell.reference, *log.happened(StationHeld)][-1].rail_mm
+        T_W_B = layout.nominal_base(rail_mm)
+        slide = {nest.name: cls._above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
+        standing = {nest.name: cls._above(nest.xyz_mm) for nest in layout.standing}
+        nests = slide if prompt.place in slide else standing
+        keys = view.measured.get(view.step.number, set()) if view.step else set()
+        done = frozenset(log.points[key].id.nest for key in keys if key in log.points)
+        return cls(
+            nests=nests,
+            done=done & nests.keys(),
+            wanted=prompt.place,
+            wanted_mm=nests.get(prompt.place, cls._above(wanted)),
+            robot_mm=cls._above(T_W_B[:3, 3]),
+            tracker_mm=cls._above(T_W_L[:3, 3]),
+            along=(layout.rail_direction[0], layout.rail_direction[1]),
+            stations={
+                each.name: cls._above(layout.nominal_base(each.rail_mm)[:3, 3])
+                for each in log.cell.station
+                if log.cell.has_rail
+            },
+        )
 
-def site_of(view: RunView, prompt: PromptStatus) -> Site | None:
-    """Return the places around what a prompt asks for; None where it has no place."""
-    if prompt.expected_mm is None:
-        return None
-    log, layout = view.log, view.log.cell.layout
-    T_W_L = Frames(log.cell, log).tracker_in_world()
-    wanted = apply(T_W_L, np.array([prompt.expected_mm]))[0]
-    last = [*log.points][-1:]
-    rail_mm = log.points[last[0]].rail_mm if last else None
-    if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
-        rail_mm = [log.cell.reference, *log.happened(StationHeld)][-1].rail_mm
-    T_W_B = layout.nominal_base(rail_mm)
-    slide = {nest.name: _above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
-    standing = {nest.name: _above(nest.xyz_mm) for nest in layout.standing}
-    nests = slide if prompt.place in slide else standing
-    keys = view.measured.get(view.step.number, set()) if view.step else set()
-    done = frozenset(log.points[key].id.nest for key in keys if key in log.points)
-    return Site(
-        nests=nests,
-        done=done & nests.keys(),
-        wanted=prompt.place,
-        wanted_mm=nests.get(prompt.place, _above(wanted)),
-        robot_mm=_above(T_W_B[:3, 3]),
-        tracker_mm=_above(T_W_L[:3, 3]),
-        along=(layout.rail_direction[0], layout.rail_direction[1]),
-        stations={
-            each.name: _above(layout.nominal_base(each.rail_mm)[:3, 3])
-            for each in log.cell.station
-            if log.cell.has_rail
-        },
-    )
+    @staticmethod
+    def _above(xyz_mm: Array) -> Place:
+        return float(xyz_mm[0]), float(xyz_mm[1])
 
-
-def _above(xyz_mm: Array) -> Place:
-    return float(xyz_mm[0]), float(xyz_mm[1])
-
-
-LEAST_COLUMNS, LEAST_ROWS = 24, 5  # for which a drawing is worth it
-
-
-def sketch(site: Site, columns: int, rows: int) -> list[Content]:
-    """Return ``rows`` lines of ``columns``; none where that is too small for a drawing."""
-    if columns < LEAST_COLUMNS or rows < LEAST_ROWS:
-        return []
-    nests = [site.wanted_mm, *site.nests.values()]
-    views = ([*nests, site.robot_mm, site.tracker_mm], [*nests, site.robot_mm], nests)
-    drawn = (_Drawing(site, places, columns, rows) for places in views)
-    found = next((each for each in drawn if not each.unnamed), None)
-    return (found or _Drawing(site, nests, columns, rows)).lines()
+    def drawn(self, columns: int, rows: int) -> list[Content]:
+        """Return ``rows`` lines of ``columns``; none where that is too small for a drawing."""
+        if columns < self.LEAST_COLUMNS or rows < self.LEAST_ROWS:
+            return []
+        nests = [self.wanted_mm, *self.nests.values()]
+        views = ([*nests, self.robot_mm, self.tracker_mm], [*nests, self.robot_mm], nests)
+        drawn = (_Drawing(self, places, columns, rows) for places in views)
+        found = next((each for each in drawn if not each.unnamed), None)
+        return (found or _Drawing(self, nests, columns, rows)).lines()
 
 
 class _Drawing:

@@ -10,7 +10,7 @@ from hilcell.model.records import StateChanged
 from hilcell.run.control import DeviceStatus, PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
-from hilcell.tui.text.prompt import enter_line, prompt_picture, prompt_task
+from hilcell.tui.text.prompt import PromptText
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, text_of
 from tests.hilcell.tui.sample_runs import PROMPT
 from tests.hilcell.tui.test_alarm_panel import _style
@@ -28,9 +28,8 @@ def seating() -> RunView:
 
 def text(prompt: PromptStatus, view: RunView, *, low: bool = False) -> str:
     """Return both sides, one under the other."""
-    task = drawn(prompt_task(prompt, view, UNICODE, low=low))
-    picture = drawn(prompt_picture(prompt, view), 48, 13)
-    return "\n".join((picture, task, enter_line(prompt, view).plain))
+    said = PromptText(prompt, view, UNICODE)
+    return "\n".join((drawn(said.picture(), 48, 13), drawn(said.task(low=low)), said.enter().plain))
 
 
 def but(**facts: object) -> PromptStatus:
@@ -92,7 +91,7 @@ def test_enter_is_grey_until_it_answers(
     if stale:
         view.status_age_s = 60.0
     assert words in text(prompt, view)
-    assert ("$ask-fill" in _style(enter_line(prompt, view), "Enter")) == bright
+    assert ("$ask-fill" in _style(PromptText(prompt, view, UNICODE).enter(), "Enter")) == bright
 
 
 def test_an_old_figure_is_dashes() -> None:
@@ -100,7 +99,7 @@ def test_an_old_figure_is_dashes() -> None:
     fresh = text(PROMPT, view)
     view.status_age_s = 60.0
     assert text(PROMPT, view) != fresh
-    plain = drawn(prompt_task(PROMPT, view, ASCII))
+    plain = drawn(PromptText(PROMPT, view, ASCII).task())
     assert "-.--" in plain
     assert "1.24" not in plain
 

@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
-from hilcell.tui.text.prompt import LEAST_COLUMNS, LEAST_ROWS, Place, Site, sketch
+from hilcell.tui.text.prompt import Place, Site
 
 CELLS = ("paper", "six-r", "hard", "replay")
 
@@ -33,7 +33,7 @@ def _xy(xyz: np.ndarray) -> Place:
 
 
 def drawn(found: Site, columns: int = 46, rows: int = 11) -> list[str]:
-    return [line.plain for line in sketch(found, columns, rows)]
+    return [line.plain for line in found.drawn(columns, rows)]
 
 
 @pytest.mark.parametrize("name", CELLS)
@@ -103,9 +103,9 @@ def test_a_robot_on_the_floor_has_no_rail() -> None:
 
 def test_where_there_is_no_room_there_is_no_drawing() -> None:
     found = site("paper", "F2")
-    assert sketch(found, LEAST_COLUMNS - 1, 11) == []
-    assert sketch(found, 46, LEAST_ROWS - 1) == []
-    for columns, rows in ((LEAST_COLUMNS, LEAST_ROWS), (100, 30)):
+    assert found.drawn(Site.LEAST_COLUMNS - 1, 11) == []
+    assert found.drawn(46, Site.LEAST_ROWS - 1) == []
+    for columns, rows in ((Site.LEAST_COLUMNS, Site.LEAST_ROWS), (100, 30)):
         lines = drawn(found, columns, rows)
         assert len(lines) == rows
         assert {len(line) for line in lines} == {columns}
