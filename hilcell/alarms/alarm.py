@@ -119,6 +119,11 @@ class Alarm:
     goes_on: bool = False  # the last step is how work goes on
     origin: int = 0
 
+    @property
+    def mark(self) -> tuple[str, int, str]:
+        """Return what an alarm that is raised again has as well."""
+        return self.code, self.origin or self.seq, self.where
+
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
@@ -227,11 +232,11 @@ class _Raised:
             match record.fact:
                 case NoReadingOf(error=error):
                     # Tried again at once; whether that helped is elsewhere.
-                    yield from _moments(error, record, "notice")
+                    yield from self._moments(error, record, "notice")
                 case SafeStopSent() | Closed() as closing:
                     code = "HC-C02" if isinstance(closing, SafeStopSent) else "HC-C03"
                     for name in closing.problems:
-                        finding = _cell(code, closing.what, _problem(name, closing))
+                        finding = _cell(code, closing.what, self._problem(name, closing))
                         yield _Moment(finding, record, cause="not watched")
                 case CommandRefused() as impossible:
                     yield _Moment(_cell("HC-C06", "command", impossible.why), record)
@@ -284,7 +289,7 @@ class _Raised:
                 case DeviceBack(device=device):
                     lost.pop(device, None)
         for record, error in lost.values():
-            yield from _moments(error, record, cause="watched")
+            yield from self._moments(error, record, cause="watched")
 
     def cut_off(self) -> Iterator[_Moment]:
         """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
@@ -293,7 +298,7 @@ class _Raised:
         """
         severity: Severity | None = "notice" if self.log.state == "finished" else None
         for cut in self.log.cut_off:
-            found = _crash(cut.state, cut.points)
+            found = self._crash(cut.state, cut.points)
             yield _Moment(found, cut.last, severity, origin=cut.began)
 
     def end(self) -> Iterator[_Moment]:
@@ -304,18 +309,18 @@ class _Raised:
         reason, error = newest.change.reason, newest.change.error
         refused_has_end = log.life and not log.over
         if state == "faulted":
-            yield from _moments(error, newest, "fault", "not watched")
+            yield from self._moments(error, newest, "fault", "not watched")
         elif state == "suspended" and self.live and error:
-            yield from _moments(error, newest, cause="watched")
+            yield from self._moments(error, newest, cause="watched")
         elif state == "aborted":
             yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), newest)
         elif not self.live and (end is None or refused_has_end):
-            crash = _crash(state, log.counted)
+            crash = self._crash(state, log.counted)
             yield _Moment(crash, log.newest or newest, cause="watched", origin=log.began)
         refused = end is not None and end.exit in (2, 3, 5, 6, 7) and end.reason != reason
         if end is not None and end.error and refused:
             # Its end alone says so.
-            yield from _moments(end.error, newest, "fault", "not watched")
+            yield from self._moments(end.error, newest, "fault", "not watched")
 
     def lost(self) -> Iterator[_Moment]:
         """Yield that the calibration's file is not there, where the run has ended with one."""
@@ -323,29 +328,29 @@ class _Raised:
             finding = _cell("HC-J11", "calibration", "it has no file")
             yield _Moment(finding, self.log.life[-1], cause="watched")
 
+    @staticmethod
+    def _moments(
+        error: Json, at: Record | Change, severity: Severity | None = None, cause: Cause = "over"
+    ) -> Iterator[_Moment]:
+        """Yield the alarms of a record's error."""
+        for finding in findings_of(error):
+            yield _Moment(finding, at, severity, cause)
 
-def _moments(
-    error: Json, at: Record | Change, severity: Severity | None = None, cause: Cause = "over"
-) -> Iterator[_Moment]:
-    """Yield the alarms of a record's error."""
-    for finding in findings_of(error):
-        yield _Moment(finding, at, severity, cause)
+    @staticmethod
+    def _problem(name: str, closing: Closing) -> str:
+        """Return the message of a device's error, with its name once and without its advice."""
+        finding = findings_of(closing.errors[name])[0]
+        text = f"{finding.where}: {finding.text}" if finding.where else finding.text
+        return text if text.startswith(f"{name}: ") else f"{name}: {text}"
+
+    @staticmethod
+    def _crash(state: str, points: int) -> Finding:
+        found = f"the journal ends while the run was {state}, with {points} points"
+        return _cell("HC-J05", "crash", found)
 
 
 def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
     return Finding(code, "Cell", operation, found, wanted)
-
-
-def _problem(name: str, closing: Closing) -> str:
-    """Return the message of a device's error, with its name once and without its advice."""
-    finding = findings_of(closing.errors[name])[0]
-    text = f"{finding.where}: {finding.text}" if finding.where else finding.text
-    return text if text.startswith(f"{name}: ") else f"{name}: {text}"
-
-
-def _crash(state: str, points: int) -> Finding:
-    found = f"the journal ends while the run was {state}, with {points} points"
-    return _cell("HC-J05", "crash", found)
 
 
 # -- alarms that stand -----------------------------------------------------------------------------
@@ -377,10 +382,6 @@ class Latched:
         return self.acknowledged and (bool(self.gone) or self.alarm.cause == "over")
 
 
-def _mark(alarm: Alarm) -> tuple[str, int, str]:
-    return alarm.code, alarm.origin or alarm.seq, alarm.where
-
-
 class Latch:
     """The alarms that stand. Used by one thread."""
 
@@ -400,12 +401,12 @@ class Latch:
         acknowledged = acknowledged or {}
         for code in acknowledged:
             self._acknowledge_until(code, acknowledged)
-        raised = {_mark(alarm): alarm for alarm in alarms}
+        raised = {alarm.mark: alarm for alarm in alarms}
         for mark, alarm in [*self._seen.items()]:
             if mark not in raised and alarm.passes:
                 del self._seen[mark]
         for code, latched in [*self._latched.items()]:
-            there = raised.get(_mark(latched.alarm))
+            there = raised.get(latched.alarm.mark)
             gone = "" if there else latched.gone or at
             self._keep(code, replace(latched, alarm=there or latched.alarm, gone=gone))
         for mark, alarm in raised.items():

@@ -17,7 +17,6 @@ PORTS: tuple[Port, ...] = ("rail", "robot", "tracker")
 Driver: TypeAlias = Any
 Reading: TypeAlias = Any
 SPEED_PERCENT = 10.0
-SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
 STEP_DEG, STEP_MM = 2.0, 20.0
 TRAVEL_S = 17.0  # of the cell
 MANY = 30  # readings of a measurement that takes seconds
@@ -116,6 +115,7 @@ class _RobotActs:
     """The safe pose, and all axes a step up from it."""
 
     tolerance, unit, absent = 0.01, "deg", ""
+    SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
     lasting = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
 
     def __init__(self, cell: Cell) -> None:
@@ -124,7 +124,7 @@ class _RobotActs:
         self.places_deg = (safe_deg, safe_deg + STEP_DEG)
         axis = cell.robot.joint[0]
         inwards = 1.0 if 2.0 * safe_deg[0] <= axis.min_deg + axis.max_deg else -1.0
-        way_deg = TRAVEL_S * axis.speed_deg_s * SLOW_PERCENT / 100.0
+        way_deg = TRAVEL_S * axis.speed_deg_s * self.SLOW_PERCENT / 100.0
         self.far_deg = safe_deg + inwards * way_deg * np.eye(6)[0]
 
     def ready(self, device: Robot) -> None:
@@ -143,7 +143,7 @@ class _RobotActs:
         return device.move_to(np.radians(target_deg), SPEED_PERCENT)
 
     def travel(self, device: Robot) -> RobotReading:
-        return device.move_to(np.radians(self.far_deg), SLOW_PERCENT)
+        return device.move_to(np.radians(self.far_deg), self.SLOW_PERCENT)
 
     def short(self, reading: RobotReading) -> bool:
         return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG

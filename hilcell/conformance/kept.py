@@ -37,7 +37,7 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
         load_entry(group, name)
     except HilcellError as error:
         act = f"install the driver's package, or name one of {group} that is installed"
-        raise _refused(f"--hilcell-driver={group}:{name}", error, act) from None
+        raise pytest.UsageError(f"--hilcell-driver={group}:{name}: {error}\n{act}") from None
     sets: dict[str, str] = {}
     for each in assignments:
         key, sign, value = each.partition("=")
@@ -57,17 +57,13 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
         check_options(cell)
     except HilcellError as error:
         act = f"name a simulated cell to which {name} belongs, and values that it has"
-        raise _refused(said, error, act) from None
+        raise pytest.UsageError(f"{said}: {error}\n{act}") from None
     if cell.simulation is None:
         raise pytest.UsageError(
             f"{said}: cell {cell.name} is real: nothing simulates its devices; name a simulated "
             "cell, or judge it by `hilcell run conformance --cell CELL`"
         )
     return port, cell
-
-
-def _refused(said: str, error: HilcellError, act: str) -> pytest.UsageError:
-    return pytest.UsageError(f"{said}: {error}\n{act}")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -146,19 +146,16 @@ def robot_units(bench: Bench) -> None:
 def robot_handedness(bench: Bench) -> None:
     """A step of each axis moves the tool point the way the nominal arm says."""
     for axis, stated_mm, nominal_mm in _steps(bench):
-        off_mm = float(
-            np.linalg.norm(stated_mm / _length(stated_mm) - nominal_mm / _length(nominal_mm))
+        length_mm, nominally_mm = (
+            max(float(np.linalg.norm(each)), 1e-9) for each in (stated_mm, nominal_mm)
         )
-        turns = _length(nominal_mm) > NEAR_MM
+        off_mm = float(np.linalg.norm(stated_mm / length_mm - nominal_mm / nominally_mm))
+        turns = nominally_mm > NEAR_MM
         need(
             not turns or off_mm <= 1.0,
             f"axis {axis} by {STEP_DEG:+g} deg: tool point by {np.round(stated_mm, 1)} mm, "
             f"nominally {np.round(nominal_mm, 1)} mm",
         )
-
-
-def _length(step_mm: Array) -> float:
-    return max(float(np.linalg.norm(step_mm)), 1e-9)
 
 
 @OWN.add("speed", "robot")

@@ -219,7 +219,7 @@ class Kinematics:
     def positions_mm(self, state: State, joints_rad: Array) -> Array:
         """Return where the reflectors are (M, K, 3) at commanded joints (M, 6)."""
         flange = state.T @ forward(self.arm_of(state), self.joints_of(state, joints_rad))
-        return _carried(flange, state.smr_mm)
+        return self._carried(flange, state.smr_mm)
 
     def linearised(self, state: State, joints_rad: Array) -> Linearised:
         """Return the positions with their derivatives."""
@@ -231,7 +231,7 @@ class Kinematics:
         links = levers.reshape(len(joints), -1, 6) @ J[..., :LINKS]
         links = links.reshape(*levers.shape[:3], LINKS)
         by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
-        positions = _carried(state.T @ flange, state.smr_mm)
+        positions = self._carried(state.T @ flange, state.smr_mm)
         count, placed = len(joints), self.placed
         derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(self._axes)))
         derivatives[..., :3] = np.eye(3)
@@ -286,6 +286,13 @@ class Kinematics:
             end += 1
         return linear
 
+    @staticmethod
+    def _carried(flange: Array, smr_mm: Array) -> Array:
+        """Return points (M, K, 3) given on flanges (M, 4, 4)."""
+        carried: Array = np.einsum("mij,kj->mki", flange[:, :3, :3], smr_mm)
+        carried += flange[:, None, :3, 3]
+        return carried
+
 
 @lru_cache(maxsize=2)
 def _steady(kinematics: Kinematics, joints: bytes) -> Array:
@@ -303,13 +310,6 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     if kinematics.tool:
         blocks.append(tool_basis(kinematics.arm, at))
     return np.concatenate(blocks, axis=1)
-
-
-def _carried(flange: Array, smr_mm: Array) -> Array:
-    """Return points (M, K, 3) given on flanges (M, 4, 4)."""
-    carried: Array = np.einsum("mij,kj->mki", flange[:, :3, :3], smr_mm)
-    carried += flange[:, None, :3, 3]
-    return carried
 
 
 GRAVITY_AXES = (1, 1, 1, 1, 2, 2)

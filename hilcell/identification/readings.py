@@ -147,7 +147,7 @@ class Noise:
         ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown
         reading (M, K) has variance 1 and no part in the others.
         """
-        levers, shifts = _joined(by_joint, known), _shifts(known)
+        levers, shifts = self._joined(by_joint, known), self._shifts(known)
         C: Array = np.einsum("mij,j,mkj->mik", levers, self.joint_rad**2, levers)
         C += self.pose_mm**2 * shifts @ np.swapaxes(shifts, 1, 2)
         for k in range(known.shape[1]):
@@ -166,17 +166,21 @@ class Noise:
         rows = np.repeat(known, 3, axis=1)
         found = float(np.sum(np.where(rows, weighted, 0.0) ** 2))
         wanted = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
-        reading = _step(self.reading_mm, found, wanted, self.TYPICAL_MM)
+        reading = self._step(self.reading_mm, found, wanted, self.TYPICAL_MM)
         pose = self.pose_mm
         if pose > 0.0:
-            of_pose = _components(_shifts(known), weighted, precision)
-            pose = _step(pose, float(of_pose[0].sum()), float(of_pose[1].sum()), self.TYPICAL_MM)
+            of_pose = self._components(self._shifts(known), weighted, precision)
+            pose = self._step(
+                pose, float(of_pose[0].sum()), float(of_pose[1].sum()), self.TYPICAL_MM
+            )
         joint = self.joint_rad
         if joint.all():
             common = float(np.exp(np.mean(np.log(joint))))
-            pairs = zip(*_components(_joined(by_joint, known), weighted, precision), strict=True)
+            pairs = zip(
+                *self._components(self._joined(by_joint, known), weighted, precision), strict=True
+            )
             joint = np.array([
-                _step(float(sigma), float(f), float(w), common)
+                self._step(float(sigma), float(f), float(w), common)
                 for sigma, (f, w) in zip(joint, pairs, strict=True)
             ])  # fmt: skip
         return Noise(reading, pose, joint)
@@ -188,28 +192,28 @@ class Noise:
         )
         return float(np.abs(np.log(now[now > 0.0] / then[now > 0.0])).max())
 
+    @staticmethod
+    def _components(factors: Array, weighted: Array, precision: Array) -> tuple[Array, Array]:
+        """Return y'P V P y and tr P V (J,) of the sources V = F F' by their factors (M, 3K, J)."""
+        found = np.sum(np.einsum("mij,mi->mj", factors, weighted) ** 2, axis=0)
+        wanted = np.sum(factors * (precision @ factors), axis=(0, 1))
+        return found, wanted
 
-def _components(factors: Array, weighted: Array, precision: Array) -> tuple[Array, Array]:
-    """Return y'P V P y and tr P V (J,) of the sources V = F F' by their factors (M, 3K, J)."""
-    found = np.sum(np.einsum("mij,mi->mj", factors, weighted) ** 2, axis=0)
-    wanted = np.sum(factors * (precision @ factors), axis=(0, 1))
-    return found, wanted
+    @staticmethod
+    def _joined(by_joint: Array, known: Bools) -> Array:
+        """Return the joints' levers (M, 3K, 6), zero for unknown readings."""
+        return np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
 
+    @staticmethod
+    def _shifts(known: Bools) -> Array:
+        """Return how a shift of the pose moves its readings (M, 3K, 3)."""
+        shifts = known[..., None, None] * np.eye(3)
+        return shifts.reshape(len(known), -1, 3)
 
-def _joined(by_joint: Array, known: Bools) -> Array:
-    """Return the joints' levers (M, 3K, 6), zero for unknown readings."""
-    return np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
-
-
-def _shifts(known: Bools) -> Array:
-    """Return how a shift of the pose moves its readings (M, 3K, 3)."""
-    shifts = known[..., None, None] * np.eye(3)
-    return shifts.reshape(len(known), -1, 3)
-
-
-def _step(sigma: float, found: float, wanted: float, typical: float) -> float:
-    """Return sigma after a step, drawn to the typical value by an inverse chi^2."""
-    doubt = 4.0  # readings' worth of data that the typical value counts for
-    found += doubt * typical**2 / sigma**4
-    wanted += doubt / sigma**2
-    return float(sigma * (found / wanted) ** 0.25)
+    @staticmethod
+    def _step(sigma: float, found: float, wanted: float, typical: float) -> float:
+        """Return sigma after a step, drawn to the typical value by an inverse chi^2."""
+        doubt = 4.0  # readings' worth of data that the typical value counts for
+        found += doubt * typical**2 / sigma**4
+        wanted += doubt / sigma**2
+        return float(sigma * (found / wanted) ** 0.25)

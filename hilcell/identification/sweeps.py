@@ -474,10 +474,10 @@ class Trial:
         half = records.smooth.shape[1] // 2
         self._waves, self._squares, self._smooth = list[Complex](), list[Complex](), list[Complex]()
         for n, way in enumerate(self._ways):
-            waves, squares = _even_waves(angle_rad[way], self.cycles)
+            waves, squares = self._even_waves(angle_rad[way])
             self._waves.append(waves)
             self._squares.append(squares)
-            self._smooth.append(_sums(records.smooth[way, n * half : (n + 1) * half], waves))
+            self._smooth.append(self._sums(records.smooth[way, n * half : (n + 1) * half], waves))
 
     def explained(self, known: Known, shift: Shift) -> tuple[Explained, Explained]:
         """Return what waves of both directions explain, and those of opposite sign in them."""
@@ -485,7 +485,7 @@ class Trial:
         turns = (up, up.conj())
         rows = np.column_stack([known.waves, known.left_rad])
         sums = [
-            _sums(rows[way], waves) * turn
+            self._sums(rows[way], waves) * turn
             for way, waves, turn in zip(self._ways, self._waves, turns, strict=True)
         ]
         smooth = [each * turn for each, turn in zip(self._smooth, turns, strict=True)]
@@ -512,6 +512,33 @@ class Trial:
         best = int(np.argmax(score))
         is_line = noise.is_line(score, self.cycles)
         return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
+
+    def _even_waves(self, angle_rad: Array) -> tuple[Complex, Complex]:
+        """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
+        sums (F,).
+        """
+        cycles = self.cycles
+        step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
+        block = 16  # frequencies, of which one cosine and sine each is computed
+        fine = self._series(np.ones_like(step), step, block)
+        first = np.exp(1j * angle_rad * cycles[0])
+        coarse = self._series(first, fine[:, -1] * step, -(-len(cycles) // block))
+        waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
+        squares = ((coarse * coarse).T @ (fine * fine)).ravel()
+        return waves[:, : len(cycles)], squares[: len(cycles)]
+
+    @staticmethod
+    def _series(first: Complex, ratio: Complex, count: int) -> Complex:
+        """Return geometric series (N, count)."""
+        factors = np.repeat(ratio[:, None], count, axis=1)
+        factors[:, 0] = first
+        return np.multiply.accumulate(factors, axis=1)
+
+    @staticmethod
+    def _sums(columns: Array, waves: Complex) -> Complex:
+        """Return the sums (M, F) of waves (N, F) times columns (N, M), over the samples."""
+        found: Complex = (columns.T @ waves.view(float)).view(complex)
+        return found
 
 
 class Known:
@@ -610,33 +637,6 @@ def _waves(angle_rad: Array, cycles: Array) -> Array:
     """Return cosines and sines (N, 2K) by turns."""
     phases = angle_rad[:, None] * cycles
     return np.stack([np.cos(phases), np.sin(phases)], axis=-1).reshape(len(angle_rad), -1)
-
-
-def _even_waves(angle_rad: Array, cycles: Array) -> tuple[Complex, Complex]:
-    """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
-    sums (F,).
-    """
-    step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
-    block = 16  # frequencies, of which one cosine and sine each is computed
-    fine = _series(np.ones_like(step), step, block)
-    first = np.exp(1j * angle_rad * cycles[0])
-    coarse = _series(first, fine[:, -1] * step, -(-len(cycles) // block))
-    waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
-    squares = ((coarse * coarse).T @ (fine * fine)).ravel()
-    return waves[:, : len(cycles)], squares[: len(cycles)]
-
-
-def _series(first: Complex, ratio: Complex, count: int) -> Complex:
-    """Return geometric series (N, count)."""
-    factors = np.repeat(ratio[:, None], count, axis=1)
-    factors[:, 0] = first
-    return np.multiply.accumulate(factors, axis=1)
-
-
-def _sums(columns: Array, waves: Complex) -> Complex:
-    """Return the sums (M, F) of waves (N, F) times columns (N, M), over the samples."""
-    found: Complex = (columns.T @ waves.view(float)).view(complex)
-    return found
 
 
 def _symmetric(first: Array, across: Array, last: Array) -> Array:

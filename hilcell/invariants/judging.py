@@ -505,26 +505,26 @@ class _TrackerSetUps(Rules):
 
         The noise is what all points so far have shown, at the places of these.
         """
-        found = [point for point in self._scene.points.values() if _stated(point)]
-        if not all(_stated(point) for point in points):
+        found = [point for point in self._scene.points.values() if self._stated(point)]
+        if not all(self._stated(point) for point in points):
             return math.nan
-        noise = beam_noise(*_columns(found or points))
-        at_mm, _, samples = _columns(points)
+        noise = beam_noise(*self._columns(found or points))
+        at_mm, _, samples = self._columns(points)
         noise_mm2 = float(np.trace(noise.at(at_mm, samples), axis1=-2, axis2=-1).sum())
         drift_mm = math.sqrt(3.0) * self._scene.cell.uncertainty.drift_limit_mm
         return drift_mm + coverage_factor(4.0, noise.freedom) * math.sqrt(noise_mm2)
 
+    @staticmethod
+    def _stated(point: Point) -> bool:
+        """Whether a point's place and scatter are numbers."""
+        return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
 
-def _stated(point: Point) -> bool:
-    """Whether a point's place and scatter are numbers."""
-    return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
-
-
-def _columns(points: Sequence[Point]) -> tuple[Array, Array, Array]:
-    """Return positions (N, 3), standard deviations (N, 3) and numbers of samples (N,)."""
-    rows = [(point.xyz_mm, point.std_mm, point.samples) for point in points]
-    at_mm, std_mm, samples = zip(*rows, strict=True)
-    return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
+    @staticmethod
+    def _columns(points: Sequence[Point]) -> tuple[Array, Array, Array]:
+        """Return positions (N, 3), standard deviations (N, 3) and numbers of samples (N,)."""
+        rows = [(point.xyz_mm, point.std_mm, point.samples) for point in points]
+        at_mm, std_mm, samples = zip(*rows, strict=True)
+        return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
 
 
 class _LifeRules(Rules):

@@ -45,7 +45,6 @@ BUSY_S = 2.0  # another process writes; without its leave the journals are read 
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 T = TypeVar("T")
-_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
 
 
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -234,8 +233,6 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 # later, also where the clock of the PC was wrong meanwhile. Runs of another folder are merged with
 # them by the clock.
 
-CLOCK_STEP = timedelta(minutes=1)  # that a clock is set back by the network says nothing
-
 
 def in_order(rows: Iterable[RunRow]) -> list[RunRow]:
     """Return runs in the order in which their last sessions began."""
@@ -261,16 +258,17 @@ def next_order(rows: Iterable[RunRow]) -> FolderOrder:
 
 def clock_notes(rows: Iterable[RunRow], now: datetime | None = None) -> Iterator[str]:
     """Yield where the PC's clock ran back between two runs of a folder, and before ``now``."""
+    step = timedelta(minutes=1)  # that a clock is set back by the network says nothing
     latest: dict[str, RunRow] = {}
     for row in in_order(row for row in rows if row.order.folder):
         before = latest.setdefault(row.order.folder, row)
         began, earlier = _began(row), _began(before)
-        if earlier - began > CLOCK_STEP:
+        if earlier - began > step:
             yield _ran_back(before, earlier, f"run {row.name} began after it, at", began)
         elif began > earlier:
             latest[row.order.folder] = row
     for row in latest.values():
-        if now is not None and _began(row) - now > CLOCK_STEP:
+        if now is not None and _began(row) - now > step:
             yield _ran_back(row, _began(row), "now it is", now)
 
 
@@ -490,6 +488,7 @@ def own_file(file: Path) -> Path:
 
 
 def _opened(index: Path) -> sqlite3.Connection:
+    table = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
     definition = "SELECT sql FROM sqlite_master WHERE name = 'run'"
     base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
@@ -498,10 +497,10 @@ def _opened(index: Path) -> sqlite3.Connection:
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
             base.execute("BEGIN IMMEDIATE")
             base.execute("DROP TABLE IF EXISTS run")
-            base.execute(_TABLE)
+            base.execute(table)
             base.execute(f"PRAGMA user_version={SCHEMA}")
             base.execute("COMMIT")
-        elif base.execute(definition).fetchone() != (_TABLE,):
+        elif base.execute(definition).fetchone() != (table,):
             raise sqlite3.DatabaseError(f"{index} is no index: a view may have no end")
     except sqlite3.Error:
         base.close()

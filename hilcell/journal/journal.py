@@ -100,11 +100,6 @@ CREATE TRIGGER record_is_never_deleted BEFORE DELETE ON record
 BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 """
 
-# As bytes: a text that is damaged is noticed where it is decoded.
-_ROWS = """
-SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS BLOB), hash
-FROM record WHERE seq > ? ORDER BY seq
-"""
 _SCHEMA = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL"
 BEYOND = (  # errors that are not of the file's content
     sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED,
@@ -494,7 +489,10 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             return  # killed while it was made: nothing was recorded
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
-        for row in base.execute(_ROWS, (after,)):
+        # As bytes: a text that is damaged is noticed where it is decoded.
+        texts = ", ".join(f"CAST({each} AS BLOB)" for each in ("t", "kind", "key", "body"))
+        rows = f"SELECT seq, {texts}, hash FROM record WHERE seq > ? ORDER BY seq"  # noqa: S608
+        for row in base.execute(rows, (after,)):
             record, stored = _record(row)
             before = chain(before, record)
             if record.seq != wanted or before != stored:

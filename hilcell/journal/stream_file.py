@@ -32,7 +32,6 @@ from hilcell.ports import Array, JointSample, NoReading, StreamBlock
 
 FORM = 1  # of the file; to be raised whenever its arrays change
 FOLDER = "streams"
-UNFINISHED = ".part"
 ROWS = 512  # rows that are gathered before an array is written
 SAMPLES = np.dtype(
     [("device_s", "<f8"), ("xyz_mm", "<f8", (3,)), ("after_s", "<f8"), ("by_s", "<f8")]
@@ -58,6 +57,8 @@ class StreamData:
 class StreamFile:
     """A stream that is being written; without `finish` it is discarded."""
 
+    UNFINISHED = ".part"
+
     def __init__(self, run_folder: Path, key: str) -> None:
         """``run_folder`` is the journal's."""
         self._key, self._folder = key, run_folder / FOLDER
@@ -73,7 +74,7 @@ class StreamFile:
         """Remove what was never finished, and begin."""
         try:
             self._folder.mkdir(exist_ok=True)
-            for left in self._folder.glob(f"*{UNFINISHED}"):
+            for left in self._folder.glob(f"*{self.UNFINISHED}"):
                 left.unlink()
             self._file = self._part.open("xb")
         except OSError as error:
@@ -139,7 +140,7 @@ class StreamFile:
 
     @property
     def _part(self) -> Path:
-        return self._path.with_name(self._path.name + UNFINISHED)
+        return self._path.with_name(self._path.name + self.UNFINISHED)
 
     def _append(self, rows: Rows) -> None:
         kind = rows.dtype

@@ -39,7 +39,6 @@ from hilcell.model.events import AlarmsAcknowledged
 from hilcell.typed import Json, decoded, typed
 from hilcell.writing import NotWritten, write_whole
 
-LONGEST_ANSWER = 1 << 16
 ANSWER_S = 2.0  # a screen waits so long, which asks again and again
 ORDER_S = 5.0  # a command waits so long, which asks once
 
@@ -79,6 +78,10 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
         """Return a request that holds for ``patience_s`` from now; to be sent at once."""
         before = None if command in TIMELESS else str(time.monotonic() + patience_s)
         return cls(command, before=before, **subject)
+
+    @property
+    def line(self) -> bytes:
+        return msgspec.json.encode(self) + b"\n"
 
     def too_late(self) -> str:
         """Return why the order holds no more; "" where it holds."""
@@ -319,13 +322,15 @@ class OrderRefused(HilcellError):
 class EngineClient:
     """A client of one live engine. Safe to use from several threads."""
 
+    LONGEST_ANSWER = 1 << 16
+
     def __init__(self, engine: EngineFile, patience_s: float | None = None) -> None:
         """Connect; raises `OSError`. ``patience_s``: how long it waits for an answer."""
         self._lock = threading.Lock()
         self._patience_s = ANSWER_S if patience_s is None else patience_s
-        self._asking = _connect(engine.socket, self._patience_s)
+        self._asking = self._connect(engine.socket, self._patience_s)
         try:
-            self._stopping = _connect(engine.socket, self._patience_s)
+            self._stopping = self._connect(engine.socket, self._patience_s)
             self._stopping.setblocking(False)  # a stop waits for nothing
         except OSError:
             self._asking.close()
@@ -351,9 +356,9 @@ class EngineClient:
         """Ask for a stop now, waiting for nothing; return whether the words went out."""
         try:
             with suppress(BlockingIOError):  # else the engine stands still over its next answer
-                while self._stopping.recv(LONGEST_ANSWER):
+                while self._stopping.recv(self.LONGEST_ANSWER):
                     pass
-            self._stopping.sendall(_line(Request("stop")))
+            self._stopping.sendall(Request("stop").line)
         except OSError:
             return False
         return True
@@ -377,7 +382,7 @@ class EngineClient:
                 while self._owed:
                     self._answer()
                 request = Request.within(self._patience_s, command, **subject)
-                self._asking.sendall(_line(request))
+                self._asking.sendall(request.line)
                 self._owed += 1
                 answer = decoded(self._answer(), Json)
             except TimeoutError as error:
@@ -402,13 +407,24 @@ class EngineClient:
     def _answer(self) -> bytes:
         """Return the next answer that is owed."""
         while b"\n" not in self._read:
-            came = self._asking.recv(LONGEST_ANSWER)
-            if not came or len(self._read) > LONGEST_ANSWER:
+            came = self._asking.recv(self.LONGEST_ANSWER)
+            if not came or len(self._read) > self.LONGEST_ANSWER:
                 raise ConnectionError("it has hung up" if not came else "it never ends a line")
             self._read += came
         line, _, self._read = self._read.partition(b"\n")
         self._owed -= 1
         return line
+
+    @staticmethod
+    def _connect(path: str, patience_s: float) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.settimeout(patience_s)
+        try:
+            connection.connect(path)
+        except OSError:
+            connection.close()
+            raise
+        return connection
 
 
 def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> Status:
@@ -454,18 +470,3 @@ def _missing(folder: Path) -> str:
     except OSError as error:
         return f"its engine may be running: {ENGINE} cannot be read: {error.strerror}"
     return "no engine is running; `hilcell show` tells how it ended"
-
-
-def _line(request: Request) -> bytes:
-    return msgspec.json.encode(request) + b"\n"
-
-
-def _connect(path: str, patience_s: float) -> socket.socket:
-    connection = socket.socket(socket.AF_UNIX)
-    connection.settimeout(patience_s)
-    try:
-        connection.connect(path)
-    except OSError:
-        connection.close()
-        raise
-    return connection

@@ -69,18 +69,6 @@ class Part(Protocol):
         """Compute this act's share of the result from the log alone."""
 
 
-def _performed(act: Callable[[], object], session: CellSession) -> bool:
-    """Perform an act; return whether it came to its end, and what it measured counts."""
-    try:
-        act()
-    except BlockLost:
-        return False
-    except StripLost as lost:
-        session.await_strip(lost)
-        return False
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Procedure:
     """Acts in their order, found by name through the entry points ``hilcell.procedures``.
@@ -156,12 +144,12 @@ class Procedure:
 
     def _retaken(self, session: CellSession) -> bool:
         waiting = bool(session.log.retakes)
-        return not _performed(session.retake_waiting, session) or waiting
+        return not self._performed(session.retake_waiting, session) or waiting
 
     def _acts(self, session: CellSession) -> None:
         for number, part in enumerate(self.parts, start=1):
             session.add(StepBegun(name=part.name, number=number, of=len(self.parts)))
-            while not _performed(partial(part.perform, session), session):
+            while not self._performed(partial(part.perform, session), session):
                 pass
 
     def result(self, log: Log) -> Json:
@@ -173,3 +161,15 @@ class Procedure:
             found |= part.result(log)
         plain: Json = msgspec.to_builtins(found, enc_hook=lambda value: value.tolist())
         return plain
+
+    @staticmethod
+    def _performed(act: Callable[[], object], session: CellSession) -> bool:
+        """Perform an act; return whether it came to its end, and what it measured counts."""
+        try:
+            act()
+        except BlockLost:
+            return False
+        except StripLost as lost:
+            session.await_strip(lost)
+            return False
+        return True

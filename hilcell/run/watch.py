@@ -27,7 +27,7 @@ import numpy as np
 
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
-from hilcell.cell.file import Cell, Station
+from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import PROOFS, positions_mm, run_noise, world_key
 from hilcell.model.events import (
@@ -118,7 +118,7 @@ class Watch:
         if self._framed:
             self.prove()
             return
-        ids = _nest_ids(cell, number)
+        ids = self._nest_ids(number)
         # Since an engine before this one measured them, the tracker may have moved.
         if begun := [id.key for id in ids if self._run.log.find(id)]:
             self._run.add(WorldFramedAgain(invalid=begun))
@@ -140,8 +140,8 @@ class Watch:
         Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
         where a nest has, or where frames rest on what was measured since the last proof.
         """
-        cell, log = self._run.cell, self._run.log
-        before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
+        log = self._run.log
+        before = [log.point(id) for id in self._nest_ids(log.set_ups.number)]
         now = self._controls()
         stand = self._stand(before, now)
         if not stand and (some_stand(before, now) or any(self._changes(now))):
@@ -194,7 +194,7 @@ class Watch:
     def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
         """Frame {W} at a new set-up, of a tracker that stands elsewhere than it did ``before``."""
         for wrong in self._changes(now):
-            raise _moved(
+            raise self._moved(
                 f"{wrong.names} was {wrong.wanted_mm:.3f} mm, is {wrong.distance_mm:.3f} mm",
                 f"{wrong.wanted_mm:.3f} +-{wrong.limit_mm:.3f} mm",
                 "a floor nest or its reflector has moved; fix it, then start a new run",
@@ -218,7 +218,7 @@ class Watch:
     def _changes(self, now: list[Point]) -> Iterator[WrongDistance]:
         """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
         cell, log = self._run.cell, self._run.log
-        first = [log.point(id) for id in _nest_ids(cell, 0)]
+        first = [log.point(id) for id in self._nest_ids(0)]
         limits_mm = distance_limits(cell, run_noise(log), first, now)
         return wrong_distances(cell, positions_mm(first), positions_mm(now), limits_mm)
 
@@ -251,7 +251,7 @@ class Watch:
         stands = off_mm <= ALIKE * off_mm.max()
         names = np.array([nest.name for nest in self._run.cell.layout.floor])
         moving, standing = names[~stands].tolist(), names[stands].tolist()
-        raise _moved(
+        raise self._moved(
             f"{', '.join(moving)} moved by {off_mm.max():.3f} mm, {', '.join(standing)} by "
             f"{off_mm[stands].max():.3f} mm at most",
             "all alike, as of a tracker that was moved",
@@ -271,7 +271,7 @@ class Watch:
         if built:
             act = f"{built} rests on points measured since it was proven; start a new run"
         suspicion = Suspicion(Cause.TRACKER_MOVED, moved_mm, "mm", "control points")
-        raise _moved(
+        raise self._moved(
             f"moved by {moved_mm:.3f} mm",
             f"<= {limit_mm:.3f} mm",
             f"the tracker was bumped: {act}",
@@ -441,13 +441,15 @@ class Watch:
             return Look(None, f"{why}, wanted {table.steady_s:g} s", reading.taken_s)
         return Look(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
 
+    @staticmethod
+    def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
+        return DeviceError(
+            "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
+        )
 
-def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
-    """Return the identities of the points that frame {W} at a set-up."""
-    return [PointId("world", number=set_up or None, nest=nest.name) for nest in cell.layout.floor]
-
-
-def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
-    return DeviceError(
-        "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
-    )
+    def _nest_ids(self, set_up: int) -> list[PointId]:
+        """Return the identities of the points that frame {W} at a set-up."""
+        return [
+            PointId("world", number=set_up or None, nest=nest.name)
+            for nest in self._run.cell.layout.floor
+        ]

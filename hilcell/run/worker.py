@@ -81,15 +81,15 @@ class PauseGate:
 # fault. A cause that comes back soon after a good look is looked at ever more seldom, too: a look
 # at a strip that was frozen is no proof before the slide has moved.
 
-FIRST_LOOK_S = 10.0
-
 
 class UnattendedWait:
     """All waits of one session: together at most ``limit_s`` of the cell's time."""
 
+    FIRST_LOOK_S = 10.0
+
     def __init__(self, clock: Clock, limit_s: float) -> None:
         self._clock, self._left_s = clock, limit_s
-        self._apart_s = self._due_s = FIRST_LOOK_S
+        self._apart_s = self._due_s = self.FIRST_LOOK_S
         self._looked_s = -math.inf
 
     @property
@@ -99,7 +99,7 @@ class UnattendedWait:
     def begin(self) -> None:
         """Begin a wait: the first look comes soon, unless the same cause may be back at once."""
         if not self._clock.now_s() - self._looked_s <= self._apart_s:
-            self._apart_s = self._due_s = FIRST_LOOK_S
+            self._apart_s = self._due_s = self.FIRST_LOOK_S
 
     def look_due(self) -> bool:
         """Let a slice of time pass; return whether to look now."""
