@@ -65,7 +65,7 @@ class PromptBox(Horizontal, Titled):
 
 @dataclass(frozen=True, slots=True)
 class PromptText:
-    """What is written of a prompt of a run."""
+    """The text of the prompt of a run."""
 
     prompt: PromptStatus
     view: RunView
