@@ -6,11 +6,11 @@ import msgspec
 
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
-SLACK_MM = 1e-9
-
 
 class NoRail:
     """Satisfies `hilcell.ports.Rail`: readings are true, and no motion is possible."""
+
+    SLACK_MM = 1e-9
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """None: there is nothing to reach."""
@@ -26,7 +26,7 @@ class NoRail:
 
     def move_to(self, position_mm: float) -> None:
         """Refuse any place but 0; raises `DeviceError`."""
-        if not abs(position_mm) <= SLACK_MM:
+        if not abs(position_mm) <= self.SLACK_MM:
             raise DeviceError(
                 "HC-R36",
                 "Rail",

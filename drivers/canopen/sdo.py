@@ -27,7 +27,6 @@ from hilcell.ports import DeviceError
 
 POLL_S = 0.02
 REPLY_S = 0.3
-TRIES = 3
 
 # No such object, no such sub-index, no data available.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x08000024})
@@ -104,6 +103,7 @@ class _Client(SdoClient):
 class SdoChannel:
     """Objects of one node; used by one thread at a time."""
 
+    TRIES = 3
     LATE_S = 0.5  # a late reply has come by then
     DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 

@@ -44,7 +44,6 @@ def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[s
 
 
 CONNECT_S = 5.0
-SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
 # Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them. A
 # line with one of 32 bits may as well be a frame whose length was garbled.
 _FRAME = re.compile(
@@ -59,6 +58,7 @@ class SlcanBus(can.BusABC):
     where the gateway refuses the bit rate or to open.
     """
 
+    SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
     _BELL = b"\a"
     ANSWER_S = 0.3  # to a command; many gateways send none
     LONGEST_LINE = 64
@@ -181,7 +181,7 @@ class SlcanBus(can.BusABC):
         A port that takes nothing for `SEND_S` (or ``timeout``) is an error, not a wait.
         """
         line = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
-        self._put(line.encode(), SEND_S if timeout is None else timeout)
+        self._put(line.encode(), self.SEND_S if timeout is None else timeout)
 
     def _put(self, line: bytes, patience_s: float = SEND_S) -> None:
         """Send ``line`` behind other threads' lines; return when the port has taken it."""

@@ -62,14 +62,13 @@ from hilcell.ports import (
 )
 from hilcell.wire.channel import Host, Port
 
-AIR = "values that air can have"
-
 T = TypeVar("T")
 
 
 class LeicaEmsconTracker:
     """Satisfies `hilcell.ports.Tracker`, `hilcell.ports.Streams` and `hilcell.ports.TwoFaces`."""
 
+    AIR = "values that air can have"
     SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
 
     # Deadlines on the wire, in real time.
@@ -209,7 +208,7 @@ class LeicaEmsconTracker:
         settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
-            raise TRACKER.refused("HC-T05", "connect", problem, wanted=AIR)
+            raise TRACKER.refused("HC-T05", "connect", problem, wanted=self.AIR)
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
@@ -376,7 +375,7 @@ class LeicaEmsconTracker:
             )
         if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
             act = "check the weather station"
-            raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=AIR, act=act)
+            raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=self.AIR, act=act)
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
         units_mm = {

@@ -37,7 +37,6 @@ from hilcell.geometry.frames import from_rotvec
 from hilcell.ports import Array, DeviceError
 
 VERSION = 2  # of the protocol
-LONGEST = 4096
 FORMATS = {
     "BOOL": "?",
     "UINT8": "B",
@@ -138,6 +137,8 @@ class Recipe:
 class Packages:
     """Puts the packages of a stream of bytes together, however they were split or glued."""
 
+    LONGEST = 4096
+
     def __init__(self) -> None:
         self._bytes = b""
 
@@ -146,9 +147,9 @@ class Packages:
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
-            if not _HEAD.size <= size <= LONGEST:
+            if not _HEAD.size <= size <= self.LONGEST:
                 raise RtdeError(
-                    f"a package of {size} bytes, {_HEAD.size} to {LONGEST} are possible"
+                    f"a package of {size} bytes, {_HEAD.size} to {self.LONGEST} are possible"
                 )
             if len(self._bytes) < size:
                 return

@@ -11,11 +11,11 @@ import re
 from drivers.supervision import Patience
 from drivers.wires.link import Link
 
-LONGEST = 4096
-
 
 class TextLines:
     """Reads and writes the lines of one wire."""
+
+    LONGEST = 4096
 
     def __init__(
         self,
@@ -51,10 +51,10 @@ class TextLines:
                     )
                 if line.strip():
                     return re.sub(rb"[\x80-\xff]", b"?", line).decode("ascii").strip()
-            if len(self._bytes) > LONGEST:
+            if len(self._bytes) > self.LONGEST:
                 start = self._bytes[:40]
                 raise self.link.broken("receive", f"a line without an end: {start!r} ..")
-            if not (data := self.link.receive(LONGEST, patience)):
+            if not (data := self.link.receive(self.LONGEST, patience)):
                 return None
             self._bytes += data
 
@@ -66,5 +66,5 @@ class TextLines:
     def drop_pending(self) -> None:
         """Forget what has been received and not been read."""
         self._bytes = b""
-        while self.link.receive(LONGEST, Patience(0.0)):
+        while self.link.receive(self.LONGEST, Patience(0.0)):
             pass

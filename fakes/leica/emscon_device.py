@@ -143,7 +143,6 @@ MM_PER_UNIT = {0: 1000.0, 1: 1.0}  # m, mm
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
 STATIONARY, CONTINUOUS_TIME = 0, 1  # modes of measurement
-SERIAL = 402871
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
 Arguments = tuple[float, ...]
@@ -185,6 +184,7 @@ class Answer:
 class EmsconDevice:
     """One tracker; ``handle`` may come from several threads."""
 
+    SERIAL = 402871
     FIRST, SECOND = 1, 2  # faces
     BALL = 1  # target type: corner cube
     VERSION = (3, 8, 0)
@@ -314,7 +314,7 @@ class EmsconDevice:
         other = self._faults.take("tracker.wrong_identity") is not None
         processor, laser, distance_meter = (5 if self._initialised else 4), 3, 2
         head = struct.pack("<4I", Status.OK, processor, laser, distance_meter)
-        return head + struct.pack("<3iI2i", *self.VERSION, 2, 0, SERIAL + other)
+        return head + struct.pack("<3iI2i", *self.VERSION, 2, 0, self.SERIAL + other)
 
     def _measurement_status(self) -> bytes:
         found, compensated, distance, distance_compensated = 1, 2, 4, 8
@@ -334,7 +334,7 @@ class EmsconDevice:
         sensor_at401 = 70
         head = struct.pack("<I", sensor_at401) + wide("AT401 (simulated)")
         has_distance, has_camera, has_level = 1, 1, 1
-        flags = struct.pack("<5i", SERIAL, 1, has_distance, has_camera, has_level)
+        flags = struct.pack("<5i", self.SERIAL, 1, has_distance, has_camera, has_level)
         limits = struct.pack("<3d2i2d", 0.0, 160.0, 0.5, 1000, 2, 2 * math.pi, math.pi)
         return head + flags + limits + struct.pack("<I2i", 1, *self.VERSION[:2])
 

@@ -28,8 +28,6 @@ from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 from fakes.wires import Connection, LineSession, Listener, SerialLine, Server, Wire
 
-SERIAL = 884321
-
 
 class Code(IntEnum):
     """Return codes."""
@@ -77,6 +75,7 @@ class _State:
 class GeocomDevice:
     """One instrument; ``handle`` takes one request after another."""
 
+    SERIAL = 884321
     TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
     def __init__(self, instrument: Instrument, faults: Faults, prism_m: float = 0.0) -> None:
@@ -151,7 +150,7 @@ class GeocomDevice:
         return self._set("atmosphere", values) if sound else Answer(Code.INVALID)
 
     def _serial(self) -> Answer:
-        return _whole(SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
+        return _whole(self.SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
 
     # -- turning and aiming -----------------------------------------------------------------------
 

@@ -26,7 +26,6 @@ from hilcell.ports import HilcellError
 from hilcell.typed import decoded
 
 URAD = 1e-6
-DRAWS = 100
 
 
 class Slopes(NamedTuple):
@@ -232,6 +231,8 @@ class ArmTruth:
     no robot of such sizes is found.
     """
 
+    DRAWS = 100
+
     def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
         self._machine, self._smr_mm = machine, smr_mm
         self._design = _known(msgspec.json.encode(machine), smr_mm)
@@ -280,7 +281,7 @@ class ArmTruth:
 
     def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
         """Draw until one draw, brought to its size, has no error that is too large."""
-        for _ in range(DRAWS):
+        for _ in range(self.DRAWS):
             normal = rng.standard_normal
             axes = self.design.axes[1:]
             tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
@@ -297,7 +298,7 @@ class ArmTruth:
             if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
                 return
         raise HilcellError(
-            f"errors.largest_mm: none of {DRAWS} draws keeps every error below "
+            f"errors.largest_mm: none of {self.DRAWS} draws keeps every error below "
             f"{sizes.largest_mm} mm; take a larger one, or a smaller errors.size_mm"
         )
 

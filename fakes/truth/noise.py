@@ -45,9 +45,6 @@ class KeyedNoise:
         return np.random.default_rng(np.frombuffer(digest, dtype=np.uint32))
 
 
-STEPS = 240
-
-
 class Dither:
     """Counts of a servo or a strip at rest about zero, at most ``reach`` to either side.
 
@@ -56,14 +53,16 @@ class Dither:
     five steps in a row is then zero, wherever one begins.
     """
 
+    STEPS = 240
+
     def __init__(self, reach: int, scope: int) -> None:
-        sizes = np.random.default_rng(scope).integers(1, reach, STEPS, endpoint=True)
-        signs = np.resize((0, 1, 0, -1), STEPS)
+        sizes = np.random.default_rng(scope).integers(1, reach, self.STEPS, endpoint=True)
+        signs = np.resize((0, 1, 0, -1), self.STEPS)
         self._counts: list[int] = (sizes * signs).tolist()
         self._step = 0
 
     def step(self) -> None:
-        self._step = (self._step + 1) % STEPS
+        self._step = (self._step + 1) % self.STEPS
 
     @property
     def counts(self) -> int:

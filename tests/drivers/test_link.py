@@ -14,7 +14,7 @@ import pytest
 from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
 from drivers.wires.link import Link, open_link
-from drivers.wires.text_lines import LONGEST, TextLines
+from drivers.wires.text_lines import TextLines
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
@@ -108,10 +108,10 @@ def test_bytes_that_are_no_text_are_an_error_that_names_the_baud_rate(far: Far) 
 
 def test_a_line_without_an_end_is_an_error(far: Far) -> None:
     lines = TextLines(far.link)
-    far.says(b"x" * (LONGEST // 2))
-    while lines.unended < LONGEST // 2:
+    far.says(b"x" * (TextLines.LONGEST // 2))
+    while lines.unended < TextLines.LONGEST // 2:
         assert lines.receive(Patience(0.0)) is None
-    far.says(b"x" * (LONGEST // 2 + 1))
+    far.says(b"x" * (TextLines.LONGEST // 2 + 1))
     with pytest.raises(DeviceError):
         lines.receive(Patience(PATIENT_S))
 

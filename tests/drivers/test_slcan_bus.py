@@ -236,7 +236,7 @@ def jam(bus: SlcanBus) -> int:
 
 @pytest.mark.usefixtures("mute")
 def test_a_complete_write_is_never_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slcan_bus, "SEND_S", 1e-9)
+    monkeypatch.setattr(slcan_bus.SlcanBus, "SEND_S", 1e-9)
     line = SerialLine()
     line.bus.send(frame(0x123))
     line.read_on()

@@ -21,7 +21,7 @@ from CESAPI.packet import (
 )
 
 from fakes.faults import Faults
-from fakes.leica.emscon_device import SERIAL, EmsconDevice
+from fakes.leica.emscon_device import EmsconDevice
 from fakes.leica.emscon_server import EmsconServer
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
@@ -54,7 +54,7 @@ def command(cell: Cell, plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 
 def test_a_measurement_from_first_to_last(command: CommandSync, plant: Plant) -> None:
-    assert command.GetSystemStatus().lTrackerSerialNumber == SERIAL
+    assert command.GetSystemStatus().lTrackerSerialNumber == EmsconDevice.SERIAL
     command.Initialize()
     units = SystemUnitsDataT()
     units.lenUnitType = ES_LU_Millimeter

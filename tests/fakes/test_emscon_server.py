@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.leica.emscon_device import SERIAL, EmsconDevice
+from fakes.leica.emscon_device import EmsconDevice
 from fakes.leica.emscon_server import EmsconServer
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
@@ -185,10 +185,10 @@ def test_wrong_reflector_shows_in_the_range(ready: Tracker) -> None:
 
 def test_identity(ready: Tracker) -> None:
     body = ready.client.ask(1)[1]
-    assert struct.unpack("<4I3iI2i", body)[-1] == SERIAL
+    assert struct.unpack("<4I3iI2i", body)[-1] == EmsconDevice.SERIAL
     info = struct.unpack("<I64s5i3d2i2dI2i", ready.client.ask(132)[1])
     assert info[1].decode("utf-16-le").rstrip("\0") == "AT401 (simulated)"
-    assert info[2] == SERIAL
+    assert info[2] == EmsconDevice.SERIAL
 
 
 def test_measures_nothing_that_moves(ready: Tracker) -> None:

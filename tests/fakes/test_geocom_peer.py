@@ -16,7 +16,7 @@ from geocompy.geo import GeoCom
 from geocompy.geo.gctypes import GeoComCode
 
 from fakes.faults import Faults
-from fakes.leica.geocom_server import SERIAL, GeocomDevice, GeocomServer
+from fakes.leica.geocom_server import GeocomDevice, GeocomServer
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -49,7 +49,7 @@ def station(
 
 
 def test_a_measurement_from_first_to_last(station: GeoCom, plant: Plant) -> None:
-    assert station.csv.get_serial_number().params == SERIAL
+    assert station.csv.get_serial_number().params == GeocomDevice.SERIAL
     assert station.csv.get_instrument_name().params == "TS60 (simulated)"
     assert station.csv.get_firmware_version().params == (8, 50, 0)
     assert station.com.set_double_precision(15).error == GeoComCode.OK

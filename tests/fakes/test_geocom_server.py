@@ -12,7 +12,7 @@ import pytest
 import serial
 
 from fakes.faults import Faults
-from fakes.leica.geocom_server import SERIAL, GeocomDevice, GeocomServer
+from fakes.leica.geocom_server import GeocomDevice, GeocomServer
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -95,7 +95,7 @@ def test_golden_lines(either: Station) -> None:
         (b"%R1Q,2008,7:1,1\r\n", b"%R1P,0,7:0\r\n"),
         (b"%R1Q,18005,8:1\r\n", b"%R1P,0,8:0\r\n"),
         (b"%R1Q,9037,9:0.001,0.001,0\r\n", b"%R1P,0,9:8710\r\n"),
-        (b"%R1Q,5003,1:\r\n", f"%R1P,0,1:0,{SERIAL}\r\n".encode()),
+        (b"%R1Q,5003,1:\r\n", f"%R1P,0,1:0,{GeocomDevice.SERIAL}\r\n".encode()),
         (b"%R1Q,5004:\r\n", b'%R1P,0,0:0,"TS60 (simulated)"\r\n'),
         (b"%R1Q,4,2:\r\n", b"%R1P,3081,2:0\r\n".replace(b":0", b":5")),
         (b"hello\r\n", b"%R1P,3080,0:0\r\n"),

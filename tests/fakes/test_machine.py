@@ -109,7 +109,7 @@ def test_sizes_that_no_machine_has_are_refused(
 def test_a_machine_that_cannot_be_drawn_names_its_file_and_key(
     tmp_path: Path, before: str, after: str, found: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fakes.truth.arm_truth.DRAWS", 2)
+    monkeypatch.setattr("fakes.truth.arm_truth.ArmTruth.DRAWS", 2)
     own = changed(tmp_path, before, after)
     cell = load_cell("paper", {"simulation.machine": own})
     with pytest.raises(SettingsError) as caught:

@@ -7,7 +7,7 @@ from statistics import median
 import numpy as np
 import pytest
 
-from fakes.truth.noise import STEPS, Dither, KeyedNoise
+from fakes.truth.noise import Dither, KeyedNoise
 from tests.fakes.rail_bench import HUNTING, Bus, on_bus
 
 
@@ -30,7 +30,7 @@ def test_a_draw_is_the_same_whenever_it_is_asked_for() -> None:
 def test_the_middle_of_any_five_steps_is_zero(reach: int) -> None:
     dither = Dither(reach, 5)
     counts, changes = [], []
-    for _ in range(2 * STEPS):
+    for _ in range(2 * Dither.STEPS):
         dither.step()
         counts.append(dither.counts)
         changes.append(dither.change)

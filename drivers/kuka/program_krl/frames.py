@@ -64,11 +64,12 @@ class Stated(NamedTuple):
 
 
 RESET, FORM, APPLY = "reset", "form", "apply"  # settings beside those of a base or tool
-NULL = (0.0,) * len(POSE)  # number 0 of either table, and the controller's own root
 
 
 class FrameRule:
     """Follows a program's statements in their order and refuses a second base or tool."""
+
+    NULL = (0.0,) * len(POSE)  # number 0 of either table, and the controller's own root
 
     def __init__(self, data: DataList) -> None:
         self._data = data
@@ -225,7 +226,7 @@ class FrameRule:
             numbers = pose(name, aggregate(value)).values()
             return Stated(line, text, None, tuple(each.value for each in numbers))
         if len(value) == 1 and value[0].word in ("$NULLFRAME", "$WORLD"):
-            return Stated(line, text, None, NULL)
+            return Stated(line, text, None, self.NULL)
         element = len(value) == 4 and value[1].text == "[" and value[2].kind == "number"
         if not (element or (len(value) == 1 and value[0].kind == "word")):
             raise KrlError(f"{name}{quoted(rest)} is computed at run time")
@@ -261,7 +262,7 @@ class FrameRule:
             raise KrlError(f"{how} sets the {what} to {quoted(number) or 'nothing'}: no number")
         stated = int(number[0].text)
         text = f"{TABLES[what]}[{stated}]{by}"
-        return Stated(line, text, stated, None if stated else NULL)
+        return Stated(line, text, stated, None if stated else self.NULL)
 
     def _set_once(self, what: str, stated: Stated) -> None:
         self.settings[stated.line].append((what, stated))
