@@ -20,7 +20,7 @@ from hilcell.compensation.targets import write_rows
 from hilcell.fit.methods import Fitted, FittedArm
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Robot
-from hilcell.fit.urdf_file import Urdf, beside, chain_of, urdf_of
+from hilcell.fit.urdf_file import Chain, Urdf, urdf_of
 from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
@@ -117,10 +117,10 @@ def write_urdf(
     path: Path, robot: Robot, found: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
 ) -> None:
     """Write the nominal file with the identified origins, or a new one; raises `NotWritten`."""
-    chain = chain_of(robot.base, replace(found.arm, tool=robot.tool))
+    chain = Chain.of(robot.base, replace(found.arm, tool=robot.tool))
     left = np.eye(4)
     if isinstance(robot, Urdf):
-        chain = beside(chain, robot.chain)
+        chain = chain.beside(robot.chain)
         left = robot.left_at_tip(chain)
     in_tip_mm = {
         label: apply(left @ inverse(robot.tool), point[None])[0]

@@ -10,7 +10,7 @@ base and a tool frame, exactly. Row i carries axis i into axis i + 1 (row 6: int
 lines have a common normal, which standard DH follows with beta = 0; it runs off to infinity as they
 become parallel. There Hayati's form takes over, in which d is free: the row meets the next axis at
 the next joint's origin. A chain has more numbers than its motion needs: an arm that returns has
-its frames elsewhere on the same axes, and `beside` puts them near the nominal ones.
+its frames elsewhere on the same axes, and `Chain.beside` puts them near the nominal ones.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -251,7 +252,7 @@ class Urdf:
     @cached_property
     def rows(self) -> tuple[Array, Arm]:
         """Return the base in the root link (4, 4), and the arm with the tip link as its tool."""
-        return arm_of(self.chain)
+        return self.chain.arm()
 
     def arm(self) -> Arm:
         return replace(self.rows[1], tool=np.eye(4))
@@ -274,7 +275,7 @@ class Urdf:
         return np.eye(4) if self._fixed_at_tip else chain.tip
 
     def with_chain(self, chain: Chain, comment: Sequence[str]) -> bytes:
-        """Return the file with the origins of a chain that has the file's axes, see `beside`."""
+        """Return the file with the origins of a chain of its axes, see `Chain.beside`."""
         origins, done = [], np.eye(4)
         wanted = iter(chain.origins)
         for joint, step in zip(self.joints, self.steps, strict=True):
@@ -313,7 +314,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
         raise SettingsError(str(path), problems)
     steps = np.array([step for step, _, _ in numbered])
     turning = [n for n, joint in enumerate(joints) if joint.kind in TURNS]
-    chain = _chain(steps, turning, np.array([numbered[n][1] for n in turning]))
+    chain = Chain.of_joints(steps, turning, np.array([numbered[n][1] for n in turning]))
     reach_m = float(lengths_mm(np.vstack([chain.origins[1:, :3, 3], chain.tip[:3, 3]])).sum()) / MM
     if not LEAST_REACH_M <= reach_m <= MOST_REACH_M:
         problem = (
@@ -325,17 +326,6 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     return Urdf(
         path, joints[0].end("parent"), joints[-1].end("child"), chain, limits, text, joints, steps
     )
-
-
-def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
-    """Return the chain of all joints' origins, of which some turn."""
-    frames, done = [], np.eye(4)
-    for number, step in enumerate(steps):
-        done = done @ step
-        if number in turning:
-            frames.append(done)
-            done = np.eye(4)
-    return Chain(np.array(frames), axes, done)
 
 
 def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
@@ -457,46 +447,55 @@ class Chain:
             frames.append(frames[-1] @ step)
         return np.array(frames)
 
+    @classmethod
+    def of_joints(cls, steps: Array, turning: list[int], axes: Array) -> Self:
+        """Return the chain of the origins (J, 4, 4) of all joints, of which some turn."""
+        frames, done = [], np.eye(4)
+        for number, step in enumerate(steps):
+            done = done @ step
+            if number in turning:
+                frames.append(done)
+                done = np.eye(4)
+        return cls(np.array(frames), axes, done)
 
-def arm_of(chain: Chain) -> tuple[Array, Arm]:
-    """Return base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
-    frames = chain.frames
-    along = np.vstack([chain.axes, Z])
-    base = frame = frames[0] @ matrix(_turn(Z, chain.axes[0]), np.zeros(3))
-    rows = np.zeros((6, 5))
-    for row in range(6):
-        seen = inverse(frame) @ frames[row + 1]
-        rows[row] = _dh_row(seen[:3, 3], seen[:3, :3] @ along[row + 1])
-        frame = frame @ link_transforms(_arm(rows, np.eye(4)), np.zeros(6))[row]
-    return base, _arm(rows, inverse(frame) @ frames[6])
+    @classmethod
+    def of(cls, base: Array, arm: Arm) -> Self:
+        """Return the chain that moves as ``base @ forward(arm, q)``; its axes are z or -z."""
+        links = link_transforms(arm, np.zeros(6))
+        axes = np.zeros((6, 3))
+        axes[:, 2] = arm.sign
+        return cls(np.concatenate([base[None], links[:5]]), axes, links[5] @ arm.tool)
 
+    def arm(self) -> tuple[Array, Arm]:
+        """Return base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
+        frames = self.frames
+        along = np.vstack([self.axes, Z])
+        base = frame = frames[0] @ matrix(_turn(Z, self.axes[0]), np.zeros(3))
+        rows = np.zeros((6, 5))
+        for row in range(6):
+            seen = inverse(frame) @ frames[row + 1]
+            rows[row] = _dh_row(seen[:3, 3], seen[:3, :3] @ along[row + 1])
+            frame = frame @ link_transforms(_arm(rows, np.eye(4)), np.zeros(6))[row]
+        return base, _arm(rows, inverse(frame) @ frames[6])
 
-def chain_of(base: Array, arm: Arm) -> Chain:
-    """Return the chain that moves as ``base @ forward(arm, q)``; its axes are z or -z."""
-    links = link_transforms(arm, np.zeros(6))
-    axes = np.zeros((6, 3))
-    axes[:, 2] = arm.sign
-    return Chain(np.concatenate([base[None], links[:5]]), axes, links[5] @ arm.tool)
+    def beside(self, nominal: Chain) -> Chain:
+        """Return a chain that moves as this one, with axes of ``nominal`` and frames near its own.
 
-
-def beside(chain: Chain, nominal: Chain) -> Chain:
-    """Return a chain that moves as ``chain``, with the axes of ``nominal`` and frames near its own.
-
-    Each joint's frame is the nominal one, turned the least that brings its axis parallel to the
-    wanted one, and shifted the least that brings its origin onto it.
-    """
-    found, near = chain.frames, nominal.frames
-    frames = found.copy()
-    for joint in range(6):
-        wanted = found[joint, :3, :3] @ chain.axes[joint]
-        R = near[joint, :3, :3]
-        on_axis, origin = found[joint, :3, 3], near[joint, :3, 3]
-        frames[joint] = matrix(
-            _turn(R @ nominal.axes[joint], wanted) @ R,
-            on_axis + np.dot(origin - on_axis, wanted) * wanted,
-        )
-    steps = inverse(frames[:6]) @ frames[1:]
-    return Chain(np.concatenate([frames[:1], steps[:5]]), nominal.axes, steps[5])
+        Each joint's frame is the nominal one, turned the least that brings its axis parallel to the
+        wanted one, and shifted the least that brings its origin onto it.
+        """
+        found, near = self.frames, nominal.frames
+        frames = found.copy()
+        for joint in range(6):
+            wanted = found[joint, :3, :3] @ self.axes[joint]
+            R = near[joint, :3, :3]
+            on_axis, origin = found[joint, :3, 3], near[joint, :3, 3]
+            frames[joint] = matrix(
+                _turn(R @ nominal.axes[joint], wanted) @ R,
+                on_axis + np.dot(origin - on_axis, wanted) * wanted,
+            )
+        steps = inverse(frames[:6]) @ frames[1:]
+        return Chain(np.concatenate([frames[:1], steps[:5]]), nominal.axes, steps[5])
 
 
 def _arm(rows: Array, tool: Array) -> Arm:

@@ -45,6 +45,9 @@ class BadKey(HilcellError):
 
     code = "HC-J23"
 
+    def __init__(self, path: Path, why: str, act: str) -> None:
+        super().__init__(f"key {clean(str(path))}: {why}; {act}")
+
 
 class NotProven(HilcellError):
     """A record whose manifest was not signed by the key, or is none."""
@@ -63,10 +66,10 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     make = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
     content = _content(path, make)
     if b"PUBLIC KEY" in content:
-        raise _bad(path, "it is a public key, wanted the private one", f"name that one; {make}")
+        raise BadKey(path, "it is a public key, wanted the private one", f"name that one; {make}")
     others = stat.S_IRWXG | stat.S_IRWXO
     if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & others:
-        raise _bad(
+        raise BadKey(
             path, f"others than its owner may use it (mode {mode:04o})", "`chmod 600` that file"
         )
     try:
@@ -74,9 +77,9 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     except TypeError:
         key = _decrypted(path, content, ask())
     except _WRONG:
-        raise _bad(path, "it is no private key in PEM", make) from None
+        raise BadKey(path, "it is no private key in PEM", make) from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise _bad(path, "it is another kind of key, wanted Ed25519", make)
+        raise BadKey(path, "it is another kind of key, wanted Ed25519", make)
     return key
 
 
@@ -85,13 +88,13 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
     publish = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
     content = _content(path, publish)
     if b"PRIVATE KEY" in content:
-        raise _bad(path, "it is a private key, wanted the public one", publish)
+        raise BadKey(path, "it is a private key, wanted the public one", publish)
     try:
         key = load_pem_public_key(content)
     except _WRONG:
-        raise _bad(path, "it is no public key in PEM", publish) from None
+        raise BadKey(path, "it is no public key in PEM", publish) from None
     if not isinstance(key, Ed25519PublicKey):
-        raise _bad(path, "it is another kind of key, wanted Ed25519", publish)
+        raise BadKey(path, "it is another kind of key, wanted Ed25519", publish)
     return key
 
 
@@ -102,11 +105,11 @@ def fingerprint(key: Ed25519PublicKey) -> str:
 
 def _decrypted(path: Path, content: bytes, passphrase: bytes | None) -> object:
     if passphrase is None:
-        raise _bad(path, "it is encrypted", "export in a terminal, which asks for its passphrase")
+        raise BadKey(path, "it is encrypted", "export in a terminal, which asks for its passphrase")
     try:
         return load_pem_private_key(content, passphrase)
     except (*_WRONG, TypeError):  # the last of an empty one
-        raise _bad(path, "its passphrase is another", "repeat the command") from None
+        raise BadKey(path, "its passphrase is another", "repeat the command") from None
 
 
 def _content(path: Path, act: str) -> bytes:
@@ -115,14 +118,10 @@ def _content(path: Path, act: str) -> bytes:
         with path.open("rb") as file:
             content = file.read(most_bytes + 1)
     except OSError as error:
-        raise _bad(path, f"it cannot be read: {error.strerror}", act) from None
+        raise BadKey(path, f"it cannot be read: {error.strerror}", act) from None
     if len(content) > most_bytes:
-        raise _bad(path, "it is too long to be a key", act)
+        raise BadKey(path, "it is too long to be a key", act)
     return content
-
-
-def _bad(path: Path, why: str, act: str) -> BadKey:
-    return BadKey(f"key {clean(str(path))}: {why}; {act}")
 
 
 # -- manifests ------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ principal component). It does not depend on the order of the runs, so it prefers
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
     steps: list[int] = []
     while len(steps) < 5 and (at := _next(base, steps, values)) is not None:
         steps.append(at)
-    fitted = _fit(_design(base, steps), values)
+    fitted = _Fit.of(base, steps, values)
     factor = float(stats.t.ppf(0.5 + CONFIDENCE / 2, fitted.degrees))
     U = factor * np.sqrt(np.diag(fitted.covariance))
     found = [
@@ -100,32 +101,30 @@ class _Fit:
     rest: float
     degrees: int
 
-
-def _design(base: list[Array], steps: list[int]) -> Array:
-    places = np.arange(len(base[0]))
-    return np.column_stack([*base, *((places >= at).astype(float) for at in steps)])
-
-
-def _fit(design: Array, values: Array) -> _Fit:
-    solved = np.linalg.lstsq(design, values, rcond=None)
-    found: Array = np.asarray(solved[0], dtype=float)
-    rank = solved[2]
-    rest, degrees = float(np.sum((values - design @ found) ** 2)), len(values) - int(rank)
-    covariance: Array = np.linalg.pinv(design.T @ design) * rest / max(degrees, 1)
-    return _Fit(found, covariance, rest, degrees)
+    @classmethod
+    def of(cls, base: list[Array], steps: list[int], values: Array) -> Self:
+        """Return the least squares of values (N,) on columns (N,), and a level from each step."""
+        places = np.arange(len(base[0]))
+        design = np.column_stack([*base, *((places >= at).astype(float) for at in steps)])
+        solved = np.linalg.lstsq(design, values, rcond=None)
+        found: Array = np.asarray(solved[0], dtype=float)
+        rank = solved[2]
+        rest, degrees = float(np.sum((values - design @ found) ** 2)), len(values) - int(rank)
+        covariance: Array = np.linalg.pinv(design.T @ design) * rest / max(degrees, 1)
+        return cls(found, covariance, rest, degrees)
 
 
 def _next(base: list[Array], steps: list[int], values: Array) -> int | None:
     """Return where the best further step is, if it is one."""
     from scipy import stats
 
-    without = _fit(_design(base, steps), values)
+    without = _Fit.of(base, steps, values)
     degrees = without.degrees - 1
     places = [at for at in range(1, len(values)) if at not in steps]
     least_degrees = 3  # of freedom that remain for the noise
     if degrees < least_degrees or not places:
         return None
-    rests = [_fit(_design(base, [*steps, at]), values).rest for at in places]
+    rests = [_Fit.of(base, [*steps, at], values).rest for at in places]
     best = int(np.argmin(rests))
     gain = without.rest - rests[best]
     if not gain > 0.0:

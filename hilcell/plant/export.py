@@ -110,7 +110,7 @@ class _Source:
             rows = found[table] = self.read(asked, f"run {clean(run['name'])}")
             if table is DOCUMENT:
                 for row in rows:
-                    add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
+                    add(f"{folder}/documents/{_safe(row['name'])}", self._document(run, row))
             elif rows:
                 parts = [
                     {name: each for name, each in row.items() if name not in ("digest", "month")}
@@ -124,6 +124,16 @@ class _Source:
                 f"that count: {CHANGED}"
             )
         return found
+
+    @staticmethod
+    def _document(run: Found, row: Found) -> bytes:
+        content: bytes = row["text"].encode()
+        if hashlib.sha256(content).hexdigest() != row["sha256"]:
+            raise PlantError(
+                f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was shipped: "
+                f"{CHANGED}"
+            )
+        return content
 
     def read(self, asked: Select[Any], what: str) -> list[Found]:
         """Return rows; one with a value not of its column's type was not written by a shipper."""
@@ -141,16 +151,6 @@ def _changed_words(names: list[str]) -> str:
     named = ", ".join(map(clean, names[:most_named])) + more
     are = "1 run is" if len(names) == 1 else f"{len(names)} runs are"
     return f"{are} not as shipped: {named}: {CHANGED}"
-
-
-def _document(run: Found, row: Found) -> bytes:
-    content: bytes = row["text"].encode()
-    if hashlib.sha256(content).hexdigest() != row["sha256"]:
-        raise PlantError(
-            f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was shipped: "
-            f"{CHANGED}"
-        )
-    return content
 
 
 def _json(values: object) -> bytes:

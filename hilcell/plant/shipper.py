@@ -60,8 +60,7 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
     end: no earlier one was ever shipped. Raises `Forked`.
     """
-    if not _continues(connection, record, heads):
-        _check_name(connection, record, heads[ended:])
+    _refuse_forked(connection, record, heads, ended)
     on_postgresql = connection.dialect.name == POSTGRESQL
     (run,) = record.rows[RUN]
     if on_postgresql:
@@ -77,10 +76,12 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     return True
 
 
-def _continues(connection: Connection, record: RunRecord, heads: Sequence[str]) -> bool:
-    """Whether the run was shipped before.
+def _refuse_forked(
+    connection: Connection, record: RunRecord, heads: Sequence[str], ended: int
+) -> None:
+    """Refuse a journal that does not go on from, or lead to, what was shipped of the run.
 
-    Refuses a journal that does not go on from, or lead to, what was shipped.
+    Also one shipped under another name: its measurements would count twice.
     """
     asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
     found = connection.execute(asked).all()
@@ -91,15 +92,12 @@ def _continues(connection: Connection, record: RunRecord, heads: Sequence[str]) 
                 "journal was changed, or its folder was copied and resumed twice; ship the right "
                 "one"
             )
-    return bool(found)
-
-
-def _check_name(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:
-    """Refuse a journal shipped under another name: its measurements would count twice."""
-    for start in range(0, len(heads), BATCH):
+    if found:
+        return
+    for start in range(ended, len(heads), BATCH):
         same = RUN.c.head.in_(heads[start : start + BATCH])
-        asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
-        if connection.execute(asked).first() is not None:
+        asked_name = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
+        if connection.execute(asked_name).first() is not None:
             raise Forked(
                 f"run {record.row.name}: the plant has its journal under another name: its folder "
                 "was renamed, or is a copy or a link; keep one, under the name that was shipped"
@@ -114,6 +112,10 @@ MOST_BYTES = 64 * 2**20
 
 class BadDocument(PlantError):
     """A document of a run's folder is not what the run wrote."""
+
+    def __init__(self, path: Path, why: str) -> None:
+        act = "put the run's own file back, or move this one elsewhere, then ship again"
+        super().__init__(f"run {path.parent.name}: its {path.name} {why}; {act}")
 
 
 def documents_of(folder: Path, row: RunRow) -> list[Document]:
@@ -131,7 +133,7 @@ def documents_of(folder: Path, row: RunRow) -> list[Document]:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, LookupError, TypeError):
         problems = ["is no calibration file"]
     if problems:
-        raise _bad(path, problems[0])
+        raise BadDocument(path, problems[0])
     return [Document(path.name, hashlib.sha256(content).hexdigest(), text)]
 
 
@@ -139,17 +141,12 @@ def _content(path: Path) -> bytes:
     try:
         found = path.lstat()
         if not stat.S_ISREG(found.st_mode):
-            raise _bad(path, "is a link or no file")
+            raise BadDocument(path, "is a link or no file")
         if found.st_size > MOST_BYTES:
-            raise _bad(path, f"has {found.st_size} bytes, wanted at most {MOST_BYTES}")
+            raise BadDocument(path, f"has {found.st_size} bytes, wanted at most {MOST_BYTES}")
         return path.read_bytes()
     except OSError as error:
-        raise _bad(path, f"cannot be read: {error.strerror}") from error
-
-
-def _bad(path: Path, why: str) -> BadDocument:
-    act = "put the run's own file back, or move this one elsewhere, then ship again"
-    return BadDocument(f"run {path.parent.name}: its {path.name} {why}; {act}")
+        raise BadDocument(path, f"cannot be read: {error.strerror}") from error
 
 
 MEND = "take its folder from a backup, or out of the runs folder"

@@ -150,7 +150,7 @@ class Workers:
     def _workers(self) -> Mapping[str, float]:
         """Return by address when, by its clock, the scheduler heard of each worker."""
         with self._lost_is_an_error():
-            return _last_heartbeats(self._client)
+            return self._last_heartbeats()
 
     def _found(self, future: Future[Found]) -> Found | KilledWorker:
         try:
@@ -164,8 +164,8 @@ class Workers:
                 f"{self._name}: a worker cannot measure: {type(error).__name__}: {error}"
             ) from error
         if found.versions:
-            _check_versions(self._client, self._name)
-            raise Cluster(f"{self._name}: a worker had {_differences(found.versions)}")
+            self.check_versions()
+            raise Cluster(f"{self._name}: a worker had {self._differences(found.versions)}")
         return found
 
     def _result(self, future: Future[Found]) -> Found:
@@ -175,6 +175,48 @@ class Workers:
                 found: Found = future.result(timeout=LOOK_S)
                 return found
             self._look()
+
+    def _last_heartbeats(self) -> Mapping[str, float]:
+        # `Client.nthreads` would wait for ever.
+        found = self._client.sync(self._client.scheduler.identity, callback_timeout=SCHEDULER_S)
+        return {each: typed(last["last_seen"], float) for each, last in found["workers"].items()}
+
+    def check_versions(self) -> None:
+        """Raise `Cluster` where a worker has other versions, more threads than one, or is silent."""
+        client, name = self._client, self._name
+        before = self._last_heartbeats()
+        try:
+            found: dict[str, dict[str, str] | Exception] = client.run(
+                versions, on_error="return", callback_timeout=VERSIONS_S
+            )
+        except TimeoutError as error:
+            after = self._last_heartbeats()
+            silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]
+            raise Cluster(
+                f"{name}: worker {', '.join(silent) or 'unknown'} does not answer; end it, or wait "
+                f"until Dask drops it, {DROPPED}"
+            ) from error
+        except LOST as error:
+            raise Cluster(f"{name} is gone: {error}") from error
+        problems = []
+        for address, there in sorted(found.items()):
+            if isinstance(there, Exception):
+                problems.append(f"{address}: hilcell cannot be used there: {there}")
+            elif there != self._versions:
+                problems.append(f"{address}: {self._differences(there)}")
+        many = {address: n for address, n in client.nthreads().items() if n > 1}
+        problems += [f"{address}: {n} threads, wanted --nthreads 1" for address, n in many.items()]
+        if problems:
+            raise Cluster(f"{name}: workers differ: {'; '.join(problems)}")
+
+    @staticmethod
+    def _differences(there: Mapping[str, str]) -> str:
+        here = versions()
+        return ", ".join(
+            f"{name} {there.get(name, 'none')} (here {here[name]})"
+            for name in here
+            if there.get(name) != here[name]
+        )
 
     @contextmanager
     def _lost_is_an_error(self) -> Iterator[None]:
@@ -237,8 +279,9 @@ def workers_of(scheduler: str, say: Say) -> Iterator[Workers]:
                 f"{name} has no worker after {WORKERS_S:g} s; start one with "
                 f"`dask worker {scheduler} --nthreads 1`"
             ) from None
-        _check_versions(client, name)
-        yield Workers(client, name, say, DROPPED)
+        workers = Workers(client, name, say, DROPPED)
+        workers.check_versions()
+        yield workers
 
 
 async def _asked(scheduler: str) -> None:
@@ -249,48 +292,6 @@ async def _asked(scheduler: str) -> None:
         await found.read()
     finally:
         found.abort()
-
-
-def _last_heartbeats(client: Client) -> Mapping[str, float]:
-    # `Client.nthreads` would wait for ever.
-    found = client.sync(client.scheduler.identity, callback_timeout=SCHEDULER_S)
-    return {each: typed(last["last_seen"], float) for each, last in found["workers"].items()}
-
-
-def _check_versions(client: Client, name: str) -> None:
-    before = _last_heartbeats(client)
-    try:
-        found: dict[str, dict[str, str] | Exception] = client.run(
-            versions, on_error="return", callback_timeout=VERSIONS_S
-        )
-    except TimeoutError as error:
-        after = _last_heartbeats(client)
-        silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]
-        raise Cluster(
-            f"{name}: worker {', '.join(silent) or 'unknown'} does not answer; end it, or wait "
-            f"until Dask drops it, {DROPPED}"
-        ) from error
-    except LOST as error:
-        raise Cluster(f"{name} is gone: {error}") from error
-    problems = []
-    for address, there in sorted(found.items()):
-        if isinstance(there, Exception):
-            problems.append(f"{address}: hilcell cannot be used there: {there}")
-        elif there != versions():
-            problems.append(f"{address}: {_differences(there)}")
-    many = {address: n for address, n in client.nthreads().items() if n > 1}
-    problems += [f"{address}: {n} threads, wanted --nthreads 1" for address, n in many.items()]
-    if problems:
-        raise Cluster(f"{name}: workers differ: {'; '.join(problems)}")
-
-
-def _differences(there: Mapping[str, str]) -> str:
-    here = versions()
-    return ", ".join(
-        f"{name} {there.get(name, 'none')} (here {here[name]})"
-        for name in here
-        if there.get(name) != here[name]
-    )
 
 
 @contextmanager

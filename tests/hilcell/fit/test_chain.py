@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hilcell.fit.urdf_file import Chain, arm_of, beside, chain_of
+from hilcell.fit.urdf_file import Chain
 from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Arm, Array, forward
 from tests.hilcell.fit.chains import chain_forward
@@ -46,7 +46,7 @@ def joints_of(rng: np.random.Generator) -> Array:
 def test_every_chain_is_an_arm_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     chain, joints = random_chain(rng), joints_of(rng)
-    base, arm = arm_of(chain)
+    base, arm = chain.arm()
     np.testing.assert_allclose(
         base @ forward(arm, joints), chain_forward(chain, joints), atol=EXACT
     )
@@ -55,7 +55,7 @@ def test_every_chain_is_an_arm_exactly(seed: int) -> None:
 @given(SEEDS)
 def test_rows_of_axes_that_are_not_parallel_are_standard_dh(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    _, arm = arm_of(random_chain(rng))
+    _, arm = random_chain(rng).arm()
     crossing = np.abs(np.sin(arm.alpha_rad)) > 0.11
     np.testing.assert_array_equal(arm.beta_rad[crossing], 0.0)
     assert (np.abs(arm.beta_rad) <= 0.11).all()
@@ -67,10 +67,10 @@ def test_rows_of_axes_that_are_not_parallel_are_standard_dh(seed: int) -> None:
 def test_every_arm_is_a_chain_exactly_and_returns(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, base, joints = random_arm(rng), _frame(rng), joints_of(rng)
-    chain = chain_of(base, arm)
+    chain = Chain.of(base, arm)
     wanted = base @ forward(arm, joints)
     np.testing.assert_allclose(chain_forward(chain, joints), wanted, atol=EXACT)
-    base, arm = arm_of(chain)
+    base, arm = chain.arm()
     np.testing.assert_allclose(base @ forward(arm, joints), wanted, atol=EXACT)
 
 
@@ -78,9 +78,9 @@ def test_every_arm_is_a_chain_exactly_and_returns(seed: int) -> None:
 def test_a_chain_beside_another_keeps_its_motion_and_takes_the_other_s_axes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     nominal, joints = random_chain(rng), joints_of(rng)
-    base, arm = arm_of(nominal)
-    crooked = chain_of(base, crooked_arm(arm, rng))
-    found = beside(crooked, nominal)
+    base, arm = nominal.arm()
+    crooked = Chain.of(base, crooked_arm(arm, rng))
+    found = crooked.beside(nominal)
     np.testing.assert_allclose(
         chain_forward(found, joints), chain_forward(crooked, joints), atol=EXACT
     )
@@ -105,7 +105,7 @@ def test_a_chain_beside_itself_is_itself(axis: Array) -> None:
     rng = np.random.default_rng(5)
     chain = random_chain(rng)
     chain.axes[:] = axis
-    base, arm = arm_of(chain)
-    found = beside(chain_of(base, arm), chain)
+    base, arm = chain.arm()
+    found = Chain.of(base, arm).beside(chain)
     np.testing.assert_allclose(found.origins, chain.origins, atol=EXACT)
     np.testing.assert_allclose(found.tip, chain.tip, atol=EXACT)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
-from hilcell.fit.urdf_file import Urdf, arm_of, beside, chain_of, read_urdf, urdf_of
+from hilcell.fit.urdf_file import Chain, Urdf, read_urdf, urdf_of
 from hilcell.geometry.kinematics import Arm, Array, forward
 from tests.hilcell.fit.chains import chain_forward
 from tests.hilcell.fit.urdfs import IRB120, PLAIN, reached_m
@@ -63,7 +63,7 @@ def test_a_robot_is_read_as_an_independent_reader_does(written: Write) -> None:
     urdf = read_urdf(written(IRB120))
     assert (urdf.name, urdf.root, urdf.tip) == ("IRB 120", "base_link", "tool0")
     np.testing.assert_allclose(in_m(chain_forward(urdf.chain, JOINTS)), peer(IRB120), atol=1e-12)
-    base, arm = arm_of(urdf.chain)
+    base, arm = urdf.chain.arm()
     np.testing.assert_allclose(in_m(base @ forward(arm, JOINTS)), peer(IRB120), atol=1e-12)
     np.testing.assert_array_equal(urdf.limits_rad[:, 3], [-np.inf, np.inf])
     np.testing.assert_array_equal(urdf.limits_rad[:, 2], [-1.91986, 1.22173])
@@ -71,7 +71,7 @@ def test_a_robot_is_read_as_an_independent_reader_does(written: Write) -> None:
 
 def test_rows_of_a_usual_robot_are_those_of_its_data_sheet(written: Write) -> None:
     plain = PLAIN.replace('xyz="0 0 0.27"', 'xyz="0 0.1 0.27"')
-    _, arm = arm_of(read_urdf(written(plain)).chain)
+    _, arm = read_urdf(written(plain)).chain.arm()
     np.testing.assert_allclose(arm.a_mm, [0, 270, 70, 0, 0, 0], atol=1e-9)
     np.testing.assert_allclose(np.abs(np.degrees(arm.alpha_rad)), [90, 0, 90, 90, 90, 0], atol=1e-8)
     np.testing.assert_allclose(np.abs(arm.d_mm), [290, 100, 0, 302, 0, 72], atol=1e-9)
@@ -79,8 +79,8 @@ def test_rows_of_a_usual_robot_are_those_of_its_data_sheet(written: Write) -> No
 
 def calibrated(urdf: Urdf) -> tuple[bytes, Array]:
     """The file of the same robot with errors, and where its tip then is, in m."""
-    base, arm = arm_of(urdf.chain)
-    chain = beside(chain_of(base, crooked(arm)), urdf.chain)
+    base, arm = urdf.chain.arm()
+    chain = Chain.of(base, crooked(arm)).beside(urdf.chain)
     return urdf.with_chain(chain, ["found", "by a fit"]), in_m(chain_forward(chain, JOINTS))
 
 
@@ -101,8 +101,8 @@ def test_a_calibrated_file_has_the_wanted_arm(written: Write, tip: str) -> None:
 def test_a_tip_without_a_fixed_joint_leaves_its_own_frame_over(written: Write) -> None:
     urdf = read_urdf(written(IRB120), "link_6")
     content, wanted = calibrated(urdf)
-    base, arm = arm_of(urdf.chain)
-    left = in_m(urdf.left_at_tip(beside(chain_of(base, crooked(arm)), urdf.chain)))
+    base, arm = urdf.chain.arm()
+    left = in_m(urdf.left_at_tip(Chain.of(base, crooked(arm)).beside(urdf.chain)))
     assert 1e-4 < np.abs(left - np.eye(4)).max() < 1e-2
     np.testing.assert_allclose(peer(content, "link_6") @ left, wanted, atol=EXACT_M)
     np.testing.assert_array_equal(read_urdf(written(IRB120)).left_at_tip(urdf.chain), np.eye(4))
@@ -124,9 +124,9 @@ def test_nothing_but_origins_of_the_chain_is_changed(written: Write) -> None:
 
 
 def test_an_arm_without_a_file_gets_one(written: Write) -> None:
-    base, arm = arm_of(read_urdf(written(IRB120)).chain)
+    base, arm = read_urdf(written(IRB120)).chain.arm()
     arm = replace(crooked(arm), sign=np.array([1.0, -1, 1, 1, -1, 1]))
-    content = urdf_of('a "robot" <1>', chain_of(base, arm), ["never -- or --->"])
+    content = urdf_of('a "robot" <1>', Chain.of(base, arm), ["never -- or --->"])
     wanted = in_m(base @ forward(arm, JOINTS))
     np.testing.assert_allclose(peer(content), wanted, atol=EXACT_M)
     assert read_urdf(written(content)).name == 'a "robot" <1>'
