@@ -27,12 +27,10 @@ from hilcell.errors import HilcellError, indented
 from hilcell.typed import Json, typed
 
 LONGEST_VALUE = 80
-_PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
 _KINDS = {
     "float": "a number", "int": "a whole number", "int | float": "a number", "str": "a text",
     "bool": "true or false", "array": "a list", "object": "a table",
 }  # fmt: skip
-_MEMBER = re.compile(r" - at `\$\[(\d+)\]`$")
 _EXPECTED = re.compile(
     rf"Expected `({'|'.join(map(re.escape, _KINDS))})(?: \| null)?`(?!.* - at `)"
 )
@@ -182,7 +180,7 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             problems.append(f"{path}{key}: missing")
     unsound = _Unsound(kind, built)
     for line in _refused(unsound):
-        named = _PATH.match(line)
+        named = re.match(r"(\w+)[\w.\[\]]*:", line)  # as a table's own check begins
         known = named is not None and named[1] in fields
         problems.append(f"{path}{line}" if known else f"{place}: {line}")
     return kind(**built) if len(problems) == before else unsound
@@ -273,7 +271,7 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
     try:
         return typed(value, kind)
     except msgspec.ValidationError as error:
-        member = _MEMBER.search(str(error))
+        member = re.search(r" - at `\$\[(\d+)\]`$", str(error))
         if member and isinstance(value, list) and typing.get_origin(_stated(kind)) is list:
             n, (inner,) = int(member[1]), typing.get_args(_stated(kind))
             return _value(value[n], inner, f"{path}[{n}]", problems)

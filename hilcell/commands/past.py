@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from operator import attrgetter, itemgetter
@@ -17,7 +17,7 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.orders import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.commands.output import print_json, print_message, print_table, terminal_columns
 from hilcell.commands.run_output import left_moving, print_suspected
-from hilcell.invariants.judging import INVARIANTS, Proof, judge
+from hilcell.invariants.judging import INVARIANTS, Break, Proof, judge
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
@@ -194,38 +194,38 @@ def show(args: Show) -> int:
 
 def _check(folder: Path, *, as_json: bool) -> int:
     """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
-    verdicts = judge(read_records(folder))
+    proofs = judge(read_records(folder))
     if as_json:
-        found = {name: _proof_facts(verdict) for name, verdict in verdicts.items()}
+        found = {
+            name: {
+                "holds": proof.holds,
+                "checked": proof.checked,
+                "broken": _listed(proof.broken),
+                "unproven": _listed(proof.unproven),
+            }
+            for name, proof in proofs.items()
+        }
         print_json({"run": encodable(folder.name), "invariants": found})
     else:
-        _print_proofs(verdicts)
-    return 0 if all(verdict.holds for verdict in verdicts.values()) else 1
+        columns: list[Column[tuple[str, Proof]]] = [
+            Column("", itemgetter(0)),
+            Column("invariant", lambda row: INVARIANTS[row[0]]),
+            Column("holds", lambda row: _held(row[1])),
+            Column("checked", lambda row: row[1].checked, form="d"),
+        ]
+        print_table(Table(columns, proofs.items()))
+        most = 3  # violations of one invariant
+        for name, proof in proofs.items():
+            for word, breaks in (("broken", proof.broken), ("not proven", proof.unproven)):
+                for each in breaks[:most]:
+                    print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
+                if len(breaks) > most:
+                    print_message(f"{name} {word} at {len(breaks) - most} more records")
+    return 0 if all(proof.holds for proof in proofs.values()) else 1
 
 
-def _proof_facts(verdict: Proof) -> dict[str, object]:
-    lists = {"broken": verdict.broken, "unproven": verdict.unproven}
-    return {"holds": verdict.holds, "checked": verdict.checked} | {
-        name: [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
-        for name, breaks in lists.items()
-    }
-
-
-def _print_proofs(verdicts: dict[str, Proof]) -> None:
-    columns: list[Column[tuple[str, Proof]]] = [
-        Column("", itemgetter(0)),
-        Column("invariant", lambda row: INVARIANTS[row[0]]),
-        Column("holds", lambda row: _held(row[1])),
-        Column("checked", lambda row: row[1].checked, form="d"),
-    ]
-    print_table(Table(columns, verdicts.items()))
-    printed = 3  # violations of one invariant
-    for name, verdict in verdicts.items():
-        for word, found in (("broken", verdict.broken), ("not proven", verdict.unproven)):
-            for each in found[:printed]:
-                print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
-            if len(found) > printed:
-                print_message(f"{name} {word} at {len(found) - printed} more records")
+def _listed(breaks: Sequence[Break]) -> list[Json]:
+    return [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
 
 
 def _held(verdict: Proof) -> str:

@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import msgspec
 
@@ -103,7 +103,7 @@ def show(args: PlantShow) -> int:
     with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
-            found = _answers(connection, args)
+            found = Answers.asked(connection, args)
     if args.json:
         print_json(msgspec.to_builtins(found))
         return EXIT_OK
@@ -160,34 +160,34 @@ class Answers:
     alarms: list[AlarmCount]
     doubts: list[str]
 
+    @classmethod
+    def asked(cls, connection: Connection, args: PlantShow) -> Self:
+        from hilcell.plant.cells import cells, doubts
+        from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
 
-def _answers(connection: Connection, args: PlantShow) -> Answers:
-    from hilcell.plant.cells import cells, doubts
-    from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
-
-    cell, robot = args.cell or "", args.robot or ""
-    states = cells(connection, datetime.now(UTC), args.max_age)
-    names = sorted({state.cell for state in states})
-    if cell and cell not in names:
-        raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
-    courses = robots(connection, robot, cell)
-    if robot and not courses:
-        raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
-    places = {(each.cell, each.serial, each.machine) for each in courses}
-    states = [
-        state
-        for state in states
-        if cell in ("", state.cell)
-        and (not robot or (state.cell, state.serial, state.machine) in places)
-    ]
-    return Answers(
-        cells=states,
-        robots=courses,
-        stations=worse_stations(connection, cell, robot),
-        instruments=instruments(connection, cell, robot),
-        alarms=alarms(connection, cell, robot),
-        doubts=doubts(connection, {state.cell for state in states}),
-    )
+        cell, robot = args.cell or "", args.robot or ""
+        states = cells(connection, datetime.now(UTC), args.max_age)
+        names = sorted({state.cell for state in states})
+        if cell and cell not in names:
+            raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
+        courses = robots(connection, robot, cell)
+        if robot and not courses:
+            raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
+        places = {(each.cell, each.serial, each.machine) for each in courses}
+        states = [
+            state
+            for state in states
+            if cell in ("", state.cell)
+            and (not robot or (state.cell, state.serial, state.machine) in places)
+        ]
+        return cls(
+            cells=states,
+            robots=courses,
+            stations=worse_stations(connection, cell, robot),
+            instruments=instruments(connection, cell, robot),
+            alarms=alarms(connection, cell, robot),
+            doubts=doubts(connection, {state.cell for state in states}),
+        )
 
 
 def _day(moment: datetime | None) -> str:

@@ -130,8 +130,8 @@ class _Source:
         content: bytes = row["text"].encode()
         if hashlib.sha256(content).hexdigest() != row["sha256"]:
             raise PlantError(
-                f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was shipped: "
-                f"{CHANGED}"
+                f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was "
+                f"shipped: {CHANGED}"
             )
         return content
 

@@ -18,7 +18,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -43,6 +43,15 @@ class Interval:
     mean: float
     half: float
 
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Self:
+        """Return the mean of values, one a machine, with its 95 % interval."""
+        found: Array = np.array(list(values), dtype=float)
+        if len(found) < 2:
+            return cls(float(found.mean()) if len(found) else math.nan, math.nan)
+        factor = _student(len(found) - 1)
+        return cls(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
+
     @property
     def known(self) -> bool:
         """Whether it is shown to be other than nought, by more than rounding."""
@@ -63,37 +72,28 @@ class Share:
     low: float
     high: float
 
+    @classmethod
+    def of(cls, values: Iterable[float], targets: float) -> Self:
+        """Return the mean of shares, one a machine, of so many targets together; its interval.
+
+        Clopper and Pearson's, with the effective number of targets that the differences between
+        machines leave (Korn and Graubard 1998): targets of one machine go together.
+        """
+        found: Array = np.clip(np.array(list(values), dtype=float), 0.0, 1.0)
+        if len(found) < 2 or not targets > 1.0:
+            return cls(float(found.mean()) if len(found) else math.nan, math.nan, math.nan)
+        mean, variance = float(found.mean()), float(found.var(ddof=1)) / len(found)
+        effective = min(targets, mean * (1.0 - mean) / variance) if variance > 0.0 else targets
+        effective *= (_student(targets - 1.0) / _student(len(found) - 1)) ** 2
+        within, beyond = effective * mean, effective * (1.0 - mean)
+        low = float(betaincinv(within, beyond + 1.0, 1.0 - UPPER)) if within > 0.0 else 0.0
+        high = float(betaincinv(within + 1.0, beyond, UPPER)) if beyond > 0.0 else 1.0
+        return cls(mean, low, high)
+
     @property
     def ends(self) -> tuple[float, float]:
         """Return where its interval ends; the mean twice where there is none."""
         return (self.low, self.high) if self.low <= self.high else (self.mean, self.mean)
-
-
-def interval(values: Iterable[float]) -> Interval:
-    """Return the mean of values, one a machine, with its 95 % interval."""
-    found: Array = np.array(list(values), dtype=float)
-    if len(found) < 2:
-        return Interval(float(found.mean()) if len(found) else math.nan, math.nan)
-    factor = _student(len(found) - 1)
-    return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
-
-
-def share(values: Iterable[float], targets: float) -> Share:
-    """Return the mean of shares, one a machine, of so many targets together; its interval.
-
-    Clopper and Pearson's, with the effective number of targets that the differences between
-    machines leave (Korn and Graubard 1998): targets of one machine go together.
-    """
-    found: Array = np.clip(np.array(list(values), dtype=float), 0.0, 1.0)
-    if len(found) < 2 or not targets > 1.0:
-        return Share(float(found.mean()) if len(found) else math.nan, math.nan, math.nan)
-    mean, variance = float(found.mean()), float(found.var(ddof=1)) / len(found)
-    effective = min(targets, mean * (1.0 - mean) / variance) if variance > 0.0 else targets
-    effective *= (_student(targets - 1.0) / _student(len(found) - 1)) ** 2
-    within, beyond = effective * mean, effective * (1.0 - mean)
-    low = float(betaincinv(within, beyond + 1.0, 1.0 - UPPER)) if within > 0.0 else 0.0
-    high = float(betaincinv(within + 1.0, beyond, UPPER)) if beyond > 0.0 else 1.0
-    return Share(mean, low, high)
 
 
 def _student(freedom: float) -> float:
@@ -309,7 +309,7 @@ def value(wanted: Optimum, design: Design) -> float:
 def covered(rows: Rows) -> Share:
     """Return the share of targets within their own bound, each machine counted alike."""
     shares = [_mean(own, "covered") for own in _by(rows, "machine").values()]
-    return share(shares, sum(row.figure("targets") for row in rows))
+    return Share.of(shares, sum(row.figure("targets") for row in rows))
 
 
 def points_of(study: Study, rows: Rows) -> dict[int, Point]:
@@ -332,7 +332,7 @@ def designs(study: Study, done: Rows) -> list[Design]:
     found = []
     for own in _by(done, "point").values():
         machines = _by(own, "machine").values()
-        accuracy = interval(_mean(each, study.accuracy) for each in machines)
+        accuracy = Interval.of(_mean(each, study.accuracy) for each in machines)
         point, minutes = chosen(study, own[0]), _mean(own, "minutes")
         found.append(Design(point, accuracy, minutes, covered(own), len(machines), len(own), False))
     places = np.array([[each.accuracy.mean, each.minutes, each.point.cost] for each in found])
@@ -380,7 +380,7 @@ def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
                     _known(changes[level, :, 0]),
                     _known(changes[level, :, 1]).mean,
                     costs[level] - costs[start],
-                    share(filter(np.isfinite, means[:, 2]), targets[n][level]),
+                    Share.of(filter(np.isfinite, means[:, 2]), targets[n][level]),
                 )
             )
     return found
@@ -399,7 +399,7 @@ def _targets(study: Study, all_points: Mapping[int, Point], done: Rows) -> list[
 
 
 def _known(values: Iterable[float]) -> Interval:
-    return interval(each for each in values if np.isfinite(each))
+    return Interval.of(each for each in values if np.isfinite(each))
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,7 @@ class Workers:
         return {each: typed(last["last_seen"], float) for each, last in found["workers"].items()}
 
     def check_versions(self) -> None:
-        """Raise `Cluster` where a worker has other versions, more threads than one, or is silent."""
+        """Raise `Cluster` where a worker has other versions, several threads, or is silent."""
         client, name = self._client, self._name
         before = self._last_heartbeats()
         try:

@@ -92,7 +92,7 @@ class Results:
         """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
         self._check_place()
         lock = self.folder / ".study.lock"
-        made = _make(self.folder / CASES)
+        made = self._make(self.folder / CASES)
         try:
             with locked(lock, f"results {self.folder}", "study"):
                 self._check_question()
@@ -100,15 +100,15 @@ class Results:
                     yield
                 finally:
                     if not any((self.folder / CASES).iterdir()) and not self._asked.exists():
-                        _remove(made, lock)
+                        self._remove(made, lock)
         except CellLocked:
             raise CellLocked(
                 f"results {self.folder} are written by another `hilcell study`; wait for its end"
             ) from None
         except StorageError as error:
             if made:
-                _remove(made, lock)
-            raise _unusable(self.folder, error.__cause__) from error
+                self._remove(made, lock)
+            raise self._unusable(self.folder, error.__cause__) from error
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows; they are durable when this returns."""
@@ -121,7 +121,7 @@ class Results:
 
     def table(self) -> pa.Table:
         """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
-        tables = [_read(path, self.study, self._schema) for path in self._parts()]
+        tables = [self._read(path) for path in self._parts()]
         whole = pa.concat_tables([*tables, self._schema.empty_table()])
         kept: dict[int, int] = {}
         for row, case in enumerate(whole["case"].to_pylist()):
@@ -129,7 +129,7 @@ class Results:
         return whole.take(pa.array([kept[case] for case in sorted(kept)], pa.int64()))
 
     def rows(self) -> list[Row]:
-        return [_row(self.study, each) for each in self.table().to_pylist()]
+        return [self._row(each) for each in self.table().to_pylist()]
 
     def finished(self) -> set[int]:
         """Return the numbers of the cases that are kept."""
@@ -186,6 +186,91 @@ class Results:
             finally:
                 os.close(number)
 
+    def _row(self, flat: Mapping[str, object]) -> Row:
+        """Return the row of such columns; raises `msgspec.ValidationError` where one is no row."""
+        levels = {factor.name: flat[factor.name] for factor in self.study.factor}
+        figures = {name: flat[name] for name in figures_of(self.study)}
+        return typed({**flat, "levels": levels, "figures": figures}, Row)
+
+    def _read(self, path: Path) -> pa.Table:
+        try:
+            if not path.is_file():
+                raise pa.ArrowInvalid("it is no file")
+            with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
+                parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
+                found = parquet.read(use_threads=False)  # its threads may abort an exit
+            if (found.schema.metadata or {}).get(OF_STUDY) != self._schema.metadata[OF_STUDY]:
+                question = path.parent.with_name(ASKED)
+                raise OtherStudy(f"{path} has rows of another study than {question}; move it away")
+            if found.schema != self._schema:
+                raise pa.ArrowInvalid("its columns are not the study's")
+            for row in found.to_pylist():
+                self._check_row(self._row(row))
+        except msgspec.ValidationError as error:
+            raise self._damaged(path, f"a row is no case of the study: {error}") from error
+        except (pa.ArrowException, OSError) as error:
+            raise self._damaged(path, str(error).splitlines()[0]) from error
+        return found
+
+    @staticmethod
+    def _damaged(path: Path, reason: str) -> OtherStudy:
+        return OtherStudy(f"{path} is damaged: {reason}; delete it, its cases are measured again")
+
+    def _check_row(self, row: Row) -> None:
+        """Raise `ArrowInvalid` for a row that no study has written."""
+        study, number, figures = self.study, row.case, row.figures
+        used = [row.minutes, *(figures[name] for name in (study.accuracy, "covered", "targets"))]
+        if not (1 <= number <= study.most_cases and row.state in STATES):
+            raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row.state!r}")
+        if row.state == DONE and not all(each is not None and math.isfinite(each) for each in used):
+            raise pa.ArrowInvalid(f"case {number} was done, and has no figures")
+        try:
+            chosen(study, row)
+        except ValueError:
+            raise pa.ArrowInvalid(f"case {number} has a level that is not the study's") from None
+
+    @classmethod
+    def _make(cls, folder: Path) -> list[Path]:
+        """Make the folder of the rows; return what was not there, the outermost first.
+
+        Raises `NotWritten` where nothing can be written.
+        """
+        made = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            cls._remove(made)
+            raise cls._unusable(folder.parent, error) from error
+        for each in (folder.parent, folder):
+            if not os.access(each, os.W_OK | os.X_OK):
+                cls._remove(made)
+                raise NotWritten(
+                    f"{each}: nothing can be written there; name another folder with -o"
+                )
+        return made
+
+    @staticmethod
+    def _unusable(folder: Path, error: BaseException | None) -> NotWritten:
+        """Return the error for a folder of results in which the system writes nothing."""
+        number = error.errno if isinstance(error, OSError) else None
+        reason = error.strerror if isinstance(error, OSError) else error
+        full = number in STORAGE
+        room = "free space, or " if full else ""
+        failed = DiskFailed if full else NotWritten
+        return failed(
+            f"results folder {folder} cannot be used: {reason}; {room}name another folder with -o"
+        )
+
+    @staticmethod
+    def _remove(made: Sequence[Path], *files: Path) -> None:
+        """Remove files, and the folders that were made, where nothing else was kept in them."""
+        for file in files:
+            with suppress(OSError):
+                file.unlink()
+        for each in reversed(made):
+            with suppress(OSError):
+                each.rmdir()
+
 
 def open_results(folder: Path) -> Results:
     """Return the results of a folder, to read; raises `OtherStudy` where there are none."""
@@ -229,13 +314,6 @@ def row_of(case: Case, found: Found, study: Study) -> Row:
     )
 
 
-def _row(study: Study, flat: Mapping[str, object]) -> Row:
-    """Return the row of such columns; raises `msgspec.ValidationError` where one is no row."""
-    levels = {factor.name: flat[factor.name] for factor in study.factor}
-    figures = {name: flat[name] for name in figures_of(study)}
-    return typed({**flat, "levels": levels, "figures": figures}, Row)
-
-
 def _asked_in(folder: Path) -> Asked:
     path = folder / ASKED
     try:
@@ -245,80 +323,3 @@ def _asked_in(folder: Path) -> Asked:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         reason = f"{path} is damaged: {error}"
     raise OtherStudy(f"{folder} is no folder of results: {reason}")
-
-
-def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
-    try:
-        if not path.is_file():
-            raise pa.ArrowInvalid("it is no file")
-        with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
-            parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
-            found = parquet.read(use_threads=False)  # its threads may abort an exit
-        if (found.schema.metadata or {}).get(OF_STUDY) != wanted.metadata[OF_STUDY]:
-            question = path.parent.with_name(ASKED)
-            raise OtherStudy(f"{path} has rows of another study than {question}; move it away")
-        if found.schema != wanted:
-            raise pa.ArrowInvalid("its columns are not the study's")
-        for row in found.to_pylist():
-            _check_row(study, _row(study, row))
-    except msgspec.ValidationError as error:
-        raise _damaged(path, f"a row is no case of the study: {error}") from error
-    except (pa.ArrowException, OSError) as error:
-        raise _damaged(path, str(error).splitlines()[0]) from error
-    return found
-
-
-def _damaged(path: Path, reason: str) -> OtherStudy:
-    return OtherStudy(f"{path} is damaged: {reason}; delete it, its cases are measured again")
-
-
-def _check_row(study: Study, row: Row) -> None:
-    """Raise `ArrowInvalid` for a row that no study has written."""
-    number, figures = row.case, row.figures
-    used = [row.minutes, *(figures[name] for name in (study.accuracy, "covered", "targets"))]
-    if not (1 <= number <= study.most_cases and row.state in STATES):
-        raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row.state!r}")
-    if row.state == DONE and not all(each is not None and math.isfinite(each) for each in used):
-        raise pa.ArrowInvalid(f"case {number} was done, and has no figures")
-    try:
-        chosen(study, row)
-    except ValueError:
-        raise pa.ArrowInvalid(f"case {number} has a level that is not the study's") from None
-
-
-def _make(folder: Path) -> list[Path]:
-    """Make the folder of the rows; return what was not there, the outermost first.
-
-    Raises `NotWritten` where nothing can be written.
-    """
-    made = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        _remove(made)
-        raise _unusable(folder.parent, error) from error
-    for each in (folder.parent, folder):
-        if not os.access(each, os.W_OK | os.X_OK):
-            _remove(made)
-            raise NotWritten(f"{each}: nothing can be written there; name another folder with -o")
-    return made
-
-
-def _unusable(folder: Path, error: BaseException | None) -> NotWritten:
-    """Return the error for a folder of results in which the system writes nothing."""
-    number = error.errno if isinstance(error, OSError) else None
-    reason = error.strerror if isinstance(error, OSError) else error
-    full = number in STORAGE
-    act = "free space, or name another folder with -o" if full else "name another folder with -o"
-    failed = DiskFailed if full else NotWritten
-    return failed(f"results folder {folder} cannot be used: {reason}; {act}")
-
-
-def _remove(made: Sequence[Path], *files: Path) -> None:
-    """Remove files, and the folders that were made, where nothing else was kept in them."""
-    for file in files:
-        with suppress(OSError):
-            file.unlink()
-    for each in reversed(made):
-        with suppress(OSError):
-            each.rmdir()

@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.stats import t as student
 
-from hilcell.study.analysis import answers, interval, on_front, share
+from hilcell.study.analysis import Interval, Share, answers, on_front
 from hilcell.study.case import Found, Row
 from hilcell.study.design import Case, cases
 from hilcell.study.page import page
@@ -87,7 +87,7 @@ def test_an_interval_is_that_of_the_mean_over_machines(tmp_path: Path) -> None:
 
 def test_intervals_cover_as_often_as_they_promise() -> None:
     drawn = np.random.default_rng(1).normal(3.0, 1.0, (2000, 5))
-    found = [interval(row) for row in drawn]
+    found = [Interval.of(row) for row in drawn]
     covered = np.mean([abs(each.mean - 3.0) <= each.half for each in found])
     assert covered == pytest.approx(0.95, abs=0.015)
 
@@ -196,7 +196,7 @@ def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shares", [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 0.98, 1.0], [0.0, 0.0, 0.02]])
 def test_an_interval_is_between_none_and_all(shares: list[float]) -> None:
-    found = share(shares, 50.0 * len(shares))
+    found = Share.of(shares, 50.0 * len(shares))
     assert 0.0 <= found.low <= found.mean <= found.high <= 1.0
     assert found.low < found.high
 
@@ -204,7 +204,7 @@ def test_an_interval_is_between_none_and_all(shares: list[float]) -> None:
 def test_it_is_clopper_and_pearson_s_where_machines_do_not_differ() -> None:
     """98 of 100; of many machines, so that Student's factor is nearly the normal one."""
     many = [0.98] * 400
-    found = share(many, 100.0)
+    found = Share.of(many, 100.0)
     assert (found.low, found.high) == pytest.approx((0.9296, 0.9976), abs=0.001)
 
 
@@ -215,19 +215,19 @@ def test_it_covers_as_often_as_it_promises(spread: float) -> None:
     hits = []
     for _ in range(600):
         own = np.clip(rng.uniform(true - spread, true + spread, 6), 0.0, 1.0)
-        found = share(rng.binomial(50, own) / 50.0, 300.0)
+        found = Share.of(rng.binomial(50, own) / 50.0, 300.0)
         hits.append(found.low <= true <= found.high)
     assert 0.93 <= np.mean(hits) <= 1.0
 
 
 def test_one_machine_gives_none() -> None:
-    found = share([0.95], 100.0)
+    found = Share.of([0.95], 100.0)
     assert found.mean == 0.95
     assert math.isnan(found.low)
     assert found.ends == (0.95, 0.95)
 
 
 def test_machines_that_differ_widen_it() -> None:
-    alike, different = share([0.9] * 4, 400.0), share([0.8, 1.0, 0.8, 1.0], 400.0)
+    alike, different = Share.of([0.9] * 4, 400.0), Share.of([0.8, 1.0, 0.8, 1.0], 400.0)
     assert alike.mean == pytest.approx(different.mean)
     assert different.high - different.low > 1.5 * (alike.high - alike.low)

@@ -13,7 +13,7 @@ from hilcell.ports import NoReading
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
-from hilcell.study.case import RESULTS, measured, packed, versions
+from hilcell.study.case import RESULTS, figures, measured, packed, versions
 from hilcell.study.study_file import Study, cell_of
 from hilcell.typed import typed
 from tests.hilcell.study.studies import study
@@ -32,7 +32,7 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
     row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
     log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
     result = typed(CALIBRATE.result(log), Calibrated)
-    assert row.figures == {name: value(result) for name, (_, value) in RESULTS.items()}
+    assert row.figures == figures(result)
     assert (row.state, row.reason) == ("done", "")
     assert all(math.isfinite(row.figures[name]) for name in RESULTS)
     assert (
@@ -60,7 +60,7 @@ def test_a_quick_plan_has_every_figure_but_that_of_the_papers_method(asked: Stud
 def test_figures_of_a_result(golden: GoldenRuns) -> None:
     result = golden["small"].result
     calibrated = typed(result, Calibrated)
-    found = {name: value(calibrated) for name, (_, value) in RESULTS.items()}
+    found = figures(calibrated)
     places = [result["validation"][name] for name in ("S1100", "others")]
     targets = [place["points"] for place in places]
     for name, what in (("before_mm", "before"), ("idw_mm", "idw"), ("mean_mm", "chosen")):
