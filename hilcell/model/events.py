@@ -198,7 +198,6 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
     @property
     def lost(self) -> int:
-        """Return how many frames were lost."""
         return self.bad_lines + self.refused + self.malformed
 
     @property

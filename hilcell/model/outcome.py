@@ -99,7 +99,6 @@ class Figure(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return it beside its limit."""
         if self.limit is None:
             return self.measured
         return f"{self.measured}, limit {self.limit:g} {self.unit}".rstrip()

@@ -54,7 +54,6 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def figure_words(self) -> str:
-        """Return its figures beside their limits."""
         return "; ".join(each.text for each in self.figures)
 
     @property
@@ -172,7 +171,6 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def limits(self) -> Limits:
-        """Return the limits that it was judged by."""
         return Limits(self.mean_tolerance_mm, self.max_tolerance_mm, self.max_tolerance_deg)
 
     @property
@@ -498,7 +496,6 @@ class Faces(msgspec.Struct, frozen=True):
 
     @property
     def off_mm(self) -> float:
-        """Return its length."""
         return math.hypot(self.across_mm, self.down_mm)
 
     @property

@@ -189,7 +189,6 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def settings_named(self) -> list[str]:
-        """Return the settings that it varies."""
         if self.setting:
             return [self.setting]
         tables = [each for each in self.levels or () if isinstance(each, Mapping)]
