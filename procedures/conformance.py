@@ -227,13 +227,13 @@ class Conformance:
             session.checkpoint()
             session.add(PromiseJudged(port=port, **judged(promise).facts()))
         if (key := f"{NAME} {port}") not in session.log.verdicts:
-            broken = [e.promise for e in _found(session.log, port) if e.verdict == "broken"]
+            broken = [e.promise for e in self._found(session.log, port) if e.verdict == "broken"]
             driver = getattr(session.cell, port).driver
             session.judge(key, DriverConforms(holds=not broken, driver=driver, broken=broken))
 
     def result(self, log: Log) -> Result:
         """Return what each promise has found, by port."""
-        return {NAME: {port: _found(log, port) for port in self._ports(log.cell)}}
+        return {NAME: {port: self._found(log, port) for port in self._ports(log.cell)}}
 
     @staticmethod
     def _ports(cell: Cell) -> list[Port]:
@@ -241,13 +241,13 @@ class Conformance:
 
     @staticmethod
     def _waiting(log: Log, port: Port) -> list[Promise]:
-        known = {each.promise for each in _found(log, port)}
+        known = {each.promise for each in Conformance._found(log, port)}
         return [promise for promise in promises_of(port) if promise.name not in known]
 
-
-def _found(log: Log, port: str) -> list[Outcome]:
-    judged = [each for each in log.happened(PromiseJudged) if each.port == port]
-    return [typed(each, Outcome, from_attributes=True) for each in judged]
+    @staticmethod
+    def _found(log: Log, port: str) -> list[Outcome]:
+        judged = [each for each in log.happened(PromiseJudged) if each.port == port]
+        return [typed(each, Outcome, from_attributes=True) for each in judged]
 
 
 def conformance_table(result: Result) -> Table:

@@ -225,7 +225,7 @@ class Compared:
     def by_every_set(self) -> Limits:
         """Return the fewest stations for the longest work piece, by trying every set of them."""
         cell = self.log.cell
-        ok = _reached(cell, self._longest_work_piece(cell).points_mm)
+        ok = self._reached(cell, self._longest_work_piece(cell).points_mm)
         for count in range(1, len(cell.station) + 1):
             for chosen in combinations(range(len(cell.station)), count):
                 if ok[:, chosen].any(axis=1).all():
@@ -370,9 +370,26 @@ class Compared:
         points_mm = (apply(cell.layout.nominal_base(0.0), rows_mm)[:, None] + steps_mm).reshape(
             -1, 3
         )
-        points_mm = points_mm[_reached(cell, points_mm).any(axis=1)]
+        points_mm = points_mm[Compared._reached(cell, points_mm).any(axis=1)]
         tools = np.broadcast_to(_tool(cell), (len(points_mm), 1, 3, 3))
         return Holes([f"H{number}" for number in range(len(points_mm))], points_mm, tools)
+
+    @staticmethod
+    def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) in {W} which station serves, (N, S): robot and tracker."""
+        poses, robot, tracker = matrix(_tool(cell), points_mm), cell.robot, cell.tracker
+        home_rad, limits_rad = np.radians(robot.home_deg), robot.margin_limits_rad
+        bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
+        ok = np.column_stack([
+            reachable(robot.arm(), inverse(base) @ poses, robot.status, limits_rad, home_rad)
+            for base in bases
+        ])  # fmt: skip
+        range_mm = np.linalg.norm(points_mm - tracker.pose.matrix()[:3, 3], axis=1)
+        seen = (range_mm >= tracker.min_range_mm + tracker.find_radius_mm) & (
+            range_mm <= tracker.max_range_mm - tracker.find_radius_mm
+        )
+        served: NDArray[np.bool_] = ok & seen[:, None]
+        return served
 
 
 def commanded_rad(points: list[Point]) -> Array:
@@ -383,23 +400,6 @@ def commanded_rad(points: list[Point]) -> Array:
 
 def _tool(cell: Cell) -> Array:
     return cell.layout.nominal_base(0.0)[:3, :3] @ cell.grid.centre.matrix()[:3, :3]
-
-
-def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) in {W} which station serves, (N, S): robot and tracker."""
-    poses, robot, tracker = matrix(_tool(cell), points_mm), cell.robot, cell.tracker
-    home_rad, limits_rad = np.radians(robot.home_deg), robot.margin_limits_rad
-    bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
-    ok = np.column_stack([
-        reachable(robot.arm(), inverse(base) @ poses, robot.status, limits_rad, home_rad)
-        for base in bases
-    ])  # fmt: skip
-    range_mm = np.linalg.norm(points_mm - tracker.pose.matrix()[:3, 3], axis=1)
-    seen = (range_mm >= tracker.min_range_mm + tracker.find_radius_mm) & (
-        range_mm <= tracker.max_range_mm - tracker.find_radius_mm
-    )
-    served: NDArray[np.bool_] = ok & seen[:, None]
-    return served
 
 
 # -- rows -----------------------------------------------------------------------------------------

@@ -64,7 +64,7 @@ class RobotGrid:
         sent_rad = [joints_rad]
         self._check_orientations(cell)
         for n, R in enumerate(plan.more_orientations(cell)):
-            what = f"grid vertex in orientation {_named(cell.plan.grid_orientations[n])}"
+            what = f"grid vertex in orientation {self._named(cell.plan.grid_orientations[n])}"
             sent_rad.append(plan.check_targets(cell, there, matrix(R, vertices_mm), what))
         points = len(vertices_mm) * len(sent_rad) * len(cell.robot.seats_mm)
         measured = plan.flange_points(cell, np.concatenate(sent_rad), seats=True)
@@ -120,7 +120,7 @@ class RobotGrid:
         """Raise `HilcellError` for equal orientations, or the grid's own: they add nothing."""
         of = cell.grid.centre.matrix()[None, :3, :3]
         found = np.concatenate([of, plan.more_orientations(cell)])
-        names = ["the grid's own", *map(_named, cell.plan.grid_orientations)]
+        names = ["the grid's own", *map(RobotGrid._named, cell.plan.grid_orientations)]
         for n, m in combinations(range(len(found)), 2):
             same_rad = 1e-4  # nearer orientations are one
             if not float(np.linalg.norm(to_rotvec(found[n].T @ found[m]))) > same_rad:
@@ -136,10 +136,10 @@ class RobotGrid:
         world_mm, world_deg = apply(T_W_B, poses[:, :3, 3]), plan.angles_deg(T_W_B, poses)
         return list(zip(ids, joints_rad, world_mm, world_deg, strict=True))
 
-
-def _named(angles_deg: Sequence[float]) -> str:
-    a, b, c = angles_deg
-    return f"A {a:g}°, B {b:g}°, C {c:g}°"
+    @staticmethod
+    def _named(angles_deg: Sequence[float]) -> str:
+        a, b, c = angles_deg
+        return f"A {a:g}°, B {b:g}°, C {c:g}°"
 
 
 CANDIDATES = 128

@@ -376,17 +376,19 @@ class FrameRepeatability:
         """Return by station how far the six points are from their places at the reference (mm),
         seen in its ``kind`` of frame: "base" or "station".
         """
-        reference_mm = _seen_from(log, kind, log.cell.reference)
+        reference_mm = FrameRepeatability._seen_from(log, kind, log.cell.reference)
         return {
-            station.name: lengths_mm(_seen_from(log, kind, station) - reference_mm).tolist()
+            station.name: lengths_mm(
+                FrameRepeatability._seen_from(log, kind, station) - reference_mm
+            ).tolist()
             for station in plan.other_stations(log.cell)
         }
 
-
-def _seen_from(log: Log, kind: str, station: Station) -> Array:
-    """Return the six points (6, 3) in the base or station frame of ``station``."""
-    world_mm = apply(log.matrix("world"), positions_mm(log.select("six", station.name)))
-    return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
+    @staticmethod
+    def _seen_from(log: Log, kind: str, station: Station) -> Array:
+        """Return the six points (6, 3) in the base or station frame of ``station``."""
+        world_mm = apply(log.matrix("world"), positions_mm(log.select("six", station.name)))
+        return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
 
 
 def frame_repeatability_table(result: Result) -> Table:

@@ -33,7 +33,7 @@ from hilcell.calibration.influence import (
     moved_frame,
     no_less_than_nought,
 )
-from hilcell.calibration.lost_motion import Reversal, reversal
+from hilcell.calibration.lost_motion import reversal
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix
@@ -61,7 +61,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
     return Uncertainty(
         [
             lines.repeatability(),
-            _approach(stated.reversal_limit_mm, log.once_measured(reversal)),
+            lines.approach(),
             lines.drift(),
             lines.world(),
             lines.tracker(),
@@ -110,6 +110,20 @@ class _Lines:
             motion(robot_mm2), freedom=freedom if math.isfinite(freedom) else None,
             within_model=True, alone=True,
         )  # fmt: skip
+
+    def approach(self) -> Influence:
+        """Return the larger of limit and measurement, there the whole way from side to side."""
+        limit_mm = self.log.cell.uncertainty.reversal_limit_mm
+        found = self.log.once_measured(reversal)
+        seen_mm, seen = 0.0, ""
+        if found is not None:
+            seen_mm = max(found.off_mm)
+            seen = f"; {len(found.off_mm)} vertices from above: {seen_mm:.3f} mm"
+        how = f"programs approach from below on every axis, as the run did{seen}"
+        if limit_mm:
+            how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"
+            limit_mm = max(limit_mm, seen_mm)
+        return _limit("Approach direction", how, limit_mm)
 
     def drift(self) -> Influence:
         """Return how far the floor nests moved in the run, less the readings' noise."""
@@ -197,17 +211,6 @@ class _Lines:
             "Strip", MEASURED, f"{how}, along the rail", clause, "world",
             motion(2 * held_mm2), freedom=freedom,
         )  # fmt: skip
-
-
-def _approach(limit_mm: float, found: Reversal | None) -> Influence:
-    """Return the larger of limit and measurement, there the whole way from side to side."""
-    seen_mm = max(found.off_mm) if found is not None else 0.0
-    seen = "" if found is None else f"; {len(found.off_mm)} vertices from above: {seen_mm:.3f} mm"
-    how = f"programs approach from below on every axis, as the run did{seen}"
-    if limit_mm:
-        how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"
-        limit_mm = max(limit_mm, seen_mm)
-    return _limit("Approach direction", how, limit_mm)
 
 
 def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influence:

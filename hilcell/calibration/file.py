@@ -304,16 +304,16 @@ class _Checks:
     def validity(self) -> Iterator[str]:
         validity = self.calibration.validity
         for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
-            yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
-        yield from _rotation("validity.orientation", self._array(validity.orientation))
+            yield from self._within(f"validity.{name}", corner, MOST_MM, "mm")
+        yield from self._rotation("validity.orientation", self._array(validity.orientation))
         for number, R in enumerate(validity.orientations):
-            yield from _rotation(f"validity.orientations.{number}", self._array(R))
+            yield from self._rotation(f"validity.orientations.{number}", self._array(R))
         tolerance_deg = validity.orientation_tolerance_deg
         name = "validity.orientation_tolerance_deg"
         yield from self._above_nought(name, tolerance_deg, self.MOST_TURN_DEG)
         if validity.temperature_c is None:
             return
-        yield from _within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
+        yield from self._within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
         low_c, high_c = validity.temperature_c
         if not low_c <= high_c:
             yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, expected the lower first"
@@ -323,7 +323,7 @@ class _Checks:
         if errors.ndim != 4 or min(errors.shape[:3]) < 2:
             yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
             return
-        yield from _within("grid_errors_mm", errors, self.MOST_ERROR_MM, "mm")
+        yield from self._within("grid_errors_mm", errors, self.MOST_ERROR_MM, "mm")
         pitch_mm = self.calibration.pitch_mm
         size_mm = np.subtract(self.calibration.validity.high_mm, self.calibration.validity.low_mm)
         expected_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
@@ -349,7 +349,7 @@ class _Checks:
                 yield f"{at}.covariance: expected 6 x 6 finite numbers"
             tool_mm = station.tool_uncertainty_mm
             yield from self._from_nought(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
-            yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
+            yield from self._within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
     def uncertainty(self) -> Iterator[str]:
         stated = self.calibration.uncertainty
@@ -364,7 +364,7 @@ class _Checks:
         yield from self._from_nought("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
         for each in chain(stated.lines, *stated.stations.values()):
             at = f"uncertainty, {each.name[:40]}"
-            yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
+            yield from self._within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
             if not self._is_covariance(self._array(each.covariance)):
                 yield f"{at}: expected a covariance of {SIZE} x {SIZE} numbers"
             if each.freedom is not None:
@@ -378,7 +378,7 @@ class _Checks:
             if len(values) != axes:
                 yield f"lost_motion.{name}: {len(values)} axes, expected {axes}"
             else:
-                yield from _within(f"lost_motion.{name}", values, most_lost_rad, "rad")
+                yield from self._within(f"lost_motion.{name}", values, most_lost_rad, "rad")
         if not all(each >= 0.0 for each in lost.u_rad):
             yield "lost_motion.u_rad: a standard deviation below zero"
 
@@ -389,7 +389,7 @@ class _Checks:
             if self._array(update.motion).shape != expected:
                 yield f"{at}: motion of {len(update.motion)} numbers, expected {expected[0]}"
             elif update.motion:
-                yield from _within(f"{at}: motion", update.motion, self.MOST_ERROR_MM, "mm")
+                yield from self._within(f"{at}: motion", update.motion, self.MOST_ERROR_MM, "mm")
 
     def targets(self) -> Iterator[str]:
         if self.calibration.targets is None:
@@ -445,8 +445,8 @@ class _Checks:
             return
         if not np.array_equal(frame[3], [0, 0, 0, 1]):
             yield f"{name}: its last row must be 0, 0, 0, 1"
-        yield from _rotation(name, frame[:3, :3])
-        yield from _within(name, frame[:3, 3], MOST_MM, "mm")
+        yield from _Checks._rotation(name, frame[:3, :3])
+        yield from _Checks._within(name, frame[:3, 3], MOST_MM, "mm")
 
     @staticmethod
     def _above_nought(name: str, value: float, most: float = math.inf) -> Iterator[str]:
@@ -468,15 +468,15 @@ class _Checks:
         except ValueError:
             return np.full(0, math.nan)
 
+    @staticmethod
+    def _rotation(name: str, R: Array) -> Iterator[str]:
+        if R.shape != (3, 3):
+            yield f"{name}: expected 3 x 3 numbers"
+        elif not is_rotation(R):
+            yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
 
-def _rotation(name: str, R: Array) -> Iterator[str]:
-    if R.shape != (3, 3):
-        yield f"{name}: expected 3 x 3 numbers"
-    elif not is_rotation(R):
-        yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
-
-
-def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
-    largest = float(np.abs(np.asarray(values, dtype=float)).max())
-    if not largest <= most:
-        yield f"{name}: {largest:g} {unit}, expected within +-{most:g} {unit}"
+    @staticmethod
+    def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
+        largest = float(np.abs(np.asarray(values, dtype=float)).max())
+        if not largest <= most:
+            yield f"{name}: {largest:g} {unit}, expected within +-{most:g} {unit}"

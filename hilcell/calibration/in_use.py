@@ -277,20 +277,17 @@ def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
     So is a calibration with which its run did not end.
     """
     readable = {row.name for row in rows if row.readable}
-    found = {
-        name: _proven(each, runs / name, readable) if each.state == "current" else each
-        for name, each in standings(rows).items()
-    }
+    found = standings(rows)
+    for name in [name for name, each in found.items() if each.state == "current"]:
+        for later in _later_unread(runs / name, readable):
+            why = (
+                f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
+            )
+            found[name] = Standing("in doubt", "", why)
+            break
     for row in rows:
         if row.name not in found and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
             found[row.name] = _unproven(row)
-    return found
-
-
-def _proven(found: Standing, folder: Path, readable: Collection[str]) -> Standing:
-    for later in _later_unread(folder, readable):
-        why = f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
-        return Standing("in doubt", "", why)
     return found
 
 

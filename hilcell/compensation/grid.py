@@ -92,14 +92,18 @@ class Grid:
         if len(bad):
             named = ", ".join(
                 f"{names[n] if names else f'target {n + 1}'} by {excess[n]:.3f} mm "
-                f"(at {_text(targets[n])})"
+                f"(at {self._text(targets[n])})"
                 for n in bad[:NAMED]
             )
             raise OutsideGrid(
                 f"{len(bad)} of {counted(len(targets), 'target')} outside the calibrated volume "
-                f"{_text(self.origin_mm)} .. {_text(self.far_mm)} mm: {named}"
+                f"{self._text(self.origin_mm)} .. {self._text(self.far_mm)} mm: {named}"
                 f"{', ...' if len(bad) > NAMED else ''}; move them, or calibrate a larger volume"
             )
+
+    @staticmethod
+    def _text(point: Array) -> str:
+        return "(" + ", ".join(f"{value:.1f}" for value in point) + ")"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +122,3 @@ class MeasuredGrid:
         found, shape = (self.errors_mm.shape, self.covariance_mm2.shape), (*self.grid.shape, 3)
         if found != (shape, (*shape, 3)):
             raise GridError(f"errors and covariances: shapes {found}, expected {shape} and x 3")
-
-
-def _text(point: Array) -> str:
-    return "(" + ", ".join(f"{value:.1f}" for value in point) + ")"

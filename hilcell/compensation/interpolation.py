@@ -58,7 +58,7 @@ class Interpolation(LearntModel):
         """Return the model with R: the covariance of left-out vertices' misses beyond readings."""
         own = lattice.covariance_mm2
         lows, inner, weights = _wide_cells(cls, lattice)
-        missed = _missed_mm(cls, lattice)
+        missed = cls._missed_mm(lattice)
         corners = _at(own, lows[:, None, :] + CORNERS * _span(lattice.grid))
         readings = np.einsum("mc,bcxy->xy", weights**2, corners)
         readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
@@ -77,7 +77,16 @@ class Interpolation(LearntModel):
         pitch they are worse than at the pitch itself. Raises `GridError` where the grid is one
         cell or has gaps.
         """
-        return _missed_mm(cls, measured.grid)
+        return cls._missed_mm(measured.grid)
+
+    @classmethod
+    def _missed_mm(cls, lattice: MeasuredGrid) -> Array:
+        lows, inner, weights = _wide_cells(cls, lattice)
+        errors = lattice.errors_mm
+        corners = _at(errors, lows[:, None, :] + CORNERS * _span(lattice.grid))
+        predicted = np.einsum("mc,bcx->bmx", weights, corners)
+        left: Array = predicted - _at(errors, lows[:, None, :] + inner)
+        return left.reshape(-1, 3)
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
@@ -238,15 +247,6 @@ def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints
     lows = np.array(list(product(*(range(n - s) for n, s in zip(grid.shape, span, strict=True)))))
     pitches_mm = np.array(span * grid.pitch_mm, dtype=float)
     return lows, inner, model.weights(inner / span, pitches_mm)
-
-
-def _missed_mm(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
-    lows, inner, weights = _wide_cells(model, lattice)
-    errors = lattice.errors_mm
-    corners = _at(errors, lows[:, None, :] + CORNERS * _span(lattice.grid))
-    predicted = np.einsum("mc,bcx->bmx", weights, corners)
-    left: Array = predicted - _at(errors, lows[:, None, :] + inner)
-    return left.reshape(-1, 3)
 
 
 def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:

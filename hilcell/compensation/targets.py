@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -60,89 +61,91 @@ class CsvText:
             return "; where a decimal comma has split numbers, separate fields by semicolons"
         return ""
 
+    @classmethod
+    def read(cls, path: Path, content: bytes, labels: int) -> Self:
+        """Return a file with ``labels`` columns of words before numbers; raises `SettingsError`."""
+        text = cls._text(path, content)
+        first, _, others = text.partition("\n")
+        stated = STATED.fullmatch(first.strip())
+        if stated:
+            text = others
+        separator = stated[1] if stated else ";" if ";" in first and "," not in first else ","
+        try:
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+            rows = [(reader.line_num + bool(stated), cells) for cells in reader]
+        except csv.Error as error:
+            raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        begin = next((n for n, (_, cells) in enumerate(rows) if any(map(str.strip, cells))), 0)
+        rows = cls._without_empty_columns(rows[begin:])
+        if separator == ",":
+            return cls(rows)
+        figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])
+        return cls(rows, separator, cls._decimal(path, figures))
 
-def read_csv(path: Path, content: bytes, labels: int) -> CsvText:
-    """Return a file with ``labels`` columns of words before numbers; raises `SettingsError`."""
-    text = _text(path, content)
-    first, _, others = text.partition("\n")
-    stated = STATED.fullmatch(first.strip())
-    if stated:
-        text = others
-    separator = stated[1] if stated else ";" if ";" in first and "," not in first else ","
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-        rows = [(reader.line_num + bool(stated), cells) for cells in reader]
-    except csv.Error as error:
-        raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
-    begin = next((n for n, (_, cells) in enumerate(rows) if any(map(str.strip, cells))), 0)
-    rows = _without_empty_columns(rows[begin:])
-    if separator == ",":
-        return CsvText(rows)
-    figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])
-    return CsvText(rows, separator, _decimal(path, figures))
+    @staticmethod
+    def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+        """Return rows without fields empty beyond the header's last; empty rows have none."""
+        if not rows or not any(rows[0][1]):
+            return rows
+        width = 1 + max(n for n, cell in enumerate(rows[0][1]) if cell.strip())
 
+        def needed(cells: list[str]) -> list[str]:
+            if not any(cell.strip() for cell in cells):
+                return []
+            return cells if any(cell.strip() for cell in cells[width:]) else cells[:width]
 
-def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Return rows without fields that are empty beyond the header's last; empty rows have none."""
-    if not rows or not any(rows[0][1]):
-        return rows
-    width = 1 + max(n for n, cell in enumerate(rows[0][1]) if cell.strip())
+        return [(line, needed(cells)) for line, cells in rows]
 
-    def needed(cells: list[str]) -> list[str]:
-        if not any(cell.strip() for cell in cells):
-            return []
-        return cells if any(cell.strip() for cell in cells[width:]) else cells[:width]
+    @staticmethod
+    def _text(path: Path, content: bytes) -> str:
+        utf_16 = (b"\xff\xfe", b"\xfe\xff")
+        if content.startswith(utf_16):
+            raise SettingsError(str(path), ["is UTF-16; save it as CSV in UTF-8"])
+        other_coding = "cp1252"
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            # All our headers are ASCII: a file whose first line is not is no list in any coding.
+            if content.partition(b"\n")[0].isascii():
+                with suppress(UnicodeDecodeError):
+                    return content.decode(other_coding)
+            raise SettingsError(str(path), ["is not UTF-8 text; save it as UTF-8"]) from error
 
-    return [(line, needed(cells)) for line, cells in rows]
+    @classmethod
+    def _decimal(cls, path: Path, figures: Iterable[tuple[int, str]]) -> str:
+        """Return the decimal sign of a file with semicolons; raises `SettingsError`."""
+        seen: dict[str, tuple[int, str]] = {}  # the first number with a sign
+        proven: set[str] = set()
+        for line, cell in figures:
+            longest = 40  # characters of a number that is looked at
+            number = len(cell) <= longest and FIGURES.fullmatch(cell)
+            signs = {POINT, ","} & {*cell} if number else set()
+            if len(signs) > 1:
+                raise cls._refusal(
+                    path, line, cell, "has a thousands separator; write digits without one"
+                )
+            for sign in signs:
+                seen.setdefault(sign, (line, cell))
+                if not GROUPED.fullmatch(cell):
+                    proven.add(sign)
+        if len(seen) > 1:
+            (line, cell), (other_line, other) = sorted(seen.values(), reverse=True)
+            words = f"while line {other_line} has {other!r}; write all with one decimal sign"
+            raise cls._refusal(path, line, cell, words)
+        for sign, (line, cell) in seen.items():
+            if sign not in proven:
+                plain, grouped = cell.replace(sign, POINT), cell.replace(sign, "")
+                raise cls._refusal(
+                    path, line, cell,
+                    f"may be {plain}, or {grouped} with a thousands separator, and no other number "
+                    f"of the file says which; write one of them with another count of decimals, as "
+                    f"{cell}0",
+                )  # fmt: skip
+        return next(iter(seen), POINT)
 
-
-def _text(path: Path, content: bytes) -> str:
-    utf_16 = (b"\xff\xfe", b"\xfe\xff")
-    if content.startswith(utf_16):
-        raise SettingsError(str(path), ["is UTF-16; save it as CSV in UTF-8"])
-    other_coding = "cp1252"
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        # All our headers are ASCII: a file whose first line is not is no list in any coding.
-        if content.partition(b"\n")[0].isascii():
-            with suppress(UnicodeDecodeError):
-                return content.decode(other_coding)
-        raise SettingsError(str(path), ["is not UTF-8 text; save it as UTF-8"]) from error
-
-
-def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
-    """Return the decimal sign of a file with semicolons; raises `SettingsError`."""
-    seen: dict[str, tuple[int, str]] = {}  # the first number with a sign
-    proven: set[str] = set()
-    for line, cell in figures:
-        longest = 40  # characters of a number that is looked at
-        number = len(cell) <= longest and FIGURES.fullmatch(cell)
-        signs = {POINT, ","} & {*cell} if number else set()
-        if len(signs) > 1:
-            raise _refusal(path, line, cell, "has a thousands separator; write digits without one")
-        for sign in signs:
-            seen.setdefault(sign, (line, cell))
-            if not GROUPED.fullmatch(cell):
-                proven.add(sign)
-    if len(seen) > 1:
-        (line, cell), (other_line, other) = sorted(seen.values(), reverse=True)
-        words = f"while line {other_line} has {other!r}; write all with one decimal sign"
-        raise _refusal(path, line, cell, words)
-    for sign, (line, cell) in seen.items():
-        if sign not in proven:
-            plain, grouped = cell.replace(sign, POINT), cell.replace(sign, "")
-            raise _refusal(
-                path, line, cell,
-                f"may be {plain}, or {grouped} with a thousands separator, and no other number "
-                f"of the file says which; write one of them with another count of decimals, as "
-                f"{cell}0",
-            )  # fmt: skip
-    return next(iter(seen), POINT)
-
-
-def _refusal(path: Path, line: int, cell: str, words: str) -> SettingsError:
-    return SettingsError(str(path), [f"line {line}: {cell[:40]!r} {words}"])
+    @staticmethod
+    def _refusal(path: Path, line: int, cell: str, words: str) -> SettingsError:
+        return SettingsError(str(path), [f"line {line}: {cell[:40]!r} {words}"])
 
 
 @dataclass(slots=True)
@@ -152,6 +155,44 @@ class NamedRows:
     header: list[str]
     names: list[str] = field(default_factory=list)
     values: list[list[float]] = field(default_factory=list)
+
+    def take(
+        self,
+        cells: list[str],
+        text: CsvText,
+        known: set[str],
+        fault_of: Callable[[list[str], list[float]], str],
+    ) -> list[str]:
+        """Take one row in, or return its faults; ``known`` are the names of all rows before."""
+        if len(cells) != len(self.header):
+            more = text.surplus(len(cells), len(self.header))
+            return [f"{len(cells)} fields, expected {len(self.header)}{more}"]
+        name = cells[0]
+        fault = f"name {_shown(name)} was used before" if name in known else self._name_fault(name)
+        known.add(name)
+        try:
+            values = numbers(self.header[1:], cells[1:], text.decimal)
+        except ValueError as error:
+            return [*filter(None, [fault]), str(error)]
+        self.names.append(name)
+        self.values.append(values)
+        return [*filter(None, (fault, fault_of(self.header, values)))]
+
+    @staticmethod
+    def _name_fault(name: str) -> str:
+        """Return in words what is wrong with a name; joiners within it are letters' (Persian)."""
+        if not name:
+            return "name is empty"
+        if len(name) > LONGEST:
+            return f"name {_shown(name)} has {len(name)} characters, wanted at most {LONGEST}"
+        if name != name.strip():
+            return f"name {_shown(name)} has outer spaces"
+        within = re.sub("[\u200c\u200d]", "", name[1:-1])  # without joiners
+        if found := UNSAFE.search(name[0] + within + name[1:][-1:]):
+            return f"name {_shown(name)} has a control character, U+{ord(found[0]):04X}"
+        if name[0] in "=+-@":
+            return f"name {_shown(name)} begins with {name[0]}: a spreadsheet would compute it"
+        return ""
 
 
 def read_targets(path: Path) -> tuple[list[str], Array]:
@@ -179,13 +220,13 @@ def read_named_rows(
     ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
     `SettingsError` with every problem and its line, and `CorrectedBefore`.
     """
-    text = read_csv(path, content, labels=1)
+    text = CsvText.read(path, content, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
     header = header_of(path, text, headers)
     rows, known, problems = NamedRows(header), set[str](), list[str]()
     for line, cells in text.rows[1:]:
         if cells:
-            faults = _take(cells, text, rows, known, fault_of)
+            faults = rows.take(cells, text, known, fault_of)
             problems += [f"line {line}: {fault}" for fault in faults]
     if not rows.names and not problems:
         problems.append(f"no {what}")
@@ -229,44 +270,6 @@ def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
     if not words:
         words = ["a column twice" if len(header) > len(wanted) else "in another order"]
     return f" ({'; '.join(words)})" if any(header) else ""
-
-
-def _take(
-    cells: list[str],
-    text: CsvText,
-    rows: NamedRows,
-    known: set[str],
-    fault_of: Callable[[list[str], list[float]], str],
-) -> list[str]:
-    if len(cells) != len(rows.header):
-        more = text.surplus(len(cells), len(rows.header))
-        return [f"{len(cells)} fields, expected {len(rows.header)}{more}"]
-    name = cells[0]
-    fault = f"name {_shown(name)} was used before" if name in known else _name_fault(name)
-    known.add(name)
-    try:
-        values = numbers(rows.header[1:], cells[1:], text.decimal)
-    except ValueError as error:
-        return [*filter(None, [fault]), str(error)]
-    rows.names.append(name)
-    rows.values.append(values)
-    return [*filter(None, (fault, fault_of(rows.header, values)))]
-
-
-def _name_fault(name: str) -> str:
-    """Return in words what is wrong with a name; joiners within it are letters' (Persian)."""
-    if not name:
-        return "name is empty"
-    if len(name) > LONGEST:
-        return f"name {_shown(name)} has {len(name)} characters, wanted at most {LONGEST}"
-    if name != name.strip():
-        return f"name {_shown(name)} has outer spaces"
-    within = re.sub("[\u200c\u200d]", "", name[1:-1])  # without joiners
-    if found := UNSAFE.search(name[0] + within + name[1:][-1:]):
-        return f"name {_shown(name)} has a control character, U+{ord(found[0]):04X}"
-    if name[0] in "=+-@":
-        return f"name {_shown(name)} begins with {name[0]}: a spreadsheet would compute it"
-    return ""
 
 
 def _shown(text: str) -> str:

@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
-from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, header_of, numbers, read_csv
+from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, header_of, numbers
 from hilcell.geometry.kinematics import Arm, Array
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
@@ -163,7 +163,7 @@ def read_robot(path: Path) -> RobotModel:
 
 def read_measurements(path: Path) -> Measurements:
     """Read measured targets; raises `SettingsError` naming the lines that are not good."""
-    text = read_csv(path, read_file(path), LABELS)
+    text = CsvText.read(path, read_file(path), LABELS)
     header_of(path, text, [HEADER])
     problems: list[str] = []
     labels, rows, lines = [], [], []

@@ -10,7 +10,7 @@ alone the folder of runs itself keeps them.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -45,8 +45,6 @@ from hilcell.run.order import Release
 BOUNDS = ["name", BOUND, "u_x_mm", "u_y_mm", "u_z_mm"]
 TURN = "bound95_deg"  # where the calibration corrects orientation
 MEMORY = "corrected.csv"
-SAME_MM = 0.009  # numbers may have been rounded, to two decimals
-FAR = 4.0  # times that a correction moves a point: one that hardly moved is its nominal target
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +212,9 @@ class Released:
         """Raise `CorrectedBefore` where targets, in each frame (N, 3), are corrected ones."""
         folder = self.path.resolve().parent
         runs = [self.release.runs.resolve(), *([folder.parent] if is_run(folder) else [])]
-        folders = [each for place in dict.fromkeys(runs) for each in (place, *run_folders(place))]
-        refuse_known(folders, source.name, names, *targets_mm)
+        for place in dict.fromkeys(runs):
+            for each in (place, *run_folders(place)):
+                Memory(each).refuse(source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
         """Keep nominal and corrected points, each (N, 3), or return a warning why not."""
@@ -226,7 +225,7 @@ class Released:
         if folder.is_dir():
             try:
                 for nominal_mm, command_mm in points:
-                    note_corrected(folder, stamp.text, nominal_mm, command_mm)
+                    Memory(folder).note(stamp.text, nominal_mm, command_mm)
             except OSError as error:
                 why = f"{folder} cannot be written ({error.strerror})"
             else:
@@ -241,24 +240,29 @@ def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
     return cell.uncertainty.drill_offset_mm
 
 
-def note_corrected(folder: Path, stamp: str, nominal_mm: Array, command_mm: Array) -> None:
-    """Keep corrected points (N, 3), and how far each was moved; raises `OSError`."""
-    moved_mm = lengths_mm(command_mm - nominal_mm)
-    rows = np.column_stack([command_mm, moved_mm])[moved_mm >= FAR * SAME_MM]
-    with (folder / MEMORY).open("a", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(
-            [stamp, *(f"{value:.4f}" for value in row)] for row in rows.tolist()
-        )
+class Memory:
+    """Corrected points that a folder keeps: a list whose stamp was lost is known again by them."""
 
+    SAME_MM = 0.009  # numbers may have been rounded, to two decimals
+    FAR = 4.0  # times that a correction moves a point: one that hardly moved is its nominal target
 
-def refuse_known(
-    folders: Iterable[Path], source: str, names: list[str], *targets_mm: Array
-) -> None:
-    """Raise `CorrectedBefore` where targets (N, 3), in one frame or another, are corrected ones."""
-    for folder in folders:
-        stamps, known = _noted(folder / MEMORY)
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / MEMORY
+
+    def note(self, stamp: str, nominal_mm: Array, command_mm: Array) -> None:
+        """Keep corrected points (N, 3), and how far each was moved; raises `OSError`."""
+        moved_mm = lengths_mm(command_mm - nominal_mm)
+        rows = np.column_stack([command_mm, moved_mm])[moved_mm >= self.FAR * self.SAME_MM]
+        with self.file.open("a", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows(
+                [stamp, *(f"{value:.4f}" for value in row)] for row in rows.tolist()
+            )
+
+    def refuse(self, source: str, names: list[str], *targets_mm: Array) -> None:
+        """Raise `CorrectedBefore` where targets, in each frame (N, 3), are corrected ones."""
+        stamps, known = self._noted()
         for places_mm in targets_mm if stamps else ():
-            same, nearest = _same(known, places_mm)
+            same, nearest = self._same(known, places_mm)
             if not same.any():
                 continue
             which = ", ".join(names[n] for n in np.flatnonzero(same)[:MOST_LISTED])
@@ -269,36 +273,34 @@ def refuse_known(
                 "the nominal targets"
             )
 
+    def _same(self, known: Array, places_mm: Array) -> tuple[Bools, NDArray[np.intp]]:
+        """Return which of places (N, 3) are known points (K, 4), and the number of the nearest."""
+        from scipy.spatial import KDTree  # loads long, and few folders have corrected anything
 
-def _same(known: Array, places_mm: Array) -> tuple[Bools, NDArray[np.intp]]:
-    """Return which of places (N, 3) are known points (K, 4), and the number of the nearest."""
-    from scipy.spatial import KDTree  # loads long, and few folders have corrected anything
+        found = KDTree(known[:, :3]).query(places_mm)
+        same, nearest = np.asarray(found[0]) <= self.SAME_MM, np.asarray(found[1])
+        rounded_mm = 0.09  # or to one: then most of a list stands at points of before
+        far = np.flatnonzero(known[:, 3] >= self.FAR * rounded_mm)
+        if not same.any() and len(far):
+            off_mm, nearest_far = KDTree(known[far, :3]).query(places_mm)
+            rounded = np.asarray(off_mm) <= rounded_mm
+            if rounded.mean() >= 0.5:
+                return rounded, far[np.asarray(nearest_far)]
+        return same, nearest
 
-    found = KDTree(known[:, :3]).query(places_mm)
-    same, nearest = np.asarray(found[0]) <= SAME_MM, np.asarray(found[1])
-    rounded_mm = 0.09  # or to one: then most of a list stands at points of before
-    far = np.flatnonzero(known[:, 3] >= FAR * rounded_mm)
-    if not same.any() and len(far):
-        off_mm, nearest_far = KDTree(known[far, :3]).query(places_mm)
-        rounded = np.asarray(off_mm) <= rounded_mm
-        if rounded.mean() >= 0.5:
-            return rounded, far[np.asarray(nearest_far)]
-    return same, nearest
-
-
-def _noted(file: Path) -> tuple[list[str], Array]:
-    """Return a file's stamps, and points with their moves (N, 4), without lines cut by a crash."""
-    stamps, points = list[str](), list[list[float]]()
-    if file.is_file():
-        with file.open(encoding="utf-8", errors="replace", newline="") as lines:
-            for row in csv.reader(lines):
-                if len(row) != 5:
-                    continue
-                try:
-                    numbers = [float(value) for value in row[1:]]
-                except ValueError:
-                    continue
-                if np.isfinite(numbers).all():
-                    stamps.append(row[0])
-                    points.append(numbers)
-    return stamps, np.array(points).reshape(-1, 4)
+    def _noted(self) -> tuple[list[str], Array]:
+        """Return stamps, and points with their moves (N, 4), without lines cut by a crash."""
+        stamps, points = list[str](), list[list[float]]()
+        if self.file.is_file():
+            with self.file.open(encoding="utf-8", errors="replace", newline="") as lines:
+                for row in csv.reader(lines):
+                    if len(row) != 5:
+                        continue
+                    try:
+                        numbers = [float(value) for value in row[1:]]
+                    except ValueError:
+                        continue
+                    if np.isfinite(numbers).all():
+                        stamps.append(row[0])
+                        points.append(numbers)
+        return stamps, np.array(points).reshape(-1, 4)

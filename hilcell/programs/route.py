@@ -40,21 +40,19 @@ def route(points_mm: Array) -> Route:
     distance = cdist(points_mm, points_mm)
     first = _nearest_neighbours(distance)
     bound_mm = lower_bound(distance, first)
+
+    def along(order: Ints) -> Route:
+        travel_mm = float(distance[order[:-1], order[1:]].sum())
+        return Route(order, travel_mm, min(bound_mm, travel_mm))  # passed by rounding only
+
     if len(first) < 4:
-        return _route(distance, first, bound_mm)
+        return along(first)
     search = _Search(distance, first)
     order = search.run(good * bound_mm, first_kicks_per_hole)
-    found = _route(distance, order, bound_mm)
+    found = along(order)
     if found.travel_mm > far * bound_mm and len(order) <= most_cut:
         bound_mm = max(bound_mm, cut_bound(distance, order, found.travel_mm / far))
-    order = search.run(good * bound_mm, kicks_per_hole)
-    return _route(distance, order, bound_mm)
-
-
-def _route(distance: Array, order: Ints, bound_mm: float) -> Route:
-    """Return the route with its travel, which a bound may pass by rounding only."""
-    travel_mm = float(distance[order[:-1], order[1:]].sum())
-    return Route(order, travel_mm, min(bound_mm, travel_mm))
+    return along(search.run(good * bound_mm, kicks_per_hole))
 
 
 def _nearest_neighbours(distance: Array) -> Ints:
