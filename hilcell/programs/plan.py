@@ -206,7 +206,7 @@ def reach(
         turn[:, number] = room.argmax(axis=1)
         room_rad[:, number] = room.max(axis=1)
     ok = (room_rad >= 0.0) & _in_range(cell, holes)[:, None]
-    _refuse_unreached(cell, holes, stations, ok, served)
+    _Unreached(cell, holes, stations, served).refuse(ok)
     return Reach(ok, turn)
 
 
@@ -241,80 +241,89 @@ def _in_range(cell: Cell, holes: Holes) -> Bools:
     return (range_mm >= low) & (range_mm <= high)
 
 
-def _refuse_unreached(
-    cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools, served: Volume | None
-) -> None:
-    bad = np.flatnonzero(~ok.any(axis=1))
-    if len(bad):
-        why = (
-            f"{holes.names[n]}: {_why_not(cell, holes.one(n), stations, served)}"
-            for n in bad[:MOST_LISTED].tolist()
-        )
-        named = indented(why, len(bad))
-        count = counted(len(ok), "hole")
-        places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
-        hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
-        raise HilcellError(
-            f"{len(bad)} of {count} cannot be drilled from {places} in the robot's posture "
-            f"(robot.status = {cell.robot.status}):\n{named}\n"
-            f"{_act(holes, bad, stations, served)}{hint}",
-            code="HC-C10",
-        )
+@dataclass(frozen=True, slots=True)
+class _Unreached:
+    """Says why holes are drilled from none of the stations; ``served`` is what is corrected."""
 
+    cell: Cell
+    holes: Holes
+    stations: Sequence[Station]
+    served: Volume | None
 
-def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Volume | None) -> str:
-    if served is None:
+    def refuse(self, ok: Bools) -> None:
+        """Raise `HilcellError` with reasons where a hole is reached (N, S) from no station."""
+        holes, stations = self.holes, self.stations
+        bad = np.flatnonzero(~ok.any(axis=1))
+        if len(bad):
+            why = (
+                f"{holes.names[n]}: {self._why_not(holes.one(n))}"
+                for n in bad[:MOST_LISTED].tolist()
+            )
+            named = indented(why, len(bad))
+            count = counted(len(ok), "hole")
+            places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
+            hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
+            raise HilcellError(
+                f"{len(bad)} of {count} cannot be drilled from {places} in the robot's posture "
+                f"(robot.status = {self.cell.robot.status}):\n{named}\n"
+                f"{self._act(bad)}{hint}",
+                code="HC-C10",
+            )
+
+    def _act(self, bad: Ints) -> str:
+        served = self.served
+        if served is None:
+            return (
+                "move the part or the tracker, try --free stations, or another posture: --set "
+                "robot.status=N, 0 to 7"
+            )
+        names, poses = [each.name for each in self.stations], self.holes.reflector_poses()
+        if all(served.points_back(names, poses[n]) for n in bad.tolist()):
+            return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
         return (
-            "move the part or the tracker, try --free stations, or another posture: --set "
-            "robot.status=N, 0 to 7"
+            "move or turn the part, move the tracker, or calibrate a larger volume or in another "
+            "posture (robot.status)"
         )
-    names, poses = [each.name for each in stations], holes.reflector_poses()
-    if all(served.points_back(names, poses[n]) for n in bad.tolist()):
-        return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
-    return (
-        "move or turn the part, move the tracker, or calibrate a larger volume or in another "
-        "posture (robot.status)"
-    )
 
+    def _why_not(self, hole: Holes) -> str:
+        """Return why one hole is drilled from no station: out of reach, or not served there."""
+        cell, stations, served = self.cell, self.stations, self.served
+        names = [each.name for each in stations]
+        if served is not None and served.points_back(names, hole.reflector_poses()[0]):
+            return "its normal points into the part: turn it"
+        if served is not None and _in_range(cell, hole).all():
+            poses = hole.reflector_poses()[0]
+            rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
+            reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
+            if reached:
+                return served.refusal(reached, poses)
+        return self._reason(hole)
 
-def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Volume | None) -> str:
-    """Return why one hole is drilled from no station: out of reach, or reached and not served."""
-    names = [each.name for each in stations]
-    if served is not None and served.points_back(names, hole.reflector_poses()[0]):
-        return "its normal points into the part: turn it"
-    if served is not None and _in_range(cell, hole).all():
-        poses = hole.reflector_poses()[0]
-        rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
-        reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
-        if reached:
-            return served.refusal(reached, poses)
-    return _reason(cell, hole, stations)
-
-
-def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
-    """Return why one hole is reached from no station, where least is missing."""
-    range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
-    if not low <= range_mm <= high:
-        return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
-    arm, status = cell.robot.arm(), cell.robot.status
-    seen = hole.reflector_poses()[0]
-    poses = np.stack([_in_base(cell, station, seen) for station in stations])
-    excess_mm = reach_excess_mm(arm, poses, status)
-    if excess_mm.min() > 0:
-        at = int(excess_mm.min(axis=1).argmin())
-        return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
-    room = _room_rad(cell, poses)
-    best = int(room.argmax())
-    station = stations[best // room.shape[1]]
-    limits = cell.robot.margin_limits_rad
-    joints = inverse_kinematics(arm, poses.reshape(-1, 4, 4)[best], status)
-    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
-    worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
-    low, high = np.degrees(limits[:, worst])
-    return (
-        f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, wanted {low:.2f} .. "
-        f"{high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
-    )
+    def _reason(self, hole: Holes) -> str:
+        """Return why one hole is reached from no station, where least is missing."""
+        cell, stations = self.cell, self.stations
+        range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
+        if not low <= range_mm <= high:
+            return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
+        arm, status = cell.robot.arm(), cell.robot.status
+        seen = hole.reflector_poses()[0]
+        poses = np.stack([_in_base(cell, station, seen) for station in stations])
+        excess_mm = reach_excess_mm(arm, poses, status)
+        if excess_mm.min() > 0:
+            at = int(excess_mm.min(axis=1).argmin())
+            return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
+        room = _room_rad(cell, poses)
+        best = int(room.argmax())
+        station = stations[best // room.shape[1]]
+        limits = cell.robot.margin_limits_rad
+        joints = inverse_kinematics(arm, poses.reshape(-1, 4, 4)[best], status)
+        joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+        worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
+        low, high = np.degrees(limits[:, worst])
+        return (
+            f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, wanted {low:.2f} "
+            f".. {high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
+        )
 
 
 class Volume:
