@@ -54,7 +54,6 @@ class Swept(ActResult, frozen=True, kw_only=True):
 
     @property
     def lines(self) -> str:
-        """Return the lines in words."""
         pairs = zip(self.cycles, self.amplitude_urad, strict=True)
         return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
 
@@ -228,7 +227,6 @@ def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, 
 
 
 def cube_joints(cell: Cell) -> CubeJoints:
-    """Return the joints that the grid's cube takes."""
     grid, along_edge = grid_of(cell), 7  # places
     edges = np.linspace(grid.origin_mm, grid.far_mm, along_edge).T
     places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -244,7 +242,6 @@ def sweep_words(result: Result) -> str:
 
 
 def sweep_table(result: Result) -> Table:
-    """Return the swept axes with their lines, for a person to read."""
     return Table(
         [
             Column("axis", lambda row: f"A{row.axis}"),

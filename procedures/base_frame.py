@@ -101,7 +101,6 @@ class BaseFrame:
         session.frame("base", base)
 
     def result(self, log: Log) -> Result:
-        """Return the base."""
         frame = log.frame(MeasuredBase, "base")
         u = np.sqrt(np.diag(frame.C))
         found = FramedBase(
@@ -162,5 +161,4 @@ def check_circles(cell: Cell, station: Station) -> None:
 
 
 def sweeps(cell: Cell) -> Span:
-    """Return the span of both sweeps."""
     return flange_points(cell, np.vstack([sweep(cell, 1), sweep(cell, 6)]))

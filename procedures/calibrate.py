@@ -75,7 +75,6 @@ def words(result: Result) -> str:
 
 
 def station_table(result: Result) -> Table:
-    """Return the quality of each station's frame."""
     return Table(
         [
             Column("station", itemgetter(0)),

@@ -54,7 +54,6 @@ class Campaign:
         return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
 
     def perform(self, session: CellSession) -> None:
-        """Drive and measure."""
         session.reach("connect")
         rows = poses_of(session.cell)
         for pose, at in visits_of(rows):

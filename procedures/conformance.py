@@ -86,7 +86,6 @@ class GuardedRail:
         return self._session.devices.rail.settle()
 
     def read(self) -> RailReading:
-        """Read."""
         return self._session.devices.rail.read()
 
 
@@ -109,7 +108,6 @@ class GuardedRobot:
         return self._session.robot_to(joints_rad, "conformance")
 
     def read(self) -> RobotReading:
-        """Read."""
         return self._session.devices.robot.read()
 
 
@@ -122,7 +120,6 @@ class GuardedTracker:
             raise NeedsPerson("one reflector is carried by hand: nests stand empty")
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        """Measure."""
         return self._session.devices.tracker.measure(near_mm, reflector, samples)
 
 
@@ -132,7 +129,6 @@ class GuardedStreams(GuardedTracker):
     def stream(
         self, near_mm: Array, reflector: str, rate_hz: float
     ) -> AbstractContextManager[Stream]:
-        """Prepare a stream."""
         return streams_of(self._session.devices.tracker).stream(near_mm, reflector, rate_hz)
 
 
@@ -251,7 +247,6 @@ class Conformance:
 
 
 def conformance_table(result: Result) -> Table:
-    """Return one line a promise."""
     rows = [
         (port, each.promise, each.verdict, each.why)
         for port, outcomes in typed(result[NAME], dict[str, list[Outcome]]).items()

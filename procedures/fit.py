@@ -172,7 +172,6 @@ class SignCheck:
         return corrected(grid_of(log.cell), plan.poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> Result:
-        """Return both errors of the target."""
         return {"sign": sign_errors(log)}
 
     @staticmethod
@@ -189,7 +188,6 @@ class SignCheck:
 
 
 def sign_errors(log: Log) -> SignErrors:
-    """Return the errors of the target as sent and corrected."""
     points = [log.point(id) for id in IDS.values()]
     before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
     ratio = corrected_mm / before_mm
@@ -215,7 +213,6 @@ def _middle_mm(grid: Grid, cells: Array) -> Array:
 
 
 def sign_table(result: Result) -> Table:
-    """Return the target's error before and corrected."""
     return Table(
         [
             Column("before", attrgetter("before_mm"), "mm", ".4f"),

@@ -121,7 +121,6 @@ class PoseCycle:
             session.judge(ISO, judged)
 
     def result(self, log: Log) -> Result:
-        """Return the characteristics of every pose and of the distance."""
         return {ISO: evaluated(log)}
 
 

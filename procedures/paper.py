@@ -425,7 +425,6 @@ class Row:
     chosen: Figure | None = None
 
     def judged(self, log: Log, result: Experiments) -> PaperRow:
-        """Return the row as it is reported."""
         run = Compared(log, result)
         here = float(self.here(run))
         low, high = self.limits(run) if callable(self.limits) else self.limits
@@ -444,7 +443,6 @@ class Row:
 
 
 def criterion(low: float, high: float) -> str:
-    """Return the criterion in words."""
     if low == high:
         return f"= {low:.4g}"
     if np.isinf(high):
@@ -631,13 +629,11 @@ class PaperRows:
         """Do nothing: the rows are computed from the journal."""
 
     def result(self, log: Log) -> Result:
-        """Return the rows."""
         found = experiments(log)
         return {"rows": [row.judged(log, found) for row in rows_for(log)]}
 
 
 def experiments(log: Log) -> Experiments:
-    """Return the results of all experiments."""
     return typed(Procedure("experiments", "", EXPERIMENTS, paper_table).result(log), Experiments)
 
 
@@ -647,7 +643,6 @@ def rows_for(log: Log) -> list[Row]:
 
 
 def paper_table(result: Result) -> Table:
-    """Return the rows for a person to read."""
     return Table(
         [
             Column("row", attrgetter("row")),

@@ -221,7 +221,6 @@ def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
 
 
 def step(name: str, points: int, spans: Sequence[Span]) -> Step:
-    """Return the step that these spans make."""
     return Step(name, points, sum(span.duration_s for span in spans), tuple(spans))
 
 

@@ -42,7 +42,6 @@ class RailSurvey:
     yields = "the error both ways, backlash, scale, straightness, yaw, pitch and roll"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
         stops = 2 * len(steps_mm(cell))
         points = stops * (1 + len(cell.layout.slide))
         seconds = points * measure_s(cell, cell.nest_samples)
@@ -75,7 +74,6 @@ class RailSurvey:
             session.slide_now(id, id.nest)
 
     def result(self, log: Log) -> Result:
-        """Return the survey's figures."""
         return {"rail_survey": surveyed(log)}
 
 
@@ -140,7 +138,6 @@ def angles_mrad(log: Log, along: Array) -> dict[str, list[float]]:
 
 
 def survey_table(result: Result) -> Table:
-    """Return the survey's figures for a person to read."""
     survey = typed(result["rail_survey"], SurveyedRail)
     backlash, scale = survey.backlash_mm, survey.scale_ppm
     rows: list[tuple[str, float, float | None, str]] = [
@@ -179,7 +176,6 @@ class HoldStation:
     yields = "a held station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
         return step(self.name, 0, first_hold(cell, cell.reference))
 
     def perform(self, session: CellSession) -> None:
@@ -230,7 +226,6 @@ class StationRepeatability:
     yields = "range, repeatability and backlash without and with the strip"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
         station = cell.reference
         away_s = rail_move_s(cell, APPROACH_MM)
         by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)

@@ -67,7 +67,6 @@ class Recheck:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Keep the calibration, measure, judge."""
         cell = session.cell
         calibration = use(session, TABLE)
         station = cell.reference
@@ -97,7 +96,6 @@ class Recheck:
         )
 
     def result(self, log: Log) -> Result:
-        """Return the judgement and its figures."""
         return {KIND: recheck_result(log)}
 
 

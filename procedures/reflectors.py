@@ -56,7 +56,6 @@ class Reflectors:
             session.judge(self.name, judged)
 
     def result(self, log: Log) -> Result:
-        """Return each reflector against the others."""
         rows = [
             msgspec.to_builtins(each) | {"holds": each.holds} for each in compared_reflectors(log)
         ]
@@ -69,7 +68,6 @@ class Reflectors:
 
 
 def reflector_table(result: Result) -> Table:
-    """Return the reflectors for a person to read."""
     return Table(
         [
             Column("reflector of", attrgetter("place")),

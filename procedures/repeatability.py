@@ -55,7 +55,6 @@ class Repeatability:
 
 
 def visits_of(cell: Cell) -> int:
-    """Return how often each place is visited."""
     return 5 if cell.plan.quick else VISITS
 
 

@@ -163,6 +163,5 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
 
 
 def suspicion_words(result: Result) -> str:
-    """Return what is suspected, in words."""
     found = suspected_in(result)
     return "\n".join(f"Suspected: {each.text}. {each.cause.advice}" for each in found)

@@ -73,7 +73,6 @@ class RobotGrid:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Measure every vertex."""
         cell, station = session.cell, session.cell.reference
         vertices_mm, ids = grid_of(cell).serpentine_mm(), vertex_ids(grid_of(cell))
         T_W_B = session.frames.base_in_world(station)

@@ -181,7 +181,6 @@ def three_point(session: CellSession, station: Station, nest: Nest) -> Point:
 
 
 def slide_id(station: Station, nest: Nest) -> PointId:
-    """Return the identity of a slide nest's point at a station."""
     return PointId("slide", station=station.name, nest=nest.name)
 
 
@@ -332,7 +331,6 @@ class FrameRepeatability:
         return plan.step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
 
     def perform(self, session: CellSession) -> None:
-        """Visit every station."""
         for station in session.cell.station:
             if f"base.{station.name}" not in session.log.frames:
                 self._frame(session, station)
@@ -392,7 +390,6 @@ class FrameRepeatability:
 
 
 def frame_repeatability_table(result: Result) -> Table:
-    """Return the distances in both frames, point by point, and the ratio."""
     found = typed(result["frame_repeatability"], FramesRepeated)
     rows: list[tuple[str, float | None, float | None]] = [
         (f"{name}, point {n}", *both)

@@ -86,7 +86,6 @@ class TargetPass:
         session.judge("targets", replace(found, holds=holds))
 
     def result(self, log: Log) -> Result:
-        """Return errors as found, and how far they are folded in."""
         found = targets_result(log)
         return {KIND: msgspec.to_builtins(found) | {"text": found.text}}
 
@@ -128,7 +127,6 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
 
 
 def targets_table(result: Result) -> Table:
-    """Return the worst targets' errors as found."""
     found, most = typed(result[KIND], TargetsResult).targets, 20
     return Table(
         [

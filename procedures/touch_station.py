@@ -244,7 +244,6 @@ def station_of(cell: Cell) -> Station:
 
 
 def touch_table(result: Result) -> Table:
-    """Return by how much the base was moved, and its uncertainty before and after."""
     return Table(
         [
             Column("station", itemgetter(0)),

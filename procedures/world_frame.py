@@ -36,11 +36,9 @@ class Home:
     yields = "a referenced drive"
 
     def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step."""
         return Step(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))
 
     def perform(self, session: CellSession) -> None:
-        """Reference the drive."""
         session.reach("connect")
         if not (session.reached("referenced") and session.rail_referenced()):
             self.home_rail(session)

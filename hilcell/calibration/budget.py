@@ -347,17 +347,14 @@ class Coverage:
 
     @property
     def inside(self) -> int:
-        """How many errors keep their bounds."""
         return int(np.count_nonzero(self.errors_mm <= self.bounds_mm))
 
     @property
     def share(self) -> float:
-        """Return the share of errors inside their bounds."""
         return self.inside / len(self)
 
     @property
     def figures(self) -> TargetBounds:
-        """Return the share inside, mean and largest bound."""
         mean_mm, max_mm = float(self.bounds_mm.mean()), float(self.bounds_mm.max())
         return TargetBounds(coverage=self.share, mean_mm=mean_mm, max_mm=max_mm)
 

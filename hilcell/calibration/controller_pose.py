@@ -34,7 +34,6 @@ class Deviation(NamedTuple):
 
     @property
     def off_mm(self) -> float:
-        """Return the length of the shift."""
         return float(np.linalg.norm(self.shift_mm))
 
     @property

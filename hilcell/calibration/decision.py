@@ -39,7 +39,6 @@ NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
 
 
 def limits_of(cell: Cell) -> Limits:
-    """Return the limits that a cell states."""
     stated = cell.validation
     return Limits(stated.mean_tolerance_mm, stated.max_tolerance_mm, stated.max_tolerance_deg)
 

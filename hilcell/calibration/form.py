@@ -88,7 +88,6 @@ class TargetPass(msgspec.Struct, frozen=True):
     common: list[list[float]]
 
     def without(self, names: Collection[str]) -> TargetPass:
-        """Return the pass without some targets."""
         kept = [n for n, name in enumerate(self.names) if name not in names]
         return msgspec.structs.replace(
             self,
@@ -99,7 +98,6 @@ class TargetPass(msgspec.Struct, frozen=True):
         )
 
     def measured(self) -> Pass:
-        """Return the pass as arrays."""
         return Pass(
             poses_from_zyx(np.array(self.poses, dtype=float).reshape(-1, 6)),
             np.array(self.remainders_mm, dtype=float).reshape(-1, 3),
@@ -115,7 +113,6 @@ class Targets(msgspec.Struct, frozen=True):
     passes: list[TargetPass]
 
     def remainder(self) -> Remainder:
-        """Return what is known of the model's error."""
         return Remainder([each.measured() for each in self.passes], self.variance_mm2)
 
 
@@ -176,11 +173,9 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
         return model if self.targets is None else WithRemainder(model, self.targets.remainder())
 
     def learnt_model(self) -> ErrorModel:
-        """Return the model as learnt."""
         errors_mm = np.array(self.grid_errors_mm)
         return MODELS[self.model.name].restore(self.grid(), errors_mm, self.model.parameters)
 
 
 def written_now() -> str:
-    """Return the time as the file states it."""
     return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"

@@ -114,7 +114,6 @@ class BothFaces(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return it in words."""
         worst = max(self.nests, key=lambda each: each.off_mm)
         return (
             f"half the difference of both faces is {worst.off_mm:.3f} mm at most, at {worst.nest}, "

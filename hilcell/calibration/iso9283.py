@@ -400,7 +400,6 @@ class _Evaluation:
 
 
 def evaluated(log: Log) -> PoseTest:
-    """Return the test's conditions and results."""
     cell, clouds, used, celsius = log.cell, attained(log), calibration_in(log), log.temperatures_c()
     table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
     own = _Evaluation(log)

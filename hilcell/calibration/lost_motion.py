@@ -60,7 +60,6 @@ class Reversal(msgspec.Struct, frozen=True):
 
     @property
     def verdict(self) -> LostMotionJudged:
-        """Return it judged."""
         return LostMotionJudged(
             holds=self.holds,
             mean_mm=float(np.mean(self.off_mm)),

@@ -72,7 +72,6 @@ class Turned:
 
     @property
     def figures(self) -> Turns:
-        """Return mean, p95 and maximum."""
         found = figures_of(self.angles_deg)
         return Turns(mean_deg=found.mean, p95_deg=found.p95, max_deg=found.max)
 

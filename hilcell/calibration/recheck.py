@@ -95,7 +95,6 @@ class ChiSquare(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether it keeps its limit."""
         return self.chi2 <= self.limit
 
 
@@ -128,7 +127,6 @@ class Judgement:
 
     @property
     def verdict(self) -> Verdict:
-        """Return what to do with the calibration."""
         if not self.rest.holds:
             return "redo"
         return "valid" if self.moved.holds else "update"

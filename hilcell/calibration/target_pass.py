@@ -98,7 +98,6 @@ class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def text(self) -> str:
-        """Return the result as a technician reads it."""
         begin = (
             f"With calibration {self.calibration}, {self.points} targets at {self.station} are "
             f"{self.as_found['mean']:.3f} mm off in the mean and {self.as_found['max']:.3f} mm at "
@@ -157,7 +156,6 @@ def targets_result(log: Log) -> TargetsResult:
 
 
 def judged_pass(log: Log) -> Judged:
-    """Return the decision on the errors as found."""
     return judged_errors(log, _errors_mm(log))
 
 

@@ -40,13 +40,11 @@ class Nominal(LearntModel):
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
-        """Return the model as `parameters` keeps it."""
         model = super().restore(grid, errors_mm, parameters)
         check_covariance("covariance_mm2", model.covariance_mm2, (3, 3))
         return model
 
     def predict(self, poses: Array) -> Prediction:
-        """Return no error at poses (N, 4, 4)."""
         count = len(poses)
         return Prediction(np.zeros((count, 3)), np.broadcast_to(self.covariance_mm2, (count, 3, 3)))
 

@@ -90,7 +90,6 @@ class Interpolation(LearntModel):
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
-        """Return the model as `parameters` keeps it."""
         try:
             found = typed(parameters, Parameters)
             vertices = np.array(found.vertex_covariance_mm2, dtype=float)
@@ -105,7 +104,6 @@ class Interpolation(LearntModel):
         return cls(MeasuredGrid(grid, errors_mm, vertices), residual)
 
     def parameters(self) -> Json:
-        """Return both covariances."""
         return {
             "vertex_covariance_mm2": self.lattice.covariance_mm2.tolist(),
             "residual_covariance_mm2": self.residual_mm2.tolist(),
@@ -160,7 +158,6 @@ class Trilinear(Interpolation):
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
-        """Return the model of the measured grid."""
         return cls.of_grid(measured.grid)
 
     @staticmethod

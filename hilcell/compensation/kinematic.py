@@ -180,7 +180,6 @@ class Kinematic(LearntModel):
         return Prediction(error_mm, covariance_mm2[:, 0], turn)
 
     def parameters(self) -> Json:
-        """Return the identified robot."""
         arm, robot = self.robot.arm, self.robot
         placed = self.kinematics.placed
         entry = Parameters(

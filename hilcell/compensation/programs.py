@@ -152,7 +152,6 @@ def statuses_of(program: object, expected: int) -> Sequence[tuple[str, int]]:
 
 
 def stands_in_root(program: object) -> bool:
-    """Whether the targets of a program stand in {B}."""
     return isinstance(program, InRoot) and program.in_root
 
 

@@ -52,7 +52,6 @@ class CsvText:
 
     @property
     def header(self) -> list[str]:
-        """Return the fields of the first line as they stand."""
         return self.rows[0][1] if self.rows else []
 
     def surplus(self, count: int, wanted: int) -> str:

@@ -150,7 +150,6 @@ class Released:
         return "unknown" if self.standing is None else self.standing.state
 
     def notes(self) -> Iterator[str]:
-        """Yield the warnings for the user of the output."""
         made = self.calibration.provenance
         yield from (f"accepted although {reason}" for reason in self.accepted)
         if self.standing is None:
@@ -167,7 +166,6 @@ class Released:
             )
 
     def stamp(self, station: str) -> Stamp:
-        """Return the stamp of targets that are corrected now."""
         made = self.calibration.provenance
         remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
         if self.standing is None:

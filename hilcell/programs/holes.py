@@ -44,7 +44,6 @@ class Holes:
         return np.asarray(-self.tools[:, 0, :, 2])
 
     def one(self, number: int) -> Holes:
-        """Return one of the holes."""
         some = slice(number, number + 1)
         return replace(
             self, names=self.names[some], points_mm=self.points_mm[some], tools=self.tools[some]

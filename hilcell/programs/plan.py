@@ -338,7 +338,6 @@ class Volume:
 
     @property
     def stations(self) -> list[str]:
-        """Return the names of the calibrated stations."""
         return list(self._bases)
 
     def orientation(self, station: str) -> Array:

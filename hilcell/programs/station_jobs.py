@@ -253,7 +253,6 @@ class StationJobs:
 
     @property
     def table(self) -> Table:
-        """Return a row a station."""
         rows = [
             (
                 each.plan.station.name,
@@ -269,7 +268,6 @@ class StationJobs:
 
     @property
     def summary(self) -> dict[str, object]:
-        """Return the facts of all stations, for `SUMMARY`."""
         made = self.released.calibration.provenance
         return {
             "calibration": made.latest,
@@ -321,7 +319,6 @@ class StationJobs:
         ]
 
     def sheet(self) -> Sheet:
-        """Return the sheet for the shop floor."""
         made = self.released.calibration.provenance
         count, places = sum(len(each.plan.holes) for each in self.stations), len(self.stations)
         bounds = [each.targets.bounds for each in self.stations]
@@ -547,6 +544,5 @@ class Sheet:
 
 
 def sheet_html(sheet: Sheet) -> str:
-    """Return the page."""
     page = environment("hilcell.programs").get_template("sheet.html.j2")
     return page.render(sheet=sheet, version=__version__)

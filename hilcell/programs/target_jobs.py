@@ -179,7 +179,6 @@ class StationTargets(TargetFiles):
 
     @property
     def summary(self) -> dict[str, object]:
-        """Return the facts of the job."""
         return {
             "calibration": self.released.calibration.provenance.latest,
             "station": self.targets.stamp.station,
