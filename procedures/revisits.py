@@ -128,13 +128,6 @@ class Revisits:
         return point is None or overtaken(log, point)
 
 
-def _chosen(cell: Cell) -> list[int]:
-    """Return the numbers of the vertices in their order of visit: the first, and evenly on."""
-    count = len(grid_of(cell).serpentine_mm())
-    wanted = min(3 if cell.plan.quick else 12, count)
-    return [n * count // wanted for n in range(wanted)]
-
-
 def visits(cell: Cell, kind: str) -> list[Visit]:
     """Return the poses in their order.
 
@@ -145,7 +138,9 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     joints_rad = joints_for(cell, vertices_mm)
     beyond_rad = joints_rad + np.radians(cell.robot.approach_deg)
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
-    numbers, ids = _chosen(cell), vertex_ids(grid_of(cell))
+    count, ids = len(vertices_mm), vertex_ids(grid_of(cell))
+    wanted = min(3 if cell.plan.quick else 12, count)
+    numbers = [n * count // wanted for n in range(wanted)]  # the first, and evenly on
     sides = [n for n in numbers if free[n] and kind == REVISIT][:4]
     found = list[Visit]()
     if kind == REVISIT:  # ends of the base frame's sweeps; in a quick plan where it began

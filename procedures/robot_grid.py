@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Self
 
 import numpy as np
 
@@ -204,21 +205,12 @@ def choice(log: Log, joints_rad: Array) -> Design:
     model = Kinematic.learn(measured)
     reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
     return design(
-        _rows_of(model, joints_rad, reading_mm2),
-        _rows_of(model, judged_rad(cell), np.zeros((3, 3))),
+        Rows.of(model, joints_rad, reading_mm2),
+        Rows.of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
         bound_mm=cell.plan.bound_mm,
         counts=cell.plan.pose_counts,
     )
-
-
-def _rows_of(model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Rows:
-    """Return the reflector's positions at joints (N, 6) as rows, read with a covariance (3, 3)."""
-    found = model.kinematics.linearised(model.state, joints_rad)
-    one = (len(joints_rad), 1)
-    own_mm2 = np.broadcast_to(reading_mm2, (*one, 3, 3))
-    noise_mm2 = model.noise.covariance(found.by_joint[:, :1], own_mm2, np.ones(one, dtype=bool))
-    return Rows(found.by_parameter[:, 0], noise_mm2)
 
 
 def candidates_rad(cell: Cell) -> Array:
@@ -264,6 +256,15 @@ class Rows:
 
     by_parameter: Array
     noise_mm2: Array
+
+    @classmethod
+    def of(cls, model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Self:
+        """Return the reflector's positions at joints (N, 6), read with a covariance (3, 3)."""
+        found = model.kinematics.linearised(model.state, joints_rad)
+        one = (len(joints_rad), 1)
+        own_mm2 = np.broadcast_to(reading_mm2, (*one, 3, 3))
+        noise_mm2 = model.noise.covariance(found.by_joint[:, :1], own_mm2, np.ones(one, dtype=bool))
+        return cls(found.by_parameter[:, 0], noise_mm2)
 
     def covariance_mm2(self, covariance: Array) -> Array:
         """Return the positions' covariances (M, 3, 3) by that of the parameters (P, P)."""

@@ -270,16 +270,11 @@ def check_accepted(cell: Cell, station: Station, fit: RigidFit) -> float:
 
 def pair_noise_mm2(log: Log, station: Station) -> Array:
     """Return the covariances (N, 3, 3) in {W} of each nest at the station less at the reference."""
-    return _noise_mm2(log, station) + _noise_mm2(log, log.cell.reference)
-
-
-def _noise_mm2(log: Log, station: Station) -> Array:
-    """Return the covariances (N, 3, 3) in {W} of the averaged slide points.
-
-    The noise is what all readings of the run so far have shown, at the nest.
-    """
-    R = log.matrix("world")[:3, :3]
-    return R @ noise_at(run_noise(log), slide_points(log, station)) @ R.T
+    R, noise = log.matrix("world")[:3, :3], run_noise(log)  # of all readings of the run so far
+    there_mm2, here_mm2 = (
+        R @ noise_at(noise, slide_points(log, each)) @ R.T for each in (station, log.cell.reference)
+    )
+    return there_mm2 + here_mm2
 
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:

@@ -343,21 +343,20 @@ def targets(cell: Cell, seed: int) -> dict[str, Array]:
     if cell.plan.quick:
         low_mm, high_mm = grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM
         return enough_targets.octant_targets(cell, seed, low_mm, high_mm)
+
+    def draw(cells: list[tuple[int, ...]]) -> Array:
+        inside = rng.uniform(size=(len(cells), 3))
+        low = grid.origin_mm + np.array(cells) * grid.pitch_mm
+        faces = (grid.origin_mm, grid.origin_mm + np.array(cell.grid.size_mm))
+        drawn: Array = low + inside * grid.pitch_mm
+        return np.clip(drawn, faces[0] + MARGIN_MM, faces[1] - MARGIN_MM)
+
     cells = list(product(*(range(count - 1) for count in grid.shape)))
     reference, *others = (station.name for station in plan.stations_in_order(cell))
-    drawn = {reference: _draw(rng, cell, cells * cell.validation.per_cell)}
+    drawn = {reference: draw(cells * cell.validation.per_cell)}
     for number, name in enumerate(others):
         share = cell.validation.others // len(others)
         share += number < cell.validation.others % len(others)
         rounds = -(-share // len(cells))
-        drawn[name] = _draw(rng, cell, (cells * rounds)[:share])
+        drawn[name] = draw((cells * rounds)[:share])
     return drawn
-
-
-def _draw(rng: np.random.Generator, cell: Cell, cells: list[tuple[int, ...]]) -> Array:
-    grid = grid_of(cell)
-    inside = rng.uniform(size=(len(cells), 3))
-    low = grid.origin_mm + np.array(cells) * grid.pitch_mm
-    faces = (grid.origin_mm, grid.origin_mm + np.array(cell.grid.size_mm))
-    drawn: Array = low + inside * grid.pitch_mm
-    return np.clip(drawn, faces[0] + MARGIN_MM, faces[1] - MARGIN_MM)

@@ -140,16 +140,20 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
     causes = patterns(arm, series.joints_rad)
     whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(series.covariance_mm2)), dtype=float)
     white = (whitening @ series.off_mm[:, :, None]).ravel()
+
+    def whitened(columns: Array) -> Array:
+        return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
+
     moves, known = _nuisances(series, arm)
     left = _of_model(forward(arm, series.joints_rad)[:, :3, 3], causes)
-    B = _whitened(whitening, np.dstack([moves, left]))
+    B = whitened(np.dstack([moves, left]))
     prior = np.eye(B.shape[1])
     prior[: len(known), : len(known)] = known
     kept = np.linalg.solve(np.eye(len(prior)) + prior @ B.T @ B, prior)
     found = []
     for cause in causes:
         moved = cause.columns.reshape(len(series.share), 3, -1) * series.share[:, None, None]
-        D = _whitened(whitening, moved)
+        D = whitened(moved)
         across = B.T @ D
         information = D.T @ D - across.T @ kept @ across
         pull = D.T @ white - across.T @ kept @ (B.T @ white)
@@ -166,10 +170,6 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
     unit = f"{cause.unit} over the run, as of {cause.cause}"
     poses_in_order = "all poses of the run, in their order"
     return Suspicion(Cause.DRIFT, cause.factor * size, unit, poses_in_order)
-
-
-def _whitened(whitening: Array, columns: Array) -> Array:
-    return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
 
 
 def _nuisances(series: Series, arm: Arm) -> tuple[Array, Array]:

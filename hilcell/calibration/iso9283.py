@@ -471,19 +471,19 @@ def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles
 
 def interruptions(log: Log) -> Iterator[str]:
     """Yield in what the cycles were no steady course: stops and pauses between two visits."""
+
+    def times(count: int) -> str:
+        return "once" if count == 1 else f"{count} times"
+
     visits = log.select(ISO)
     sessions = len({point.session for point in visits})
     if sessions > 1:
         held = "; the slide was held again, its slip is in RP" if log.cell.has_rail else ""
-        yield f"the cycles were interrupted {_times(sessions - 1)} and resumed{held}"
+        yield f"the cycles were interrupted {times(sessions - 1)} and resumed{held}"
     places = [log.recorded(point) for point in visits]
     paused = ("paused", "suspended")  # states of a run
     pauses = sum(
         change.to in paused and min(places) < change.seq < max(places) for change in log.life
     )
     if pauses:
-        yield f"the cycles were paused {_times(pauses)}, the robot at rest meanwhile"
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
+        yield f"the cycles were paused {times(pauses)}, the robot at rest meanwhile"

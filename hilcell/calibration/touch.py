@@ -53,14 +53,14 @@ def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     slide_mm = np.array([nest.xyz_mm for nest in cell.layout.slide]).reshape(-1, 3)
     floor_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
     nests_mm = np.vstack([floor_mm, apply(T_W_B, slide_mm)])
-    places, nests = (_directions(cell, each) for each in (apply(T_W_B, points_mm), nests_mm))
+
+    def directions(world_mm: Array) -> Array:
+        seen_mm = apply(inverse(cell.tracker.pose.matrix()), world_mm)
+        return np.asarray(seen_mm / np.linalg.norm(seen_mm, axis=1, keepdims=True))
+
+    places, nests = directions(apply(T_W_B, points_mm)), directions(nests_mm)
     chords = np.linalg.norm(places[:, None] - nests[None], axis=-1)
     return np.asarray(~(chords.min(axis=1) > 2.0 * np.sin(apart_rad / 2.0)))
-
-
-def _directions(cell: Cell, world_mm: Array) -> Array:
-    seen_mm = apply(inverse(cell.tracker.pose.matrix()), world_mm)
-    return np.asarray(seen_mm / np.linalg.norm(seen_mm, axis=1, keepdims=True))
 
 
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
