@@ -74,49 +74,49 @@ class Proofs:
     seen_s: Array  # from look to look
     said: Array  # the way by the drive's speeds
 
+    @staticmethod
+    def _sums(values: Array) -> Array:
+        """Return the sum of each value and those behind it."""
+        return np.cumsum(values[::-1])[::-1]
 
-def proofs(since_s: Array, until_s: Array, position: Array, speed: Array) -> Proofs:
-    """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
+    @staticmethod
+    def _tops(values: Array) -> Array:
+        """Return the largest of each value and those behind it."""
+        return np.maximum.accumulate(values[::-1])[::-1]
 
-    ``speed`` is signed, as the drive says it; units are the caller's.
-    """
-    steps, size = np.diff(position), np.abs(speed)
-    forward = speed * np.sign(speed[-1])
-    seen_s = np.diff(until_s)
-    count = len(position) - 2
-    return Proofs(
-        gone=np.abs(_sums(steps) - _jumps(steps))[:count],
-        path=_sums(np.abs(steps))[:count],
-        at_least_s=np.maximum(0.0, since_s[-1] - until_s)[:count],
-        at_most_s=(until_s[-1] - since_s)[:count],
-        between_s=_tops(until_s - since_s)[:count],
-        slowest=np.maximum(0.0, -_tops(-forward))[:count],
-        fastest=_tops(size)[:count],
-        seen_s=_sums(seen_s)[:count],
-        said=_sums(seen_s * (size[1:] + size[:-1]) / 2)[:count],
-    )
+    @staticmethod
+    def _jumps(steps: Array) -> Array:
+        """Return by how much the largest of each step and those behind it exceeds the next one."""
+        found, largest, size, next_size = [], 0.0, 0.0, 0.0
+        for step in steps[::-1].tolist():
+            if abs(step) > size:
+                largest, size, next_size = step, abs(step), size
+            else:
+                next_size = max(next_size, abs(step))
+            found.append(math.copysign(size - next_size, largest))
+        return np.array(found[::-1])
 
+    @classmethod
+    def of(cls, since_s: Array, until_s: Array, position: Array, speed: Array) -> Proofs:
+        """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
 
-def _sums(values: Array) -> Array:
-    """Return the sum of each value and those behind it."""
-    return np.cumsum(values[::-1])[::-1]
-
-
-def _tops(values: Array) -> Array:
-    """Return the largest of each value and those behind it."""
-    return np.maximum.accumulate(values[::-1])[::-1]
-
-
-def _jumps(steps: Array) -> Array:
-    """Return by how much the largest of each step and those behind it exceeds the next one."""
-    found, largest, size, next_size = [], 0.0, 0.0, 0.0
-    for step in steps[::-1].tolist():
-        if abs(step) > size:
-            largest, size, next_size = step, abs(step), size
-        else:
-            next_size = max(next_size, abs(step))
-        found.append(math.copysign(size - next_size, largest))
-    return np.array(found[::-1])
+        ``speed`` is signed, as the drive says it; units are the caller's.
+        """
+        steps, size = np.diff(position), np.abs(speed)
+        forward = speed * np.sign(speed[-1])
+        seen_s = np.diff(until_s)
+        count = len(position) - 2
+        return cls(
+            gone=np.abs(cls._sums(steps) - cls._jumps(steps))[:count],
+            path=cls._sums(np.abs(steps))[:count],
+            at_least_s=np.maximum(0.0, since_s[-1] - until_s)[:count],
+            at_most_s=(until_s[-1] - since_s)[:count],
+            between_s=cls._tops(until_s - since_s)[:count],
+            slowest=np.maximum(0.0, -cls._tops(-forward))[:count],
+            fastest=cls._tops(size)[:count],
+            seen_s=cls._sums(seen_s)[:count],
+            said=cls._sums(seen_s * (size[1:] + size[:-1]) / 2)[:count],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class SpeedGuard:
         self._looks.append((self._before_s, now_s, position, speed))
         self._before_s, self._now_s = self._now_s, now_s
         if len(self._looks) > 2:
-            self._found = proofs(*np.array(self._looks, dtype=float).T)
+            self._found = Proofs.of(*np.array(self._looks, dtype=float).T)
 
     def contradiction(self) -> Speeds | None:
         """Return the speeds of a window in which 606Ch says another one than the positions."""

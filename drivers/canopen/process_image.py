@@ -33,7 +33,6 @@ REPLY_S = 0.2  # of link time
 STALE_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
-DISABLED, NO_RTR = 1 << 31, 1 << 30
 NO_MODE = 0  # of CiA 402: no mode assigned
 
 
@@ -48,6 +47,8 @@ class Transmission(IntEnum):
 @dataclass(frozen=True, slots=True)
 class Mapping:
     """One PDO: its parameter objects, identifier, transmission type and mapped objects."""
+
+    DISABLED, NO_RTR = 1 << 31, 1 << 30
 
     communication: int  # 14xxh or 18xxh
     mapping: int  # 16xxh or 1Axxh
@@ -74,8 +75,8 @@ class Mapping:
             held = sdo.read(parameters, 1)
         except Aborted as refusal:
             raise Unsupported(refusal, f"{parameters:04X}h ({what})") from refusal
-        cob_id = held & NO_RTR | self.cob_id
-        fixed = sdo.offer(parameters, 1, DISABLED | cob_id)
+        cob_id = held & self.NO_RTR | self.cob_id
+        fixed = sdo.offer(parameters, 1, self.DISABLED | cob_id)
         if fixed is not None and held != cob_id:
             raise Unsupported(fixed, f"{parameters:04X}h:01 ({what})")
         self._map(sdo)

@@ -5,7 +5,7 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.process_image import DISABLED, NO_RTR, Mapping, Transmission
+from drivers.canopen.process_image import Mapping, Transmission
 from drivers.canopen.sdo import SdoChannel
 
 PDO = Mapping(
@@ -39,12 +39,12 @@ class Objects:
         self.write(index, sub, value)
 
 
-@pytest.mark.parametrize("kept", [0, NO_RTR])
+@pytest.mark.parametrize("kept", [0, Mapping.NO_RTR])
 def test_a_pdo_is_off_while_it_is_mapped(kept: int) -> None:
     objects = Objects(kept | 0x123)
     PDO.configure(cast("SdoChannel", objects))
     assert objects.written == [
-        (0x1801, 1, DISABLED | kept | 0x285),
+        (0x1801, 1, Mapping.DISABLED | kept | 0x285),
         (0x1A01, 0, 0),
         (0x1A01, 1, 0x606C0020),
         (0x1A01, 2, 0x60610008),

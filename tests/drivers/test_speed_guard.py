@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from drivers.canopen.motion_guard import SpeedGuard, Speeds, proofs
+from drivers.canopen.motion_guard import Proofs, SpeedGuard, Speeds
 from hilcell.ports import Array
 from tests.whole.bench import sweep
 
@@ -165,7 +165,7 @@ def test_a_speed_that_is_no_number_is_a_contradiction() -> None:
 def test_durations_lie_between_the_looks() -> None:
     since_s, until_s = np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0, 5.0])
     position, speed = np.array([0.0, 1.0, 3.0, 2.5]), np.array([1.0, -1.0, 2.0, 3.0])
-    found = proofs(since_s, until_s, position, speed)
+    found = Proofs.of(since_s, until_s, position, speed)
 
     def values(each: Array) -> list[float]:
         return [float(value) for value in each]

@@ -323,6 +323,16 @@ class Modal(NamedTuple):
         found = self.base, self.tool, *(self.form or (None, None))
         return tuple(None if each is None else each.frame for each in found)
 
+    def applied(self, line: int) -> Modal:
+        """Return base and tool as FDAT_ACT has them, by the statement that changed them."""
+        if self.form is None:
+            return self
+        base, tool = (
+            before if before is not None and before.same(each) else each._replace(line=line)
+            for before, each in zip((self.base, self.tool), self.form, strict=True)
+        )
+        return self._replace(base=base, tool=tool)
+
 
 def check_modal(
     file: str, blocks: Mapping[str, Sequence[Statement]], frames: FrameRule
@@ -367,22 +377,11 @@ def _set(frames: FrameRule, line: int, state: Modal) -> Modal:
         if what == RESET:
             state = Modal(form=state.form)
         elif what == FORM:
-            state = _applied(state._replace(form=frames.of_form(str(value), line)), line)
+            state = state._replace(form=frames.of_form(str(value), line)).applied(line)
         elif what == APPLY and (state.form or state.base or state.tool):
-            state = _applied(state._replace(form=state.form or frames.of_form("", line)), line)
+            state = state._replace(form=state.form or frames.of_form("", line)).applied(line)
         elif isinstance(value, Stated) and what == "base":
             state = state._replace(base=value)
         elif isinstance(value, Stated):
             state = state._replace(tool=value)
     return state
-
-
-def _applied(state: Modal, line: int) -> Modal:
-    """Return base and tool as FDAT_ACT has them, by the statement that changed them."""
-    if state.form is None:
-        return state
-    base, tool = (
-        before if before is not None and before.same(each) else each._replace(line=line)
-        for before, each in zip((state.base, state.tool), state.form, strict=True)
-    )
-    return state._replace(base=base, tool=tool)
