@@ -28,7 +28,7 @@ from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
 from hilcell.present.renderers import width_of
 from hilcell.present.table import Column, Table
-from hilcell.report.comparison import CHANGES, Setting, compare_runs, figure_words, where_words
+from hilcell.report.comparison import CHANGES, Setting, compare_runs
 from hilcell.report.facts import Facts, read_facts
 from hilcell.run.cell_lock import lock_of_name, locked
 from hilcell.run.procedure import Procedure
@@ -250,7 +250,7 @@ def compare(args: Compare) -> int:
     if args.json:
         changes = [
             msgspec.to_builtins(each)
-            | {"verdict": each.verdict, "where": where_words(each), "figure": figure_words(each)}
+            | {"verdict": each.verdict, "where": each.where, "figure": each.figure}
             for each in found.changes
         ]
         head: Json = {"first": names[0], "second": names[1], "verdict": found.verdict}

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
-from operator import attrgetter
+from functools import cached_property
+from operator import attrgetter, methodcaller
 from typing import Literal
 
 import msgspec
@@ -75,6 +75,35 @@ class Change:
         if self.limit is None:
             return ""
         return "within" if abs(self.change) <= self.limit else "beyond"
+
+    @property
+    def where(self) -> str:
+        """Return what changed: *S300 targets*, *S300 frame*, *grid point 1-2-0*."""
+        match self.group:
+            case "validation":
+                return "other stations" if self.place == OTHERS else f"{self.place} targets"
+            case "frames":
+                station = self.place.removeprefix("station ")
+                return f"{station} frame" if station != self.place else f"robot {self.place}"
+            case "grid":  # a vertex by its key, or all of them
+                place = self.place.replace("vertices", "grid points")
+                return place.replace("grid/", "grid point ")
+        return "air at tracker"
+
+    @property
+    def figure(self) -> str:
+        """Return the figure that changed: *corrected: mean*, which is of |e|."""
+        if self.group != "validation":
+            return self.what
+        how, _, figure = self.what.partition(" ")
+        return f"{Sent(how).short}: {'95 %' if figure == 'p95' else figure}"
+
+    def shown(self, name: str) -> str | None:
+        """Return one of the figures with its decimals; a change of what was known has a sign."""
+        value: float | None = getattr(self, name)
+        sign = "+" if name == "change" and self.first is not None else ""  # a length has none
+        digits = {"mm": 4, "deg": 5}
+        return None if value is None else f"{value:{sign}.{digits.get(self.unit, 2)}f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,45 +428,13 @@ def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
         yield path, value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
-# -- A change between two runs in words: every row says which station it is about ------------------
-
-# The station stands first, so that rows differ where a column is narrow, too.
-
-
-def where_words(change: Change) -> str:
-    """Return what changed: *S300 targets*, *S300 frame*, *grid point 1-2-0*."""
-    match change.group:
-        case "validation":
-            return "other stations" if change.place == OTHERS else f"{change.place} targets"
-        case "frames":
-            station = change.place.removeprefix("station ")
-            return f"{station} frame" if station != change.place else f"robot {change.place}"
-        case "grid":  # a vertex by its key, or all of them
-            place = change.place.replace("vertices", "grid points")
-            return place.replace("grid/", "grid point ")
-    return "air at tracker"
-
-
-def figure_words(change: Change) -> str:
-    """Return the figure that changed: *corrected: mean*, which is of |e|."""
-    if change.group != "validation":
-        return change.what
-    how, _, figure = change.what.partition(" ")
-    return f"{Sent(how).short}: {'95 %' if figure == 'p95' else figure}"
-
-
-def _figure(name: str, change: Change) -> str | None:
-    value: float | None = getattr(change, name)
-    sign = "+" if name == "change" and change.first is not None else ""  # a length has none
-    digits = {"mm": 4, "deg": 5}
-    return None if value is None else f"{value:{sign}.{digits.get(change.unit, 2)}f}"
-
+# Where it is stands first, so that rows differ where a column is narrow, too.
 
 CHANGES: tuple[Column[Change], ...] = (
-    Column("where", where_words),
-    Column("what", figure_words),
+    Column("where", attrgetter("where")),
+    Column("what", attrgetter("figure")),
     *(
-        Column[Change](name, partial(_figure, name), form="s")
+        Column[Change](name, methodcaller("shown", name), form="s")
         for name in ("first", "second", "change", "limit")
     ),
     Column("unit", attrgetter("unit")),

@@ -143,7 +143,7 @@ class _Course:
                 steps = STEPS if self.facts.cell.has_rail else STEPS | without_rail
                 words = steps.get(name, name.replace("-", " "))
             case PosesChosen():
-                words = f"poses chosen: {_chosen_poses_words(self.facts, event)}"
+                words = f"poses chosen: {self._chosen_poses_words(self.facts, event)}"
             case _:
                 words = happened_words(event, self.facts.log).replace("urad", "µrad")
         return f"{words[:1].upper()}{words[1:]}."
@@ -166,24 +166,27 @@ class _Course:
         how = "Engine gone without notice (killed, or power lost)"
         return f"{how} {since}, while the run was {log.state}."
 
-
-def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
-    """Return how many poses were chosen beside the grid, and why no more."""
-    plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
-    if not bounds_mm:
-        return "none"
-    course = f"{bounds_mm[0]:.3f} mm"
-    if count:
-        course += f" to {bounds_mm[-1]:.3f} mm"
-    if plan.tilt_deg:
-        why = f"{count} are measured for targets that turn by {plan.tilt_deg:g}° (plan.tilt_poses)"
-    elif bounds_mm[-1] <= plan.bound_mm:
-        why = f"{plan.bound_mm:g} mm are reached"
-    elif count >= plan.most_poses:
-        why = f"{plan.most_poses} are the most (plan.most_poses)"
-    else:
-        why = f"more would gain little towards {plan.bound_mm:g} mm"
-    return f"{count} poses: predicted mean 95 % bound in the cube {course}; no more, because {why}"
+    @staticmethod
+    def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
+        """Return how many poses were chosen beside the grid, and why no more."""
+        plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
+        if not bounds_mm:
+            return "none"
+        course = f"{bounds_mm[0]:.3f} mm"
+        if count:
+            course += f" to {bounds_mm[-1]:.3f} mm"
+        if plan.tilt_deg:
+            turned = f"targets that turn by {plan.tilt_deg:g}° (plan.tilt_poses)"
+            why = f"{count} are measured for {turned}"
+        elif bounds_mm[-1] <= plan.bound_mm:
+            why = f"{plan.bound_mm:g} mm are reached"
+        elif count >= plan.most_poses:
+            why = f"{plan.most_poses} are the most (plan.most_poses)"
+        else:
+            why = f"more would gain little towards {plan.bound_mm:g} mm"
+        return (
+            f"{count} poses: predicted mean 95 % bound in the cube {course}; no more, because {why}"
+        )
 
 
 def course(facts: Facts) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
+from typing import ClassVar
 
 from hilcell.calibration.iso9283 import ANGLES, CYCLE, Angles, Distance, Pose, PoseTest, Worst
 from hilcell.model.outcome import RULE
@@ -23,6 +24,17 @@ def tests_poses(facts: Facts) -> bool:
 class PoseReport:
     """The report of one run's test."""
 
+    POSES_NOTE: ClassVar = (
+        "All in mm; commanded positions and AP in {B}. AP: barycentre of the attained positions "
+        "less the commanded one. RP_l = mean of l + 3 S_l, l the distance from the barycentre; RP "
+        "robot: the tracker's noise taken off."
+    )
+    TURNS_NOTE: ClassVar = (
+        "a, b, c: rotations about x, y, z of {B} from the commanded orientation. AP: their mean; "
+        "RP = ±3 S of them. AP is blank where no calibration says where the reflectors are on the "
+        "flange."
+    )
+
     facts: Facts
 
     def tested(self) -> PoseTest:
@@ -31,14 +43,14 @@ class PoseReport:
     def results_sheet(self) -> Table:
         """Return the worst characteristics of positions, for the first page."""
         rows = [each for each in self.tested().figures() if each.of.unit == "mm"]
-        columns = _columns(self.facts, "mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
+        columns = self._columns("mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
         return Table(columns, rows, "Results, at the worst pose")
 
     def turn_results(self) -> Table:
         """Return the worst angles beside their limits, for the first page."""
         found = self.tested().figures() if tests_poses(self.facts) else []
         rows = [each for each in found if each.of.unit == "deg"]
-        columns = _columns(self.facts, "°", ".4f", attrgetter("symbol"))
+        columns = self._columns("°", ".4f", attrgetter("symbol"))
         return Table(columns, rows, "Results, angles at the worst pose")
 
     def sentence(self) -> str:
@@ -84,9 +96,12 @@ class PoseReport:
         note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
         return [
             Table(listed("condition", "in this test"), self._conditions(found), "Test conditions"),
-            Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
+            Table(POSES, found.poses.items(), "Pose accuracy and repeatability", self.POSES_NOTE),
             Table(
-                TURNS, found.orientation.items(), "Accuracy and repeatability of angles", TURNS_NOTE
+                TURNS,
+                found.orientation.items(),
+                "Accuracy and repeatability of angles",
+                self.TURNS_NOTE,
             ),
             Table(distance, [found.distance], "Distance accuracy and repeatability", note),
         ]
@@ -135,18 +150,19 @@ class PoseReport:
         yield "Tracker noise", f"{found.tracker_noise_mm:.4f} mm of one coordinate, 1 σ"
         yield "Orientations", f"not measured: {', '.join(missing)}" if missing else "measured"
 
-
-def _columns(
-    facts: Facts, unit: str, form: str, name: Callable[[Worst], str]
-) -> tuple[Column[Worst], ...]:
-    return (
-        Column("characteristic", name),
-        Column("at", attrgetter("where")),
-        Column("value", attrgetter("value"), unit, form),
-        Column("U", attrgetter("U"), unit, form),
-        Column("limit", attrgetter("limit"), unit, form),
-        Column("verdict", lambda row: facts.outcome_words(row.outcome, "not judged"), form="s"),
-    )
+    def _columns(
+        self, unit: str, form: str, name: Callable[[Worst], str]
+    ) -> tuple[Column[Worst], ...]:
+        return (
+            Column("characteristic", name),
+            Column("at", attrgetter("where")),
+            Column("value", attrgetter("value"), unit, form),
+            Column("U", attrgetter("U"), unit, form),
+            Column("limit", attrgetter("limit"), unit, form),
+            Column(
+                "verdict", lambda row: self.facts.outcome_words(row.outcome, "not judged"), form="s"
+            ),
+        )
 
 
 def uncertainty_words() -> str:
@@ -173,11 +189,6 @@ POSES: tuple[Column[tuple[str, Pose]], ...] = (
     Column(f"U({RP.symbol})", lambda row: row[1].rp_u95_mm, form=".3f"),
     Column("RP robot", lambda row: row[1].rp_robot_mm, form=".3f"),
 )
-POSES_NOTE = (
-    "All in mm; commanded positions and AP in {B}. AP: barycentre of the attained positions less "
-    "the commanded one. RP_l = mean of l + 3 S_l, l the distance from the barycentre; RP robot: "
-    "the tracker's noise taken off."
-)
 
 
 def _angle(
@@ -197,7 +208,3 @@ TURNS: tuple[Column[tuple[str, Angles]], ...] = (
         for angle in ANGLES
     ),
 )  # fmt: skip
-TURNS_NOTE = (
-    "a, b, c: rotations about x, y, z of {B} from the commanded orientation. AP: their mean; RP = "
-    "±3 S of them. AP is blank where no calibration says where the reflectors are on the flange."
-)

@@ -317,7 +317,7 @@ class Table(ScrollView, can_focus=True):
         segments = [Segment(self._shown(mark), style)]
         tones = row.tones or ("",) * len(row.cells)
         for n, (cell, tone, column) in enumerate(zip(row.cells, tones, self.columns, strict=False)):
-            text = _fit(self._shown(clean(cell)), self._width(column), right=column.right)
+            text = self._fit(self._shown(clean(cell)), self._width(column), right=column.right)
             segments += [Segment(" ", style)] * bool(n)
             segments.append(Segment(self._shown(text), style + self._tone(tone)))
         return self._strip(segments, style)
@@ -341,10 +341,10 @@ class Table(ScrollView, can_focus=True):
         room = self.scrollable_content_region.width  # beside the bar
         return max(room - 1 - others, column.width)
 
-
-def _fit(text: str, width: int, *, right: bool) -> str:
-    """Return text in exactly so many cells; a wide letter takes two."""
-    if cell_len(text) > width:
-        return set_cell_size(text, width - 1) + "…"
-    room = " " * (width - cell_len(text))
-    return room + text if right else text + room
+    @staticmethod
+    def _fit(text: str, width: int, *, right: bool) -> str:
+        """Return text in exactly so many cells; a wide letter takes two."""
+        if cell_len(text) > width:
+            return set_cell_size(text, width - 1) + "…"
+        room = " " * (width - cell_len(text))
+        return room + text if right else text + room

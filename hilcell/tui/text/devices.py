@@ -144,6 +144,22 @@ class Lock:
     short: str = ""
     whole: str = ""
 
+    @classmethod
+    def of(cls, each: Interlock, person: str, glyphs: Glyphs) -> Lock:
+        name = NAMES.get(each.name, each.name)
+        if not each.blocked and not person:
+            return cls(name, "free", glyphs.moving, "$live")
+        first = each.blocked.partition(",")[0]  # of an engine that states no code
+        first = first if len(first) <= 26 else "see the interlocks"
+        short = person or REASONS.get(each.code) or first
+        # The signs of figures as they are printed.
+        signed = re.sub(r"(?<![\w.])-(?=\d)", "−", each.blocked.replace("+-", "±"))
+        whole = "; ".join(filter(None, (person, signed)))
+        if each.name == "measurement":
+            why = short.removeprefix("waits "), whole.removeprefix("waits ")
+            return cls(name, "waits", glyphs.stale, "$label", *why)
+        return cls(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
+
 
 def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
     """Return the interlocks as they are now; none where that is not known."""
@@ -153,23 +169,7 @@ def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
     if view.prompt is not None or view.state in WAITING:
         is_paused = view.prompt is None and view.state != "suspended"
         person = "paused" if is_paused else "waits for you"
-    return [_lock(each, person, glyphs) for each in view.status.interlocks]
-
-
-def _lock(each: Interlock, person: str, glyphs: Glyphs) -> Lock:
-    name = NAMES.get(each.name, each.name)
-    if not each.blocked and not person:
-        return Lock(name, "free", glyphs.moving, "$live")
-    first = each.blocked.partition(",")[0]  # of an engine that states no code
-    first = first if len(first) <= 26 else "see the interlocks"
-    short = person or REASONS.get(each.code) or first
-    # The signs of figures as they are printed.
-    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", each.blocked.replace("+-", "±"))
-    whole = "; ".join(filter(None, (person, signed)))
-    if each.name == "measurement":
-        why = short.removeprefix("waits "), whole.removeprefix("waits ")
-        return Lock(name, "waits", glyphs.stale, "$label", *why)
-    return Lock(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
+    return [Lock.of(each, person, glyphs) for each in view.status.interlocks]
 
 
 def interlock_page(view: RunView, glyphs: Glyphs) -> Content:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
@@ -104,6 +104,16 @@ def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
 class PointRow:
     """One row of the points table."""
 
+    SAID: ClassVar = {  # by state: its word with its shape, and its tone
+        "in": ("● in", "passed"),
+        "out": ("▲ OUT", "*fault"),
+        "undecided": ("▲undec.", "ask"),
+        "noisy": ("▲ noisy", "ask"),
+        "waits": ("○ waits", "live"),
+        "again": ("○ again", "live"),
+        "ok": ("· ok", "label"),
+    }
+
     point: Point
     deviation: Deviation | None
     state: str
@@ -117,6 +127,30 @@ class PointRow:
         """Return |e|, or -1 where there is none, so that it sorts last."""
         return -1.0 if self.deviation is None else self.deviation.norm_mm
 
+    def said(self) -> tuple[str, str]:
+        """Return the state with its shape, and its tone."""
+        judged = self.deviation is not None and self.deviation.limit_mm is not None
+        return self.SAID["in" if self.state == "ok" and judged else self.state]
+
+    def bar(self) -> tuple[str, str]:
+        """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
+        known, tone = self.deviation, self.said()[1].removeprefix("*")
+        if known is None or known.limit_mm is None:
+            return "", tone
+        share = known.norm_mm / known.limit_mm
+        return "▄" * max(round(8 * share) if share <= 1.0 else 8, 1), tone
+
+    def to_row(self, waiting: Collection[str], width: int) -> Row:
+        """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
+        point = self.point
+        row = replace(self, state="waits") if point.key in waiting else self
+        name = point.id.short
+        if width < STATIONS_FROM:
+            name = f"{name} {point.station}".rstrip()
+        cells = (field.cell(row) for field in _FIELDS if field.is_in(width))
+        texts, tones = zip((name, ""), *cells, strict=True)
+        return Row(point.key, texts, tones=tones)
+
 
 def row_of(log: Log, point: Point) -> PointRow:
     return PointRow.of(log, point, deviation_of(log, point))
@@ -126,15 +160,6 @@ BARS_FROM, RMS_FROM, WIDE_WITH_BARS = 78, 69, 128  # widths of the table
 BESIDE_NAME, BESIDE_NAME_ALONE = 40, 18  # columns, where stations have none
 WIDE = 119  # from here on, nominal and measured places too
 STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
-_STATES = {  # by state: its word with its shape, and its tone
-    "in": ("● in", "passed"),
-    "out": ("▲ OUT", "*fault"),
-    "undecided": ("▲undec.", "ask"),
-    "noisy": ("▲ noisy", "ask"),
-    "waits": ("○ waits", "live"),
-    "again": ("○ again", "live"),
-    "ok": ("· ok", "label"),
-}
 
 
 class _Field(NamedTuple):
@@ -160,20 +185,6 @@ def _triple(values: Sequence[float] | None, digits: int, room: int) -> str:
     return next((text for text in texts if len(text) <= room), "see its page")
 
 
-def _bar(row: PointRow) -> tuple[str, str]:
-    """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
-    known, tone = row.deviation, _said(row)[1].removeprefix("*")
-    if known is None or known.limit_mm is None:
-        return "", tone
-    share = known.norm_mm / known.limit_mm
-    return "▄" * max(round(8 * share) if share <= 1.0 else 8, 1), tone
-
-
-def _said(row: PointRow) -> tuple[str, str]:
-    judged = row.deviation is not None and row.deviation.limit_mm is not None
-    return _STATES["in" if row.state == "ok" and judged else row.state]
-
-
 _FIELDS = (  # after the name
     _Field(Column("station", 7), lambda width: width >= STATIONS_FROM,
            lambda row: (row.point.station, "label")),
@@ -186,11 +197,12 @@ _FIELDS = (  # after the name
     _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
     _Field(Column("|e| mm", 6, right=True), lambda width: True,
            _known("*", lambda e: figure(e.norm_mm))),
-    _Field(Column("", 8), lambda width: BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS, _bar),
+    _Field(Column("", 8), lambda width: BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS,
+           PointRow.bar),
     _Field(Column("rms", 6, right=True), lambda width: width >= RMS_FROM,
            lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
     _Field(Column("", 0), lambda width: True, lambda row: ("", "")),
-    _Field(Column("state", 7), lambda width: True, _said),
+    _Field(Column("state", 7), lambda width: True, PointRow.said),
 )  # fmt: skip
 
 
@@ -204,18 +216,6 @@ def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> S
     name = 14 if width >= STATIONS_FROM else max(width - beside, 8)
     shown = (field.column for field in _FIELDS if field.is_in(width))
     return Column(title if bad_only or worst else "point", name), *shown
-
-
-def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
-    """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
-    point = found.point
-    row = replace(found, state="waits") if point.key in waiting else found
-    name = point.id.short
-    if width < STATIONS_FROM:
-        name = f"{name} {point.station}".rstrip()
-    cells = (field.cell(row) for field in _FIELDS if field.is_in(width))
-    texts, tones = zip((name, ""), *cells, strict=True)
-    return Row(point.key, texts, tones=tones)
 
 
 class PointRows:
@@ -271,7 +271,7 @@ class PointRows:
         key, waits = found.point.key, found.point.key in waiting
         known = self._drawn.get(key)
         if known is None or known[0] is not found or known[1:3] != (waits, width):
-            known = self._drawn[key] = (found, waits, width, to_row(found, waiting, width))
+            known = self._drawn[key] = (found, waits, width, found.to_row(waiting, width))
         return known[3]
 
 
@@ -286,7 +286,7 @@ def filtered(
     ]
 
     def searched(row: PointRow) -> str:
-        id, said = row.point.id, _said(row)[0]
+        id, said = row.point.id, row.said()[0]
         return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
 
     def badness(row: PointRow) -> tuple[bool, float]:  # raw errors are expected to be large

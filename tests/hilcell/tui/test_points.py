@@ -25,7 +25,6 @@ from hilcell.tui.text.points import (
     point_page,
     row_of,
     state_of,
-    to_row,
 )
 from hilcell.tui.text.run import Shown
 from tests.hilcell.report.journals import Writer
@@ -204,17 +203,17 @@ def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> 
 def test_a_row_tells_the_deviation_and_its_state() -> None:
     log = log_of(validated(worst_mm=1.2))
     point = log.points["validate/S1100/chosen/001"]
-    row = to_row(row_of(log, point), (), 80)
+    row = row_of(log, point).to_row((), 80)
     bar = "▄" * 8  # the limit and all beyond it
     figures = ("+0.000", "+1.200", "+0.010", "1.200", bar, "0.010")
     assert row.cells == ("corrected 2", "S1100", *figures, "", "▲ OUT")
     assert row.tones[-1] == "*fault"
-    assert to_row(row_of(log, point), [point.key], 80).cells[-1] == "○ waits"
+    assert row_of(log, point).to_row([point.key], 80).cells[-1] == "○ waits"
 
 
 def test_a_point_without_nominal_has_no_errors() -> None:
     log = log_of(measuring())
-    row = to_row(row_of(log, log.points["world/F1"]), (), 80)
+    row = row_of(log, log.points["world/F1"]).to_row((), 80)
     assert row.cells == ("nest F1", "", "", "", "", "", "", "0.010", "", "· ok")
 
 
@@ -225,7 +224,7 @@ def test_columns_go_where_there_is_no_room_but_never_the_error_or_the_state(widt
     assert sum(column.width for column in columns) + len(columns) <= width
     log = log_of(validated(worst_mm=1.2))
     for point in log.points.values():
-        row = to_row(row_of(log, point), (), width)
+        row = row_of(log, point).to_row((), width)
         assert len(row.cells) == len(row.tones) == len(columns)
         assert point.station in row.cells or row.cells[0].endswith(point.station)
 
@@ -261,7 +260,7 @@ def test_of_a_target_measured_again_the_larger_error_counts(
     assert row.norm_mm == pytest.approx(wanted_mm, abs=1e-4)
     assert row.deviation is not None
     assert row.deviation.actual_mm[1] == pytest.approx(301.0 + max(0.4, again_mm))
-    assert f"{wanted_mm:.3f}" in to_row(row, (), 80).cells
+    assert f"{wanted_mm:.3f}" in row.to_row((), 80).cells
     assert Shown.chosen(RunView("r", log), key).deviation == row.deviation
 
 

@@ -10,7 +10,7 @@ import pytest
 from hilcell.tui.plots import Look
 from hilcell.tui.screens.start import Checked
 from hilcell.tui.terminal.capabilities import UNICODE
-from hilcell.tui.text.points import WIDE, PointRows, columns_for, to_row
+from hilcell.tui.text.points import WIDE, PointRows, columns_for
 from hilcell.tui.text.side import side_lines
 from tests.hilcell.tui.views import view_of
 
@@ -26,7 +26,7 @@ def test_places_fit_their_columns(width: int, scale: float) -> None:
         found = replace(row, point=point)
         if row.deviation is not None:
             found = replace(found, deviation=replace(row.deviation, actual_mm=far))
-        for cell, column in zip(to_row(found, (), width).cells, columns, strict=True):
+        for cell, column in zip(found.to_row((), width).cells, columns, strict=True):
             assert len(cell) <= column.width, (column.title, cell)
 
 
