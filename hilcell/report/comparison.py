@@ -428,7 +428,7 @@ def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
         yield path, value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
-# Where it is stands first, so that rows differ where a column is narrow, too.
+# The place stands first, so that rows differ where a column is narrow, too.
 
 CHANGES: tuple[Column[Change], ...] = (
     Column("where", attrgetter("where")),
