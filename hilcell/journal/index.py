@@ -346,11 +346,11 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     )
     return RunRow(
         name=name,
-        begun=_seconds(plan.t),
+        begun=f"{plan.t[:19]}Z",  # a journal's times are UTC, ISO 8601 to the millisecond
         session="" if began is plan else f"{began.t[:23]}Z",
         origin=hashlib.sha256(msgspec.json.encode(plan)).hexdigest(),
         state=states[-1],
-        ended="" if end is None else _seconds(end.t),
+        ended="" if end is None else f"{end.t[:19]}Z",
         reason=(life[-1][1].reason if life else "") or ("" if last is None else last.reason),
         procedure=inputs.procedure,
         cell=inputs.cell["name"],
@@ -383,10 +383,6 @@ def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...
         if before and chosen:
             return before.mean_mm, chosen.mean_mm, chosen.max_mm
     return None, None, None
-
-
-def _seconds(t: str) -> str:
-    return f"{t[:19]}Z"  # a journal's times are UTC, ISO 8601 to the millisecond
 
 
 # -- the files ------------------------------------------------------------------------------------

@@ -36,20 +36,19 @@ def stopped_by_signals(noted: list[signal.Signals]) -> Iterator[None]:
     The first may have been ``noted`` before, or come at the very end.
     """
 
+    def refuse() -> None:
+        if noted:
+            raise Stopped(f"stopped by {noted[0].name} before anything moved")
+
     def stopped(number: int, _: object) -> None:
         noted.append(signal.Signals(number))
         if len(noted) == 1:  # else what this one would interrupt is the way out
-            _refuse(noted)
+            refuse()
 
-    _refuse(noted)
+    refuse()
     with _handled(dict.fromkeys(COMMANDS, stopped)):
         yield
-    _refuse(noted)
-
-
-def _refuse(noted: list[signal.Signals]) -> None:
-    if noted:
-        raise Stopped(f"stopped by {noted[0].name} before anything moved")
+    refuse()
 
 
 @contextmanager
