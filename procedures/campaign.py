@@ -45,13 +45,25 @@ class Campaign:
                 "reflectors are by_hand: those of a campaign must be mounted", code="HC-C16"
             )
         rows = poses_of(cell)
-        check_robot(cell, rows)
+        self._check_robot(cell, rows)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
         first = [at[0] for _, at in visits_of(rows)]
         more = len(rows) - len(first)  # reflectors, where the robot already stands
         seconds = flange_points(cell, rows.joints_rad[first]).duration_s
         return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
+
+    @staticmethod
+    def _check_robot(cell: Cell, rows: Measurements) -> None:
+        """Raise `FitError` for poses that were measured on another robot."""
+        try:
+            place(robot_of(cell).arm(), rows)
+        except FitError as error:
+            assert cell.campaign is not None  # noqa: S101 - it names the rows
+            raise FitError(
+                f"campaign.poses {cell.campaign.poses}: expected rows measured on robot "
+                f"{cell.robot.name!r} of cell {cell.name}: {error} (hilcell explain {error.code})"
+            ) from error
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
@@ -73,18 +85,6 @@ def poses_of(cell: Cell) -> Measurements:
             "campaign.poses is missing: give a CSV with --set campaign.poses=FILE", code="HC-C13"
         )
     return read_measurements(Path(cell.campaign.poses))
-
-
-def check_robot(cell: Cell, rows: Measurements) -> None:
-    """Raise `FitError` for poses that were measured on another robot."""
-    try:
-        place(robot_of(cell).arm(), rows)
-    except FitError as error:
-        assert cell.campaign is not None  # noqa: S101 - it names the rows
-        raise FitError(
-            f"campaign.poses {cell.campaign.poses}: expected rows measured on robot "
-            f"{cell.robot.name!r} of cell {cell.name}: {error} (hilcell explain {error.code})"
-        ) from error
 
 
 def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:

@@ -137,7 +137,7 @@ def frame_station(session: CellSession, station: Station) -> None:
         T, keys = three_point_frame(*three_mm), [point.key for point in three]
         session.frame(f"{THREE}.{station.name}", Frame(matrix=T.tolist(), points=keys))
     moved = moved_nests(session.log, station)
-    left_out = check_nests(cell, station, moved)
+    left_out = moved.checked(cell, station)
     fit = station_fit(session.log, station)
     cube_mm = check_accepted(cell, station, fit)
     points = session.log.select("slide", station.name)
@@ -218,31 +218,6 @@ def moved_nests(log: Log, station: Station) -> Moved:
         pair_noise_mm2(log, station),
         coverage_factor(SIGMAS, run_noise(log).freedom),
     )
-
-
-def check_nests(cell: Cell, station: Station, moved: Moved) -> list[str]:
-    """Return the names of nests to be left out; refuse a station where too few remain."""
-    names = [cell.layout.slide[n].name for n in moved.moved]
-    least = 4  # of three, nobody can say which has moved
-    if names and len(moved.kept) < least:
-        raise DeviceError(
-            "HC-T61",
-            "Tracker",
-            f"station frame {station.name}",
-            f"slide nests {', '.join(names)} have moved against the others: a distance changed "
-            f"by {moved.worst_mm:.3f} mm",
-            wanted=f"<= {moved.limit_mm:.3f} mm, or {least} nests that agree",
-            act="see that every reflector sits in its own nest and is clean, that no nest is "
-            "loose; then start a new run",
-            fields={
-                "station": station.name,
-                "nests": names,
-                "moved_mm": moved.worst_mm,
-                "limit_mm": moved.limit_mm,
-                "kept": len(moved.kept),
-            },
-        )
-    return names
 
 
 def check_accepted(cell: Cell, station: Station, fit: RigidFit) -> float:
@@ -415,6 +390,30 @@ class Moved:
     kept: tuple[int, ...]
     worst_mm: float
     limit_mm: float
+
+    def checked(self, cell: Cell, station: Station) -> list[str]:
+        """Return the names of nests to be left out; refuse a station where too few remain."""
+        names = [cell.layout.slide[n].name for n in self.moved]
+        least = 4  # of three, nobody can say which has moved
+        if names and len(self.kept) < least:
+            raise DeviceError(
+                "HC-T61",
+                "Tracker",
+                f"station frame {station.name}",
+                f"slide nests {', '.join(names)} have moved against the others: a distance changed "
+                f"by {self.worst_mm:.3f} mm",
+                wanted=f"<= {self.limit_mm:.3f} mm, or {least} nests that agree",
+                act="see that every reflector sits in its own nest and is clean, that no nest is "
+                "loose; then start a new run",
+                fields={
+                    "station": station.name,
+                    "nests": names,
+                    "moved_mm": self.worst_mm,
+                    "limit_mm": self.limit_mm,
+                    "kept": len(self.kept),
+                },
+            )
+        return names
 
 
 def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float = SIGMAS) -> Moved:

@@ -289,8 +289,13 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
     """
     found = {name: plan.poses_at(cell, at_mm) for name, at_mm in _seen(cell, seed).items()}
     if cell.plan.grid_orientations:
-        for name, poses in found.items():
-            found[name] = _oriented(cell, cell.station_named(name), poses)
+        others = plan.more_orientations(cell)
+        for name, poses in found.items():  # in the orientations of the grid, in turn
+            for number, R in enumerate(others, start=1):
+                rows = np.arange(number, len(poses), len(others) + 1)
+                tried = matrix(R, poses[rows, :3, 3])
+                driven = plan.drivable(cell, cell.station_named(name), tried)
+                poses[rows[driven]] = tried[driven]
     if cell.plan.tilt_deg:
         rng = np.random.default_rng([seed, 2015])
         for name, poses in found.items():
@@ -309,19 +314,6 @@ def _seen(cell: Cell, seed: int) -> dict[str, Array]:
         for name, rows in beside.items():
             found[name][rows] = fresh[name][rows]
     return found
-
-
-def _oriented(cell: Cell, station: Station, poses: Array) -> Array:
-    """Return poses (N, 4, 4) in the orientations of the grid, in turn, as far as they can be
-    driven to.
-    """
-    poses, others = poses.copy(), plan.more_orientations(cell)
-    for number, R in enumerate(others, start=1):
-        rows = np.arange(number, len(poses), len(others) + 1)
-        tried = matrix(R, poses[rows, :3, 3])
-        driven = plan.drivable(cell, station, tried)
-        poses[rows[driven]] = tried[driven]
-    return poses
 
 
 def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator) -> Array:

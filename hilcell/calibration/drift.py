@@ -127,6 +127,21 @@ class Series:
     freedom: float
     floor_mm: float
 
+    def nuisances(self, arm: Arm) -> tuple[Array, Array]:
+        """Return what else moves the poses, columns (N, 3, K), and its covariance (K, K)."""
+        at_mm = forward(arm, self.joints_rad)[:, :3, 3]
+        J, count = motion_levers(at_mm), len(self.holds)
+        motion = 6  # of {B} at a hold: shift, rotation vector
+        columns = np.zeros((len(at_mm), 3, motion * count + 1))
+        prior = np.zeros((columns.shape[2], columns.shape[2]))
+        for number, covariance in enumerate(self.holds):
+            own = slice(motion * number, motion * (number + 1))
+            columns[:, :, own] = J[:, :, :motion] * (self.hold == number)[:, None, None]
+            prior[own, own] = covariance
+        columns[:, :, -1] = J[:, :, motion] * self.warm_k[:, None]
+        prior[-1, -1] = rectangular_variance(self.growth_per_k)
+        return columns, prior
+
 
 @of_measured
 def robot_drift(log: Log) -> Suspicion | None:
@@ -144,7 +159,7 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
     def whitened(columns: Array) -> Array:
         return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
 
-    moves, known = _nuisances(series, arm)
+    moves, known = series.nuisances(arm)
     left = _of_model(forward(arm, series.joints_rad)[:, :3, 3], causes)
     B = whitened(np.dstack([moves, left]))
     prior = np.eye(B.shape[1])
@@ -172,24 +187,8 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
     return Suspicion(Cause.DRIFT, cause.factor * size, unit, poses_in_order)
 
 
-def _nuisances(series: Series, arm: Arm) -> tuple[Array, Array]:
-    """Return what else moves the poses, columns (N, 3, K), and its covariance (K, K)."""
-    at_mm = forward(arm, series.joints_rad)[:, :3, 3]
-    J, count = motion_levers(at_mm), len(series.holds)
-    motion = 6  # of {B} at a hold: shift, rotation vector
-    columns = np.zeros((len(at_mm), 3, motion * count + 1))
-    prior = np.zeros((columns.shape[2], columns.shape[2]))
-    for number, covariance in enumerate(series.holds):
-        own = slice(motion * number, motion * (number + 1))
-        columns[:, :, own] = J[:, :, :motion] * (series.hold == number)[:, None, None]
-        prior[own, own] = covariance
-    columns[:, :, -1] = J[:, :, motion] * series.warm_k[:, None]
-    prior[-1, -1] = rectangular_variance(series.growth_per_k)
-    return columns, prior
-
-
 def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
-    """Return smooth errors that the model may have left, columns (N, 3, K) of `MODEL_MM` each: the
+    """Return smooth errors that the model may have left, columns (N, 3, K) of 0.05 mm each: the
     causes' own patterns, alike everywhere, and growing along x and along z.
 
     Poses are visited in an order, so that such an error would look like a slope.

@@ -37,9 +37,6 @@ MM_DECIMALS, DEG_DECIMALS = 4, 6
 NEAR_MM = 200.0  # from the origin are all points of a list in metres or inches
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
 POINT = "."
-GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
-FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)  # by whatever sign
-STATED = re.compile(r'"?sep=([;,])"?', re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +62,7 @@ class CsvText:
         """Return a file with ``labels`` columns of words before numbers; raises `SettingsError`."""
         text = cls._text(path, content)
         first, _, others = text.partition("\n")
-        stated = STATED.fullmatch(first.strip())
+        stated = re.fullmatch(r'"?sep=([;,])"?', first.strip(), re.IGNORECASE)
         if stated:
             text = others
         separator = stated[1] if stated else ";" if ";" in first and "," not in first else ","
@@ -113,11 +110,13 @@ class CsvText:
     @classmethod
     def _decimal(cls, path: Path, figures: Iterable[tuple[int, str]]) -> str:
         """Return the decimal sign of a file with semicolons; raises `SettingsError`."""
+        grouped = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # or a decimal
+        any_sign = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)
         seen: dict[str, tuple[int, str]] = {}  # the first number with a sign
         proven: set[str] = set()
         for line, cell in figures:
             longest = 40  # characters of a number that is looked at
-            number = len(cell) <= longest and FIGURES.fullmatch(cell)
+            number = len(cell) <= longest and any_sign.fullmatch(cell)
             signs = {POINT, ","} & {*cell} if number else set()
             if len(signs) > 1:
                 raise cls._refusal(
@@ -125,7 +124,7 @@ class CsvText:
                 )
             for sign in signs:
                 seen.setdefault(sign, (line, cell))
-                if not GROUPED.fullmatch(cell):
+                if not grouped.fullmatch(cell):
                     proven.add(sign)
         if len(seen) > 1:
             (line, cell), (other_line, other) = sorted(seen.values(), reverse=True)
@@ -133,10 +132,10 @@ class CsvText:
             raise cls._refusal(path, line, cell, words)
         for sign, (line, cell) in seen.items():
             if sign not in proven:
-                plain, grouped = cell.replace(sign, POINT), cell.replace(sign, "")
+                plain, whole = cell.replace(sign, POINT), cell.replace(sign, "")
                 raise cls._refusal(
                     path, line, cell,
-                    f"may be {plain}, or {grouped} with a thousands separator, and no other number "
+                    f"may be {plain}, or {whole} with a thousands separator, and no other number "
                     f"of the file says which; write one of them with another count of decimals, as "
                     f"{cell}0",
                 )  # fmt: skip

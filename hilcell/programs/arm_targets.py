@@ -80,9 +80,9 @@ class ArmTargets(TargetFiles):
         reach = Reach(arm, robot.base, known, robot.limits_rad)
         program = load_program(source)
         if program is None:
-            targets, as_joints = read_robot_targets(source, reach)
+            targets, as_joints = RobotTargets.read(source, reach)
         else:
-            targets, as_joints = targets_of(program.names, program.values(), reach), False
+            targets, as_joints = RobotTargets.of(program.names, program.values(), reach), False
         names, joints_rad = targets.names, targets.joints_rad
         errors = controller.errors(method, joints_rad)
         command = targets.corrected(errors.error_mm)
@@ -286,27 +286,27 @@ class RobotTargets:
     poses: Array
     joints_rad: Array
 
+    @classmethod
+    def of(cls, names: list[str], values: Array, reach: Reach) -> Self:
+        """Return targets stated as x, y, z, a, b, c (N, 6); raises `HilcellError`."""
+        poses = poses_from_zyx(values)
+        return cls(names, poses, reach.joints(poses, names))
+
+    @classmethod
+    def read(cls, path: Path, reach: Reach) -> tuple[Self, bool]:
+        """Return targets, and whether they were joints; raises `SettingsError`, `HilcellError`."""
+        rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
+        values = np.array(rows.values)
+        if rows.header == HEADER:
+            return cls.of(rows.names, values, reach), False
+        joints = np.radians(values)
+        return cls(rows.names, reach.poses(joints), joints), True
+
     def corrected(self, error_mm: Array) -> Array:
         """Return the poses (N, 4, 4) to command where errors (N, 3) are expected in the root."""
         command = self.poses.copy()
         command[:, :3, 3] -= error_mm
         return command
-
-
-def targets_of(names: list[str], values: Array, reach: Reach) -> RobotTargets:
-    """Return targets stated as x, y, z, a, b, c (N, 6); raises `HilcellError`."""
-    poses = poses_from_zyx(values)
-    return RobotTargets(names, poses, reach.joints(poses, names))
-
-
-def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
-    """Return targets, and whether they were joints; raises `SettingsError`, `HilcellError`."""
-    rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
-    values = np.array(rows.values)
-    if rows.header == HEADER:
-        return targets_of(rows.names, values, reach), False
-    joints = np.radians(values)
-    return RobotTargets(rows.names, reach.poses(joints), joints), True
 
 
 def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:

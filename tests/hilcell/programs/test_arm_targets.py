@@ -16,8 +16,6 @@ from hilcell.programs.arm_targets import (
     Reach,
     RobotTargets,
     joint_rows,
-    read_robot_targets,
-    targets_of,
     with_tool_point,
 )
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
@@ -104,17 +102,17 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
 def test_poses_are_read_and_written(tmp_path: Path) -> None:
     poses = reach().poses(joints(3))
     write_targets(tmp_path / "t.csv", list("abc"), zyx_from_pose(poses))
-    found, as_joints = read_robot_targets(tmp_path / "t.csv", reach())
+    found, as_joints = RobotTargets.read(tmp_path / "t.csv", reach())
     assert (found.names, as_joints) == (list("abc"), False)
     np.testing.assert_allclose(found.poses, poses, atol=1e-4)
     np.testing.assert_allclose(found.joints_rad, joints(3), atol=1e-6)
-    again = targets_of(found.names, zyx_from_pose(poses), reach())
+    again = RobotTargets.of(found.names, zyx_from_pose(poses), reach())
     np.testing.assert_allclose(again.joints_rad, joints(3), atol=1e-8)
 
 
 def test_joints_are_read_and_written(tmp_path: Path) -> None:
     write_rows(tmp_path / "t.csv", JOINT_HEADER, joint_rows(list("abc"), joints(3)))
-    found, as_joints = read_robot_targets(tmp_path / "t.csv", reach())
+    found, as_joints = RobotTargets.read(tmp_path / "t.csv", reach())
     assert (found.names, as_joints) == (list("abc"), True)
     np.testing.assert_allclose(found.joints_rad, joints(3), atol=1e-8)
     wanted = BASE @ forward(reach().arm, joints(3))
@@ -133,4 +131,4 @@ def test_joints_are_read_and_written(tmp_path: Path) -> None:
 def test_odd_lists_are_refused(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(SettingsError, match=says):
-        read_robot_targets(tmp_path / "t.csv", reach())
+        RobotTargets.read(tmp_path / "t.csv", reach())
