@@ -204,7 +204,7 @@ def _host_and_port(address: str) -> tuple[str, int]:
     last_port = 65535
     known = ":" not in host and port.isdecimal() and len(port) <= 5 and int(port) <= last_port
     if not (host and known):
-        raise SettingsError("simulation.address", [f"HOST:PORT is wanted, found {address[:80]!r}"])
+        raise SettingsError("simulation.address", [f"expected HOST:PORT, got {address[:80]!r}"])
     return host, int(port)
 
 

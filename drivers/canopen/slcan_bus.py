@@ -32,7 +32,7 @@ def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[s
     """Return why there can be no such bus. The kernel's own interfaces have their bit rate."""
     if interface == "socketcan":
         if not re.fullmatch(r"[^\s/:]{1,15}", channel):
-            yield f"channel: the kernel's name of a CAN interface is wanted, found {channel!r}"
+            yield f"channel: expected the kernel's name of a CAN interface, got {channel!r}"
         return
     try:
         parse_channel(channel)
@@ -40,7 +40,7 @@ def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[s
         yield str(error)
     if bitrate not in BIT_RATES:
         allowed = ", ".join(map(str, BIT_RATES))
-        yield f"bitrate: a bit rate of slcan is wanted, found {bitrate}; allowed: {allowed}"
+        yield f"bitrate: expected a bit rate of slcan, got {bitrate}; allowed: {allowed}"
 
 
 CONNECT_S = 5.0

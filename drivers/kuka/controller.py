@@ -114,7 +114,7 @@ def integer(access: Access, name: str) -> int:
     """Return a whole number that the controller has; raises `DeviceError`."""
     value = access.value(name)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise unreadable(name, f"a whole number is expected, found {value!r}")
+        raise unreadable(name, f"expected a whole number, got {value!r}")
     return value
 
 

@@ -51,7 +51,7 @@ def numbers(text: str, names: tuple[str, ...]) -> list[float]:
     """Return components of a flat structure as floats; raises `KrlError` where one is missing."""
     match = _STRUCTURE.fullmatch(text.strip(_PADDING))
     if match is None:
-        raise KrlError(f"a structure of single values is expected, found {text[:80]!r}")
+        raise KrlError(f"expected a structure of single values, got {text[:80]!r}")
     components = _COMPONENT.findall(match[1])
     found = {name.upper(): number for name, number in components}
     if len(found) != len(components):

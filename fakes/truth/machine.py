@@ -155,7 +155,7 @@ class Machine(Frozen, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:
-            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+            raise ValueError(f"expected six joints, got {len(self.joint)}")
 
     def chain(self, smr_mm: Point) -> Chain:
         """Return the arm as designed; its last frame is the reflector's, mounted at (3,)."""

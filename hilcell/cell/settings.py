@@ -166,7 +166,7 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
     place = path.rstrip(".") or "file"
     fields = _fields(kind)
     if not isinstance(values, Mapping):
-        problems.append(f"{place}: a table is expected, found {_short(values)}")
+        problems.append(f"{place}: expected a table, got {_short(values)}")
         return _Unsound(kind, {field.name: msgspec.NODEFAULT for field in fields.values()})
     for key in [key for key in values if key not in fields]:
         hint = did_you_mean(key, fields) or f"; known here: {', '.join(sorted(fields))}"
@@ -339,7 +339,7 @@ def override_all(values: Json, changed: Mapping[str, str]) -> None:
     for key in sorted(changed, key=lambda key: not key.endswith(".driver")):
         text = changed[key]
         if "\n" in text:  # it could set other keys
-            raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
+            raise SettingsError("--set", [f"{key}: expected a value on one line, got {text!r}"])
         try:
             value = tomllib.loads(f"value = {text}")["value"]
         except RecursionError:

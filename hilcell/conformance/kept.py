@@ -30,7 +30,7 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
     group, colon, name = driver.partition(":")
     if group not in PORT_OF or not (colon and name):
         raise pytest.UsageError(
-            f"--hilcell-driver: {'|'.join(PORT_OF)}:NAME is wanted, found {driver}"
+            f"--hilcell-driver: expected {'|'.join(PORT_OF)}:NAME, got {driver}"
         )
     port = PORT_OF[group]
     try:
@@ -42,7 +42,7 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
     for each in assignments:
         key, sign, value = each.partition("=")
         if not (key and sign):
-            raise pytest.UsageError(f"--hilcell-set: KEY=VALUE is wanted, found {each}")
+            raise pytest.UsageError(f"--hilcell-set: expected KEY=VALUE, got {each}")
         sets[key.strip()] = value.strip()
     if sets.get(f"{port}.driver", name) != name:
         raise pytest.UsageError(

@@ -389,8 +389,8 @@ class _Motions(Rules):
     @staticmethod
     def _before_end(seen: SeenBefore) -> str:
         """Return that a reading was taken before the motion had ended; "" where it was not."""
-        late = seen.ended_s is None or seen.taken_s >= seen.ended_s
-        return "" if late else "the reading was taken before the motion had ended"
+        after = seen.ended_s is None or seen.taken_s >= seen.ended_s
+        return "" if after else "the reading was taken before the motion had ended"
 
 
 class _TrackerSetUps(Rules):

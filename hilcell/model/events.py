@@ -304,7 +304,7 @@ class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
     def refusal(self, newest: int) -> str:
         """Return why a run whose newest record is ``newest`` refuses it; "" where it does not."""
         if not self.codes:
-            return "acknowledge: the codes of alarms are wanted, found none"
+            return "acknowledge: expected codes of alarms, got none"
         if not 1 <= self.until <= newest:
             return (
                 f"acknowledge: until: record {self.until} cannot have been seen; wanted is one of "

@@ -251,7 +251,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
         if not self._has_levels:
             return
         if len(self.ends) < 2:
-            yield f"levels: two or more are wanted, found {len(self.ends)}"
+            yield f"levels: expected two or more, got {len(self.ends)}"
         elif len(set(self.names)) < len(self.names):
             yield "levels: two are alike; give each its own, or its own label"
 
@@ -269,7 +269,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
         if not (self._has_range or self._has_levels) or given is None:
             return
         if len(given) != len(self.ends):
-            yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
+            yield f"{key}: expected {len(self.ends)}, got {len(given)}"
 
 
 def is_stated(table: T, field: Callable[[T], object]) -> bool:

@@ -156,7 +156,7 @@ class Study(Frozen, frozen=True, kw_only=True):
 
     def _count_of_factors(self) -> Iterator[str]:
         if not 1 <= len(self.factor) <= 20:
-            yield f"factor: 1 to 20 are wanted, found {len(self.factor)}"
+            yield f"factor: expected 1 to 20, got {len(self.factor)}"
 
     def _names_apart(self) -> Iterator[str]:
         names = [each.name for each in self.factor if is_read(each, lambda it: it.name)]

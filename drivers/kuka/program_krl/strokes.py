@@ -122,7 +122,7 @@ class StrokeRule:
         """Return X, Y, Z of a relative motion along the tool; raises `KrlError`."""
         head, tokens = statement.head, statement.tokens[1:]
         if not tokens or tokens[0].text != "{":
-            raise KrlError(f"{head} is a relative motion by what is no structure of numbers")
+            raise KrlError(f"{head}: expected a relative motion by a structure of numbers")
         end = closing(tokens, 0) + 1
         fields = aggregate(tokens[:end])
         rest = tokens[end:]  # approximations may stand around its frame
