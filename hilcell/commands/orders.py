@@ -70,7 +70,10 @@ class Tui(Signature):
     """The technician's screen: start, attach to or look at runs."""
 
     run: Annotated[
-        str, Word("a run's name, its beginning, or `last` (default: live, else the form)", "RUN")
+        str,
+        Word(
+            "a run's name, its beginning, or `last` (default: the live one, else the form)", "RUN"
+        ),
     ] = ""
     runs: Runs
     cell: CellName = "paper"
@@ -86,7 +89,11 @@ class Tui(Signature):
     ascii: Annotated[bool, Argument("no shapes beyond ASCII")] = False
     slow: Annotated[bool, Argument("for thin links: once a second")] = False
     keys: Annotated[
-        str, Argument("other keys (default: keys.toml in the user's configuration)", "FILE.toml")
+        str,
+        Argument(
+            "other keys (default: keys.toml in the user's configuration, where it exists)",
+            "FILE.toml",
+        ),
     ] = ""
 
 
@@ -100,7 +107,10 @@ class Plan(Signature):
     free: Annotated[bool, Argument("stations anywhere along the rail, too")] = False
     output: Annotated[str, Output("CSV: station,order,name", "OUT")] = ""
     calibration: Annotated[
-        str, Argument("a run or calibration.json: no hole that it cannot correct", "CALIBRATION")
+        str,
+        Argument(
+            "a run or calibration.json: no hole where `compensate` would refuse it", "CALIBRATION"
+        ),
     ] = ""
     release: Release
     json: Json = False

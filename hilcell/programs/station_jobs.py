@@ -308,7 +308,9 @@ class StationJobs:
         stations = counted(len(jobs), "station")
         programs = f"no programs: no writer is installed for robots of {self.cell.robot.driver}"
         if any(job.program for job in jobs):
-            programs = "one program a station, for it alone, in the order of the sheet"
+            programs = (
+                "one program a station, in the order of the sheet; each holds for its station only"
+            )
         floor = f"shop floor in {folder}"
         return [
             *dict.fromkeys(unknown),
