@@ -2,65 +2,68 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
 
 from hilcell.ports import DeviceError, DeviceRefused, NoReading
 
+Error = TypeVar("Error", bound=DeviceError)
 Wire = TypeVar("Wire")
+
+
+@dataclass(frozen=True, slots=True)
+class Errors(Generic[Error]):
+    """Makes errors of one class for one kind of device; ``fields`` are the values behind words."""
+
+    kind: type[Error]
+    device: str
+    fields: Mapping[str, object]
+
+    def __call__(
+        self,
+        code: str,
+        operation: str,
+        found: str,
+        *,
+        wanted: str = "",
+        act: str = "",
+        **fields: object,
+    ) -> Error:
+        values = {**self.fields, **fields}
+        return self.kind(code, self.device, operation, found, wanted=wanted, act=act, fields=values)
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
     """A kind of device: its name, and the alarms of a wire that does not open, is lost, or absent.
 
-    ``fields`` of an error are the values behind its words.
+    ``fields`` are values that each of its errors has.
     """
 
     name: str
     unreachable: str
     lost: str
     absent: str
+    fields: Mapping[str, object] = field(default_factory=dict, compare=False)
 
-    def failed(
-        self,
-        code: str,
-        operation: str,
-        found: str,
-        *,
-        wanted: str = "",
-        act: str = "",
-        **fields: object,
-    ) -> DeviceError:
-        return DeviceError(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
+    @property
+    def failed(self) -> Errors[DeviceError]:
+        return Errors(DeviceError, self.name, self.fields)
 
-    def refused(
-        self,
-        code: str,
-        operation: str,
-        found: str,
-        *,
-        wanted: str = "",
-        act: str = "",
-        **fields: object,
-    ) -> DeviceRefused:
-        """Return why this device is not worked with."""
-        return DeviceRefused(
-            code, self.name, operation, found, wanted=wanted, act=act, fields=fields
-        )
+    @property
+    def refused(self) -> Errors[DeviceRefused]:
+        """Errors of a device that is not worked with."""
+        return Errors(DeviceRefused, self.name, self.fields)
 
-    def no_reading(
-        self,
-        code: str,
-        operation: str,
-        found: str,
-        *,
-        wanted: str = "",
-        act: str = "",
-        **fields: object,
-    ) -> NoReading:
-        """Return the error of one measurement that may be tried again."""
-        return NoReading(code, self.name, operation, found, wanted=wanted, act=act, fields=fields)
+    @property
+    def no_reading(self) -> Errors[NoReading]:
+        """Errors of one measurement that may be tried again."""
+        return Errors(NoReading, self.name, self.fields)
+
+    def at(self, **fields: object) -> Device:
+        """Return it with the values of a poll, which its errors keep."""
+        return replace(self, fields=fields)
 
     def unreached(self, address: str, found: str) -> DeviceError:
         return self.failed(self.unreachable, "connect", f"{address}: {found}", address=address)

@@ -18,7 +18,7 @@ from drivers.canopen.cia import Bit, Control, Mode, Object, Option, State
 from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
 from drivers.canopen.process_image import NO_MODE, SYNCS, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
-from drivers.device_errors import RAIL
+from drivers.device_errors import RAIL, Device
 from drivers.motion_limits import MotionLimits
 from drivers.standstill import Standing
 from drivers.supervision import Patience, Supervision
@@ -268,15 +268,14 @@ class Drive:
                     self._check_motion(operation, now)
                 cause, act = _why_not(now, moving=moving)
                 found = f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}"
-                raise self._failed(
-                    "HC-R31", operation, found, now, wanted=wanted, act=act, waited_s=stall_s
+                raise self._at(now).failed(
+                    "HC-R31", operation, found, wanted=wanted, act=act, waited_s=stall_s
                 )
             if limits.overdue(self.standing.now_s, self.FULL_SPEED):
-                raise self._failed(
+                raise self._at(now).failed(
                     "HC-R28",
                     operation,
                     f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
-                    now,
                     wanted=f"{wanted} within {limits.limit_s:.0f} s",
                     spent_s=limits.spent_s,
                     limit_s=limits.limit_s,
@@ -325,7 +324,7 @@ class Drive:
         if code in ("", "HC-R33"):
             self._guards.check_unit(operation, now)
         if found:
-            raise self._failed(code, operation, found, now)
+            raise self._at(now).failed(code, operation, found)
         self._guards.check(operation, now)
 
     def _check_limit(self, operation: str, before: Snapshot, target: int) -> None:
@@ -340,7 +339,7 @@ class Drive:
         if abs(gap) > self._limits.window and not gap * self._side(before) < 0:
             found = f"limit active at {self._limits.mm(before.position)}"
             wanted = "a motion away from the limit switch"
-            raise self._failed("HC-R32", operation, found, before, wanted=wanted)
+            raise self._at(before).failed("HC-R32", operation, found, wanted=wanted)
         self._left_limit = before.position
 
     def _side(self, now: Snapshot) -> int:
@@ -368,27 +367,16 @@ class Drive:
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS, tries=1)
         return inputs is None or inputs & cia.LIMIT_SWITCHES != 0
 
-    def _failed(
-        self,
-        code: str,
-        operation: str,
-        found: str,
-        now: Snapshot,
-        *,
-        wanted: str = "",
-        act: str = "",
-        **fields: object,
-    ) -> DeviceError:
-        """Return an error with the values of a poll as data."""
+    def _at(self, now: Snapshot) -> Device:
+        """Return the rail, whose errors keep the values of a poll."""
         scale = self._limits.counts_per_mm
-        fields |= {
-            "position_mm": now.position / scale,
-            "speed_mm_s": now.velocity / scale,
-            "state": now.state.value,
-            "statusword": now.statusword,
-            "mode": now.mode,
-        }
-        return DeviceError(code, RAIL.name, operation, found, wanted=wanted, act=act, fields=fields)
+        return RAIL.at(
+            position_mm=now.position / scale,
+            speed_mm_s=now.velocity / scale,
+            state=now.state.value,
+            statusword=now.statusword,
+            mode=now.mode,
+        )
 
     def _seen(self, now: Snapshot) -> str:
         """Return the values of a poll, in words."""
