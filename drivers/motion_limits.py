@@ -96,8 +96,9 @@ def stopped_short(at: str, wanted: str, axes_deg: Array, target_deg: Array) -> D
 def checked_target(joints_rad: Array, speed_percent: float) -> Array:
     """Return a target (6,) in rad; raises `DeviceError` for impossible angles, or a speed."""
     target_rad = np.asarray(joints_rad, dtype=float)
-    if target_rad.shape != (6,) or not bool(np.all(np.isfinite(target_rad))):
+    with np.errstate(over="ignore"):  # what is finite in rad need not be so in deg
         deg = np.degrees(target_rad)
+    if deg.shape != (6,) or not bool(np.all(np.isfinite(deg))):
         raise ROBOT.failed(
             "HC-B28", "move", f"target {deg} deg", wanted="six finite angles", target_deg=deg
         )

@@ -449,14 +449,13 @@ class Release:
                 if self.by_sdo:
                     self._stop_by_all_ways()
                     if over:
-                        raise RAIL.failed(
+                        raise RAIL.at(**silent.fields).failed(
                             silent.code,
                             "close",
                             silent.found,
                             wanted="a drive that is confirmed held",
                             act="keep away from the slide, it may move: press the E-stop; then "
                             "check the drive's power and the bus",
-                            **silent.fields,
                         ) from error
                 self._ask(by_sdo=not self.by_sdo)
             else:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.motion_limits import MotionLimits, planned_s
+from drivers.motion_limits import MotionLimits, checked_target, planned_s
+from hilcell.ports import DeviceError
 
 
 def limits(planned: float = 2.0, stall_s: float = 0.0) -> MotionLimits:
@@ -32,6 +33,14 @@ def test_a_lowered_override_stretches_the_time() -> None:
     assert motion.spent_s == pytest.approx(10.0)
     assert not motion.overdue(160.0, 10)
     assert motion.overdue(161.0, 10)
+
+
+@pytest.mark.parametrize("angle", [np.nan, np.inf, -np.inf, 1e307])
+def test_an_angle_that_is_finite_in_one_unit_alone_is_no_target(angle: float) -> None:
+    joints_rad = np.array([0.0, 0.1, angle, 0.0, 0.0, 0.0])
+    with pytest.raises(DeviceError, match="six finite angles") as caught:
+        checked_target(joints_rad, 10.0)
+    assert caught.value.code == "HC-B28"
 
 
 @pytest.mark.parametrize("planned", [np.nan, 2.0])
