@@ -196,7 +196,8 @@ class Faults:
         if problem := _problem(name, value):
             raise SettingsError("fault", [problem])
         with self._lock:
-            self._armed[name] = _Armed(value, after, count or -1, at_rest)
+            left = -1 if count == UNTIL_CLEARED else count
+            self._armed[name] = _Armed(value, after, left, at_rest)
 
     def clear(self, name: str = "") -> None:
         """Disarm one fault, or all."""

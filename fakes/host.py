@@ -117,7 +117,11 @@ class Host:
     def run(self) -> None:
         """Serve until `end`."""
         with ExitStack() as stack:
-            for server in (*self._devices.values(), self._control):
+            servers: tuple[SimulatedDevice | Listener, ...] = (
+                *self._devices.values(),
+                self._control,
+            )
+            for server in servers:
                 stack.callback(server.close)
                 server.start()
             self._ended.wait()
@@ -195,7 +199,7 @@ class Host:
             lacking = [name for name in duties if not hasattr(device, name)]
         except HilcellError:
             raise
-        except Exception as error:
+        except Exception as error:  # a package may raise anything
             raise HilcellError(f"simulated {table}: {with_place(error)}") from error
         if lacking:
             what = f"{type(device).__name__} has no {', '.join(lacking)}"

@@ -446,11 +446,7 @@ class RailDrive(CanopenSlave):
         self.dictionary.entry(0x1018, 2).read = self._product
         add(0x6007, 0, Entry("h", 1, allowed=range(4)))
         add(0x603F, 0, Entry("H", 0, "ro", mappable=True))
-        add(
-            0x6040,
-            0,
-            Entry("H", 0, mappable=True, write=self._note_command),
-        )
+        add(0x6040, 0, Entry("H", 0, mappable=True, write=self._note_command))
         add(0x6041, 0, Entry("H", 0, "ro", mappable=True, read=self._statusword))
         add(0x605A, 0, Entry("h", 2, allowed=(0, 1, 2, 5, 6)))
         modes = tuple(Mode)

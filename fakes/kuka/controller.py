@@ -270,8 +270,11 @@ class KrlController:
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: self._boolean(self._in_stop),
-            **{name: lambda name=name: str(self._integers[name]) for name in self._integers},
+            **{name: partial(self._integer, name) for name in self._integers},
         }
+
+    def _integer(self, name: str) -> str:
+        return str(self._integers[name])
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")

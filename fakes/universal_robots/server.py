@@ -187,7 +187,8 @@ class UrServer(Server):
             "dashboard_port": self._dashboard,
         }
         ports = {name: each.port for name, each in listeners.items()}
-        super().__init__({"host": HOST} | ports, *listeners.values(), restore=controller.restore)
+        address = {"host": HOST, **ports}
+        super().__init__(address, *listeners.values(), restore=controller.restore)
 
     def write(self, values: dict[str, float]) -> None:
         """Take registers, and let others do work that became due."""
