@@ -31,10 +31,8 @@ def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") 
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-        found, wanted = (
-            f"{samples} samples at {near_mm} mm",
-            ">= 1 sample at three finite coordinates",
-        )
+        found = f"{samples} samples at {near_mm} mm"
+        wanted = ">= 1 sample at three finite coordinates"
         raise TRACKER.failed("HC-T35", operation, found, wanted=wanted)
     return near_mm
 

@@ -43,7 +43,7 @@ class KukaE1Rail:
             if not self.travel_min_mm < self.travel_max_mm:
                 raise ValueError("travel_min_mm must be below travel_max_mm")
             if not self.full_mm_s / 100.0 <= self.speed_mm_s <= self.full_mm_s:
-                raise ValueError("speed_mm_s: 1 to 100 % of full_mm_s are wanted")
+                raise ValueError("speed_mm_s must be 1 to 100 % of full_mm_s")
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock

@@ -560,7 +560,7 @@ class KukaSweep:
         if self._override != found:
             try:
                 controller.lower_override(found, self._override)
-            except BaseException as error:
+            except BaseException as error:  # also a stop: the override is the operator's
                 self._give_back(error)
                 raise
         return self
@@ -634,7 +634,7 @@ class KukaSweep:
         wanted = share * 100**2 * (1.0 + 1e-9)
         pairs = [
             (velocity * lowered, lowered, velocity)
-            for velocity in range(1, 100 + 1)
+            for velocity in range(1, 101)
             if (lowered := min(override, int(wanted / velocity))) >= 1
         ]
         _, lowered, velocity = max(pairs)
@@ -666,8 +666,6 @@ def await_rest(
             return
         before = now
         pause.wait(BRAKED_DWELL_S)
-    operation, found = (
-        "close" if closing else "sweep",
-        f"not at rest {BRAKED_S:.0f} s after the brake",
-    )
+    operation = "close" if closing else "sweep"
+    found = f"not at rest {BRAKED_S:.0f} s after the brake"
     raise ROBOT.failed("HC-B41", operation, found, waited_s=BRAKED_S)

@@ -289,7 +289,7 @@ def open_channel(
         try:
             channel = EkiChannel(host, port, root, attend)
             channel.ask(0, probe)
-        except BaseException as error:
+        except BaseException as error:  # also a stop: the controller serves one client alone
             if channel is not None:
                 channel.close()
             if over or not isinstance(error, DeviceError):

@@ -523,7 +523,7 @@ class EmsconStream:
             settings.write(Setting.MEASUREMENT_MODE, Value.CONTINUOUS_TIME)
             parameters = (self._separation_ms, Value.UNTIL_STOPPED, 0, 0)
             settings.write(Setting.CONTINUOUS_TIME, *parameters)
-        except BaseException as error:
+        except BaseException as error:  # also a stop: no stream's mode is left behind
             self._restore(error)
             raise
         return self

@@ -100,7 +100,7 @@ def read_points(path: Path) -> NamedPoints:
         except ValueError:
             place = []
         if len(place) != 3 or not LEAST_RANGE_MM <= math.hypot(*place) < math.inf:
-            problem = f"{','.join(row)!r:.80}, wanted {','.join(COLUMNS)} with three numbers"
+            problem = f"expected {','.join(COLUMNS)} with three numbers, got {','.join(row)!r:.80}"
         elif not re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", name):
             problem = f"name {name!r:.60}: letters, digits, _ . - are allowed, at most 40"
         elif name in found:
@@ -110,7 +110,7 @@ def read_points(path: Path) -> NamedPoints:
             continue
         raise SettingsError(str(path), [f"line {n}: {problem}"])
     if not 1 <= len(found) <= MOST_POINTS:
-        raise SettingsError(str(path), [f"{len(found)} points, wanted 1 to {MOST_POINTS}"])
+        raise SettingsError(str(path), [f"expected 1 to {MOST_POINTS} points, got {len(found)}"])
     return NamedPoints(list(found), np.array(list(found.values())))
 
 
@@ -133,7 +133,7 @@ def points_of(cell: Cell, search_mm: float) -> NamedPoints:
     kept = np.isfinite(first_mm)
     if not 1 <= kept.sum() <= MOST_POINTS:
         raise HilcellError(
-            f"{kept.sum()} points, wanted 1 to {MOST_POINTS}; choose another --search"
+            f"expected 1 to {MOST_POINTS} points, got {kept.sum()}; choose another --search"
         )
     xyz_mm = directions[kept] * (0.5 * (first_mm + last_mm))[kept, None]
     return NamedPoints([f"P{n:06d}" for n in range(1, len(xyz_mm) + 1)], xyz_mm)
@@ -197,7 +197,7 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     try:
         if not 10.0 <= given.search <= 1000.0:
-            raise HilcellError(f"--search {given.search:g} mm, wanted 10 to 1000 mm")
+            raise HilcellError(f"--search: expected 10 to 1000 mm, got {given.search:g} mm")
         points = points_of(load_cell(given.cell), given.search)
         write_whole(given.file, written(points).encode("ascii"))
     except HilcellError as error:

@@ -106,7 +106,7 @@ class Recipe:
         if len(payload) != layout.size or payload[0] != self.number:
             raise RtdeError(
                 f"a data package of {len(payload)} bytes by recipe {payload[:1].hex() or 'none'} "
-                f"came, wanted {layout.size} bytes by recipe {self.number:02x}"
+                f"came, expected {layout.size} bytes by recipe {self.number:02x}"
             )
         flat = layout.unpack(payload)
         found = {name: flat[place] for name, place in places.items()}
@@ -384,7 +384,7 @@ class UrLink:
             raise self._unsupported(f"version {VERSION} of RTDE is refused")
         version = self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
         if len(version) != 16:
-            found = f"a controller version of {len(version)} bytes, wanted 16"
+            found = f"a controller version of {len(version)} bytes, expected 16"
             raise self._no_rtde(Kind.CONTROLLER_VERSION, found)
         self._outputs = self._recipe(Kind.OUTPUTS, OUTPUTS, struct.pack(">d", self._rate_hz))
         if found := ", ".join(unlike(self._outputs)):
@@ -398,7 +398,7 @@ class UrLink:
     def _accepts(self, kind: Kind, payload: bytes = b"") -> bool:
         answer = self._ask(kind, encode(kind, payload))
         if len(answer) != 1:
-            raise self._no_rtde(kind, f"an answer of {len(answer)} bytes, wanted 1")
+            raise self._no_rtde(kind, f"an answer of {len(answer)} bytes, expected 1")
         return answer == b"\x01"
 
     def _recipe(self, kind: Kind, names: tuple[str, ...], head: bytes = b"") -> Recipe:

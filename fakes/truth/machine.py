@@ -89,7 +89,7 @@ class Transmission(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         refuse(
             [
-                f"{key}: lowest first, found {least} .. {most}"
+                f"{key}: expected the lowest first, got {least} .. {most}"
                 for key, (least, most) in (("pins", self.pins), ("ratios", self.ratios))
                 if not least <= most
             ]

@@ -178,7 +178,7 @@ def sweep(bench: Bench) -> None:
     with driver.sweep(0, end_rad, SWEEP_RAD_S) as sweeping:
         need(
             0 < sweeping.speed_rad_s <= SWEEP_RAD_S * 1.02,
-            f"set to {sweeping.speed_rad_s:.4f} rad/s, wanted <= {SWEEP_RAD_S:g} rad/s",
+            f"set to {sweeping.speed_rad_s:.4f} rad/s, expected <= {SWEEP_RAD_S:g} rad/s",
         )
         sweeping.kickoff()
         samples = []
@@ -257,11 +257,11 @@ def samples(bench: Bench) -> None:
     driver: Tracker = bench.connected()
     acts = _acts(bench)
     reading = driver.measure(acts.near_mm[0], acts.reflector, 3)
-    need(reading.samples == 3, f"mean of {reading.samples} readings, wanted 3")
+    need(reading.samples == 3, f"mean of {reading.samples} readings, expected 3")
     need(reading.reflector == acts.reflector, f"of {reading.reflector!r}")
     std_mm, limit_mm = np.asarray(reading.std_mm), bench.cell.tracker.max_std_mm
     sound = std_mm.shape == (3,) and bool(np.all((std_mm >= 0) & (std_mm <= limit_mm)))
-    need(sound, f"standard deviation {std_mm} mm, wanted three of 0 to {limit_mm:g} mm")
+    need(sound, f"standard deviation {std_mm} mm, expected three of 0 to {limit_mm:g} mm")
 
 
 @OWN.add("nothing-there", "tracker", real=True)
@@ -271,7 +271,7 @@ def nothing_there(bench: Bench) -> None:
     acts = _acts(bench)
     beside_mm = acts.near_mm[0] + [0.0, 0.0, 10.0 * bench.cell.tracker.find_radius_mm]
     error = fails("no reflector is there", lambda: driver.measure(beside_mm, acts.reflector, 1))
-    need(isinstance(error, NoReading), f"{type(error).__name__}, wanted NoReading: {error}")
+    need(isinstance(error, NoReading), f"{type(error).__name__}, expected NoReading: {error}")
     bench.visit(driver, 1)
 
 
@@ -292,7 +292,7 @@ def stream_times(bench: Bench) -> None:
     need(bool(np.all(steps_s > 0)), "times of samples do not rise")
     found_hz = 1.0 / float(np.median(steps_s))
     even = abs(found_hz / rate_hz - 1.0) <= 0.02
-    need(even, f"{found_hz:.2f} samples/s, wanted {rate_hz:.2f}")
+    need(even, f"{found_hz:.2f} samples/s, expected {rate_hz:.2f}")
 
 
 @OWN.add("stream-gaps", "tracker")
@@ -311,7 +311,7 @@ def stream_place(bench: Bench) -> None:
     off_mm = np.linalg.norm(xyz_mm - _acts(bench).near_mm[0], axis=1)
     worst_mm = float(np.max(off_mm, initial=0.0))
     limit_mm = bench.acts.tolerance
-    need(worst_mm <= limit_mm, f"a sample {worst_mm:.2f} mm off, wanted <= {limit_mm:g} mm")
+    need(worst_mm <= limit_mm, f"a sample {worst_mm:.2f} mm off, expected <= {limit_mm:g} mm")
 
 
 @OWN.add("stream-ends", "tracker", real=True)

@@ -61,9 +61,9 @@ def fails(what: str, call: Callable[[], object]) -> DeviceError:
         return error
     except Stopped:
         raise
-    except Exception as error:
-        raise Broken(f"{what}: {with_place(error)}; wanted a DeviceError") from error
-    raise Broken(f"{what}: returned {found}; wanted a DeviceError")
+    except Exception as error:  # a driver may raise anything
+        raise Broken(f"{what}: {with_place(error)}; expected a DeviceError") from error
+    raise Broken(f"{what}: returned {found}; expected a DeviceError")
 
 
 class Riding:
@@ -178,7 +178,7 @@ class Bench:
         off, limit, unit = self.acts.off(reading, place), self.acts.tolerance, self.acts.unit
         need(
             off <= limit,
-            f"reads {off:.4f} {unit} from place {place}, wanted <= {limit:g} {unit}",
+            f"reads {off:.4f} {unit} from place {place}, expected <= {limit:g} {unit}",
         )
 
     def visit(self, device: Driver, place: int) -> Reading:

@@ -146,7 +146,7 @@ def silent(bench: Bench) -> None:
     began_s = time.monotonic()
     fails("no answer comes", lambda: bench.acts.ask(driver))
     took_s = time.monotonic() - began_s
-    need(took_s <= 60.0, f"noticed after {took_s:.0f} s, wanted <= 60 s")
+    need(took_s <= 60.0, f"noticed after {took_s:.0f} s, expected <= 60 s")
 
 
 @PROMISES.add("late", waits=True)
@@ -295,7 +295,7 @@ def stop_at_once(bench: Bench) -> None:
         if took_s[-1] <= STOP_S:
             return
     best_ms = 1000 * min(took_s)
-    need(min(took_s) <= STOP_S, f"stop took {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms")
+    need(min(took_s) <= STOP_S, f"stop took {best_ms:.0f} ms, expected <= {1000 * STOP_S:.0f} ms")
 
 
 @PROMISES.add("stop-rests", "rail", "robot", paced=True)
@@ -335,14 +335,14 @@ def checked(bench: Bench) -> None:
         bench.clock.stop.set()
         began_s = time.monotonic()
         need(task.ended_within(END_S), f"it waits on for {END_S:.0f} s after the run's stop")
-        need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, wanted Stopped")
+        need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, expected Stopped")
         took_s.append(task.ended_s - began_s)
         bench.tidy()
         if took_s[-1] <= STOP_S + wakes_s:
             return
     best_ms = 1000 * min(took_s)
     prompt = min(took_s) <= STOP_S + wakes_s
-    need(prompt, f"left after {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms")
+    need(prompt, f"left after {best_ms:.0f} ms, expected <= {1000 * STOP_S:.0f} ms")
 
 
 def _under_way(bench: Bench) -> tuple[Driver, Task]:

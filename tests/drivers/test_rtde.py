@@ -278,13 +278,13 @@ def test_a_field_of_another_type_is_refused(name: str, kind: str) -> None:
 @pytest.mark.parametrize(
     ("wrong", "found"),
     [
-        ("000356", "an answer of 0 bytes, wanted 1"),
-        ("0005560101", "an answer of 2 bytes, wanted 1"),
-        ("000353", "an answer of 0 bytes, wanted 1"),
-        ("0005530101", "an answer of 2 bytes, wanted 1"),
-        ("000376", "a controller version of 0 bytes, wanted 16"),
-        ("001276" + "00000005" * 3 + "000000", "a controller version of 15 bytes, wanted 16"),
-        ("001476" + "00000005" * 4 + "00", "a controller version of 17 bytes, wanted 16"),
+        ("000356", "an answer of 0 bytes, expected 1"),
+        ("0005560101", "an answer of 2 bytes, expected 1"),
+        ("000353", "an answer of 0 bytes, expected 1"),
+        ("0005530101", "an answer of 2 bytes, expected 1"),
+        ("000376", "a controller version of 0 bytes, expected 16"),
+        ("001276" + "00000005" * 3 + "000000", "a controller version of 15 bytes, expected 16"),
+        ("001476" + "00000005" * 4 + "00", "a controller version of 17 bytes, expected 16"),
     ],
 )
 def test_an_answer_of_impossible_length_is_that_of_no_controller(wrong: str, found: str) -> None:

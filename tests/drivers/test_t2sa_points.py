@@ -72,7 +72,7 @@ def test_a_list_is_read_as_it_was_written(paper: NamedPoints, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("", "0"),
+        ("", "expected 1"),
         ("P1,1,2\n", "line 1"),
         ("P1,1,2,3\nP2,1,2,nan\n", "line 2"),
         ("P1,1,2,inf\n", "line 1"),

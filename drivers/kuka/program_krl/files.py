@@ -219,7 +219,7 @@ class _Reader:
         names = list(dict.fromkeys(self._missing))
         more = ", ..." if len(names) > 5 else ""
         return (
-            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:5])}"
+            f"{stem}.dat is missing beside it, expected with the points {', '.join(names[:5])}"
             f"{more}; copy both files of the program into one folder"
         )
 

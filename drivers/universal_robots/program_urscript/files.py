@@ -315,7 +315,7 @@ class _Reader:
         """Collect the names that a statement defines."""
         code = statement.code
         if ";" in code or code.count('"') % 2:
-            raise UrScriptError("one statement a line is wanted, and strings that end on it")
+            raise UrScriptError("expected one statement a line, and strings that end on it")
         split(code)
         if match := self._DEF.fullmatch(code):
             self._functions.add(match[1])
@@ -419,7 +419,7 @@ class _Reader:
         lines = self._assigned[stated]
         if len(lines) != 1:
             stands = ", ".join(map(str, lines))
-            raise UrScriptError(f"{stated} is assigned in lines {stands}, wanted once")
+            raise UrScriptError(f"{stated} is assigned in lines {stands}, expected in one")
         return self._poses[stated]
 
     def _set_tcp(self, statement: Statement, arguments: list[str], at: int) -> None:
