@@ -226,6 +226,12 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
         return -solved.evidence + 0.5 * float(away @ away), gradient + away / doubt
 
     limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, doubt, strict=True)]
-    options = {"maxiter": 40, "ftol": 1e-5}
-    found = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options=options)
+    found = minimize(
+        cost,
+        middle,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=limits,
+        options={"maxiter": 40, "ftol": 1e-5},
+    )
     return found.x

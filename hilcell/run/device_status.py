@@ -76,13 +76,13 @@ class DeviceMonitor:
                 yield
             except HilcellError:
                 raise
-            except Exception as error:
+            except Exception as error:  # whatever a driver raises is its defect
                 raise DriverDefect(self._device, with_place(error)) from error
 
     def sound(self, found: Reading, kind: type[Reading]) -> Reading:
         """Return what a driver returned as a reading; raises `DriverDefect` where it is none."""
         if not isinstance(found, kind):
-            problem = f"its driver returned {type(found).__name__}, wanted {kind.__name__}"
+            problem = f"its driver returned {type(found).__name__}, expected {kind.__name__}"
             raise DriverDefect(self._device, problem)
         ahead_s = found.taken_s - self._clock.pc_s()
         if ahead_s > 0.0:  # NaN is refused where its age is judged
@@ -94,7 +94,7 @@ class DeviceMonitor:
         """Return the identities; raises `DriverDefect` for anything but a list of them."""
         if isinstance(found, list) and all(isinstance(each, Identity) for each in found):
             return found
-        problem = f"connect returned {type(found).__name__}, wanted a list of Identity"
+        problem = f"connect returned {type(found).__name__}, expected a list of Identity"
         raise DriverDefect(self._device, problem)
 
     def status(self) -> DeviceStatus:
@@ -168,7 +168,7 @@ class CellMonitor:
         shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
         if shapes != ((3,), (3,)):
             found = " and ".join(map(str, shapes))
-            problem = f"xyz_mm and std_mm have the shapes {found}, wanted (3,) each"
+            problem = f"xyz_mm and std_mm have the shapes {found}, expected (3,) each"
             raise DriverDefect("Tracker", problem)
         x, y, z = (float(each) for each in reading.xyz_mm)
         air = f"{reading.air.temperature_c:.1f} C" if reading.air else "air not measured"
@@ -185,7 +185,8 @@ class _Watched(Generic[D]):
     """A device as the run uses it. Its statistics, stop and close are not watched."""
 
     def __init__(self, device: D, own: DeviceMonitor, monitor: CellMonitor) -> None:
-        self._device, self._own, self._monitor = device, own, monitor
+        self._device: D = device
+        self._own, self._monitor = own, monitor
 
     def _call(self, *, moving: bool = False) -> AbstractContextManager[None]:
         return self._own.call(moving=moving)
