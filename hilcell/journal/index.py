@@ -167,7 +167,7 @@ def _check_journal(folder: Path) -> None:
     """Raise `StorageError` where a run's folder has lost its journal."""
     journal = folder / JOURNAL
     if _is_folder(journal):
-        raise StorageError(f"journal {journal}: it is a folder, wanted a file; {FETCH}")
+        raise StorageError(f"journal {journal}: it is a folder, expected a file; {FETCH}")
     if folder.name and _is_folder(folder):
         raise StorageError(f"journal {journal}: no such file in the folder of the run; {FETCH}")
 
@@ -342,7 +342,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     revoked = ["", *(each.reason for _, each in _facts(facts, CalibrationRevoked))]
     devices = [device for _, each in _facts(facts, Connected) for device in each.devices]
     before_mean_mm, chosen_mean_mm, chosen_max_mm = _figures(
-        {} if last is None else last.result, inputs.cell["grid"]["station"]
+        {} if last is None else last.result, str(inputs.cell["grid"]["station"])
     )
     return RunRow(
         name=name,
@@ -353,7 +353,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
         ended="" if end is None else f"{end.t[:19]}Z",
         reason=(life[-1][1].reason if life else "") or ("" if last is None else last.reason),
         procedure=inputs.procedure,
-        cell=inputs.cell["name"],
+        cell=str(inputs.cell["name"]),
         serial=inputs.serial,
         operator=inputs.operator,
         job=inputs.job,
@@ -435,7 +435,7 @@ def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     with _spared(index), closing(_opened(index)) as base:
         # As bytes: damage is noticed by the seal.
         parts = ", ".join(f"CAST({each} AS BLOB)" for each in ("name", "stamp", "row", "seal"))
-        stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608
+        stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608 - no word is a user's
         if any(seal != _seal(*sealed) for *sealed, seal in stored):
             raise sqlite3.DatabaseError(f"{index}: a row is not the one that was stored")
         texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]

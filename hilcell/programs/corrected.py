@@ -33,7 +33,7 @@ from hilcell.cell.file import Cell
 from hilcell.clean import counted
 from hilcell.compensation.stamp import CorrectedBefore, Stamp
 from hilcell.compensation.targets import BOUND, csv_of
-from hilcell.errors import MOST_LISTED
+from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
@@ -263,7 +263,7 @@ class Memory:
             same, nearest = self._same(known, places_mm)
             if not same.any():
                 continue
-            which = ", ".join(names[n] for n in np.flatnonzero(same)[:MOST_LISTED])
+            which = ", ".join(bounded([names[n] for n in np.flatnonzero(same)]))
             raise CorrectedBefore(
                 f"{source}: {int(same.sum())} of {counted(len(places_mm), 'target')} corrected "
                 f"before ({which}; {stamps[int(nearest[int(np.argmax(same))])]}), whose stamp was "
