@@ -199,7 +199,9 @@ def left_out(cell: Cell) -> str:
         f"robot driver {cell.robot.driver!r} does not sweep an axis": not able["robot_sweeps"],
     }
     reason = next((words for words, holds in hindrances.items() if holds), "")
-    return f"{reason}; the ripple of the gears stays in the error after correction" * bool(reason)
+    return (
+        f"{reason}; the ripple of the gears stays in the error after correction" if reason else ""
+    )
 
 
 def axes_of(cell: Cell) -> list[int]:

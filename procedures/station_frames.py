@@ -290,7 +290,7 @@ class FrameRepeatability:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
             raise HilcellError(
-                "one station, wanted two or more: frames are compared between them", code="HC-C10"
+                "one station, expected two or more: frames are compared between them", code="HC-C10"
             )
         here, spans = plan.other_stations(cell)[-1], []  # where the last step left the slide
         six = plan.readings(cell, SIX, MORE_READINGS * cell.nest_samples)
@@ -423,9 +423,11 @@ def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float
     estimates, ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the
     most excess in its distances to the others is taken away until all distances agree.
     """
-    change_mm = np.subtract(*(
-        np.linalg.norm(each[:, None] - each[None], axis=-1) for each in (b_mm, a_mm)
-    ))  # fmt: skip
+
+    def apart_mm(points_mm: Array) -> Array:
+        return np.asarray(np.linalg.norm(points_mm[:, None] - points_mm[None], axis=-1))
+
+    change_mm = apart_mm(b_mm) - apart_mm(a_mm)
     # by which each pair may differ besides: a reflector taken out and put back
     by_seating_mm = 0.005
     limit_mm = sigmas * np.sqrt(_variances(b_mm, covariances_mm2) + by_seating_mm**2)

@@ -143,9 +143,7 @@ class _Moment:
         steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
         if not entry.specific:
             steps.insert(0, (finding.advice, "you"))
-        name = quote(
-            line(run)
-        )  # an entry, which knows no run, says last: by now that may be another
+        name = quote(line(run))
         command = f", or `hilcell resume {name}`" if over else ""
         ways = {
             "resume": f"Continue: {go_on}{command}.",
@@ -153,6 +151,7 @@ class _Moment:
         }
         then = "" if severity == "notice" else ways.get(entry.then, "")
         steps.append((then, "you"))
+        # An entry, which knows no run, says last: by now that may be another.
         last, this = "`hilcell show last`", f"`hilcell show {name}`"
         steps = [(step.replace(last, this), by) for step, by in steps if step]
         return Alarm(

@@ -40,11 +40,13 @@ class Grid:
 
     def __post_init__(self) -> None:
         if np.shape(self.origin_mm) != (3,) or not np.isfinite(self.origin_mm).all():
-            raise GridError(f"grid: origin {self.origin_mm} mm, wanted three finite numbers")
+            raise GridError(f"grid: origin {self.origin_mm} mm, expected three finite numbers")
         if not (self.pitch_mm > 0 and np.isfinite(self.pitch_mm)):
-            raise GridError(f"grid: pitch {self.pitch_mm} mm, wanted above 0")
+            raise GridError(f"grid: pitch {self.pitch_mm} mm, expected above 0")
         if min(self.shape) < 2:
-            raise GridError(f"grid: shape {self.shape}, wanted at least 2 vertices along each axis")
+            raise GridError(
+                f"grid: shape {self.shape}, expected at least 2 vertices along each axis"
+            )
 
     @property
     def far_mm(self) -> Array:
@@ -86,7 +88,7 @@ class Grid:
         """Raise `OutsideGrid` naming targets (N, 3) that lie outside, and by how much."""
         targets = np.asarray(targets_mm, dtype=float)
         if targets.ndim != 2 or targets.shape[1] != 3:
-            raise GridError(f"targets: shape {targets.shape}, wanted (N, 3)")
+            raise GridError(f"targets: shape {targets.shape}, expected (N, 3)")
         excess = np.linalg.norm(targets - self.clamped(targets), axis=1)
         bad = np.flatnonzero(~(excess <= ROUNDING_MM))
         if len(bad):
@@ -119,6 +121,7 @@ class MeasuredGrid:
     covariance_mm2: Array
 
     def __post_init__(self) -> None:
-        found, shape = (self.errors_mm.shape, self.covariance_mm2.shape), (*self.grid.shape, 3)
-        if found != (shape, (*shape, 3)):
-            raise GridError(f"errors and covariances: shapes {found}, expected {shape} and x 3")
+        vertices, found = self.grid.shape, (self.errors_mm.shape, self.covariance_mm2.shape)
+        expected = (*vertices, 3), (*vertices, 3, 3)
+        if found != expected:
+            raise GridError(f"errors and covariances: shapes {found}, expected {expected}")

@@ -143,10 +143,8 @@ class StationTargets(TargetFiles):
         released.refuse_corrected(source, names, nominal[:, :3], listed[:, :3])
         known = released.cell if cell is None and program is None else cell
         tip = cls._tip(known, tool, program, source)
-        if program is not None and known_station:
-            cls._check_base(
-                released.calibration, station, program.base, nominal
-            )  # a cause of the next
+        if program is not None and known_station:  # else the next refusal would hide its cause
+            cls._check_base(released.calibration, station, program.base, nominal)
         try:
             targets = released.corrected(station, names, nominal, tip, known)
         except OutsideGrid as error:  # the unit of a program is that of its format
@@ -325,9 +323,8 @@ class StationTargets(TargetFiles):
     @staticmethod
     def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
         """Raise `HilcellError` where a program moves the slide elsewhere than to its station."""
-        slide_mm = (
-            5.0  # a program's place is the drive's, and the strip's decides: no other station
-        )
+        # A program's place is the drive's, and the strip's decides: no other station is so near.
+        slide_mm = 5.0
         if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
             place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
             raise HilcellError(
@@ -383,7 +380,7 @@ class StrokeLimits(NamedTuple):
                 depth_mm = float(lengths_mm(way)[across_mm.argmax()])
                 bad.append(
                     f"{name}: {found.across_mm:.3f} mm across at {depth_mm:.0f} mm from the point, "
-                    f"{found.along_mm:.3f} mm along; wanted <= {most:.3f} mm, {self.source}"
+                    f"{found.along_mm:.3f} mm along; expected <= {most:.3f} mm, {self.source}"
                 )
         if bad:
             raise StrokeError(

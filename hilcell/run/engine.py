@@ -306,8 +306,7 @@ class ResumedEngine(Engine):
 
 
 def finished_runs(runs: Path, cell: Cell) -> list[str]:
-    """Return the newest five finished runs of a cell that states its volumes: poses are known from
-    them.
+    """Return the newest five finished runs, by which poses are known, of a cell with volumes.
 
     Where a simulated cell or a replay went, nothing is known of the real one.
     """
