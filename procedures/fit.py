@@ -61,14 +61,14 @@ class Fit:
         shape = grid_of(cell).shape
         if max(shape) < 3:
             raise HilcellError(
-                f"grid of {' x '.join(map(str, shape))} vertices, wanted three along one axis "
+                f"grid of {' x '.join(map(str, shape))} vertices, expected three along one axis "
                 "at least; choose a smaller pitch_mm",
                 code="HC-C10",
             )
         return Step(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:
-        """Journal the choice, on the points as they are wanted."""
+        """Journal the choice, once all points that wait are measured again."""
         session.retake_waiting()
         if session.log.verdict(Fitted) is None:
             session.judge("fit", fitted(session.log))

@@ -93,7 +93,7 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
         worst = int(np.argmin(seen))
         raise HilcellError(
             f"{what}: {int(np.sum(~seen))} of {len(seen)} out of the tracker's range; the first at "
-            f"{range_mm[worst]:.0f} mm, wanted {low:.0f} .. {high:.0f} mm; move the tracker",
+            f"{range_mm[worst]:.0f} mm, expected {low:.0f} .. {high:.0f} mm; move the tracker",
             code="HC-C10",
         )
 

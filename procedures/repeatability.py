@@ -38,7 +38,7 @@ class Repeatability:
         return step(self.name, len(visits_rad), [flange_points(cell, visits_rad), *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
-        """Go round the places; going on to the next is what leaves the last."""
+        """Go round the places, so that each visit comes from another one."""
         station = session.cell.reference
         joints = joints_for(session.cell, places_mm(session.cell))
         session.expect(station, np.vstack([joints[-1:], joints]))  # round and round

@@ -52,7 +52,7 @@ def check_limits(cell: Cell) -> None:
             raise HilcellError(
                 f"validation.{name}_tolerance_mm {limit_mm:g}: nothing could be accepted, the "
                 f"tracker and the reflector's centring alone have U = {least_mm:.3f} mm (k = 2); "
-                "wanted more",
+                "state a larger one",
                 code="HC-C10",
             )
 

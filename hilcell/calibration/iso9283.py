@@ -457,7 +457,7 @@ def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles
     if table.load_kg is None or table.rated_load_kg is None:
         yield "the load is not stated (iso9283.load_kg, iso9283.rated_load_kg)"
     elif table.load_kg != table.rated_load_kg:
-        yield f"{table.load_kg:g} kg of {table.rated_load_kg:g} kg rated load, wanted 100 %"
+        yield f"{table.load_kg:g} kg of {table.rated_load_kg:g} kg rated load, expected 100 %"
     if table.warm_up_min is None:
         yield "the warm-up is not stated (iso9283.warm_up_min)"
     if corrected:

@@ -183,8 +183,8 @@ def check_turn_limit(cell: Cell) -> None:
     if not limit_deg > least_deg:
         raise HilcellError(
             f"validation.max_tolerance_deg {limit_deg:g}: nothing could be accepted, the tracker "
-            f"and the reflectors' centring alone have U = {least_deg:.4f} deg (k = 2); wanted "
-            "more, or reflectors further apart",
+            f"and the reflectors' centring alone have U = {least_deg:.4f} deg (k = 2); state "
+            "a larger one, or mount the reflectors farther apart",
             code="HC-C10",
         )
 

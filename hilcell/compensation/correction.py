@@ -70,7 +70,7 @@ def _check_contraction(
         raise HilcellError(
             f"correction: {len(bad)} of {len(moved_mm)} targets do not settle: "
             f"{names[n] if names else f'target {n + 1}'} moves by {moved_mm[n]:.3f} mm in step "
-            f"{step + 1} after {first_mm[n]:.3f} mm in the first, wanted below "
+            f"{step + 1} after {first_mm[n]:.3f} mm in the first, expected below "
             f"{contraction**step:.0%}; the error map jumps there: look for outliers on the "
             "vertices around it",
             code="HC-C21",

@@ -254,7 +254,7 @@ def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
     largest = float(np.abs(found).max())
     most_mm2 = 1e4  # beyond is no uncertainty of a robot's error
     if not largest <= most_mm2:
-        raise ModelError(f"{name}: {largest:g} mm2, wanted within +-{most_mm2:g} mm2")
+        raise ModelError(f"{name}: {largest:g} mm2, expected within +-{most_mm2:g} mm2")
     symmetric = 1e-9  # of a covariance, relative to its largest element
     slack = symmetric * max(largest, np.finfo(float).tiny)
     if not np.abs(found - found.swapaxes(-1, -2)).max() <= slack:

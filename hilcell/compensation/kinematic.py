@@ -64,7 +64,7 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not (np.abs(rows["sign"]) == 1.0).all():
             raise ModelError("robot.sign: wanted 1 or -1")
         if self.status not in range(8):
-            raise ModelError(f"robot.status {self.status}, wanted 0 .. 7")
+            raise ModelError(f"robot.status {self.status}, expected 0 .. 7")
         return NominalRobot(
             Arm(**rows, tool=_frame("robot.tool", self.tool)),
             self.status,
@@ -82,7 +82,7 @@ class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def curve(self) -> TransmissionCurve:
         """Return the curve with these waves, of no amplitude; raises `ModelError`."""
         if self.axis not in range(6):
-            raise ModelError(f"curves: axis {self.axis}, wanted 0 .. 5")
+            raise ModelError(f"curves: axis {self.axis}, expected 0 .. 5")
         count = len(self.cycles)
         most_cycles = 1e4
         cycles = _numbers("curves.cycles", self.cycles, (count,), most_cycles)

@@ -182,7 +182,7 @@ class NamedRows:
         if not name:
             return "name is empty"
         if len(name) > LONGEST:
-            return f"name {_shown(name)} has {len(name)} characters, wanted at most {LONGEST}"
+            return f"name {_shown(name)} has {len(name)} characters, expected at most {LONGEST}"
         if name != name.strip():
             return f"name {_shown(name)} has outer spaces"
         within = re.sub("[\u200c\u200d]", "", name[1:-1])  # without joiners
@@ -287,12 +287,12 @@ def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) 
             value = None
         if value is None:  # a comma is refused in quotes, where it separates fields, or twice
             comma = ": its comma may be a decimal or a thousands separator" if "," in cell else ""
-            raise ValueError(f"{column} is {shown}, wanted a number like -12{decimal}5{comma}")
+            raise ValueError(f"{column} is {shown}, expected a number like -12{decimal}5{comma}")
         if not math.isfinite(value):
-            raise ValueError(f"{column} is {shown}, wanted a finite number")
+            raise ValueError(f"{column} is {shown}, expected a finite number")
         most = MOST_DEG if column.endswith("_deg") else MOST
         if not abs(value) <= most:
-            raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
+            raise ValueError(f"{column} is {shown}, expected within +-{most:g}")
         found.append(value)
     return found
 

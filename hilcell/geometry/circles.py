@@ -139,7 +139,7 @@ def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
     if not np.linalg.norm(across) > least_angle:
         raise FrameError(
             f"base frame: axes 1 and 6 are {np.degrees(np.arcsin(np.linalg.norm(across))):.1f} deg "
-            "apart, wanted near 90: sweep axis 6 with its axis level"
+            "apart, expected near 90: sweep axis 6 with its axis level"
         )
     outward = axis_6.centre_mm - axis_1.centre_mm
     x = unit(across) * (1.0 if across @ outward >= 0 else -1.0)

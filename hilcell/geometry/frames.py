@@ -205,7 +205,7 @@ def unit(v: Array) -> Array:
 def checked_points(points: Array, what: str) -> Array:
     """Return points (N, 3) if they are finite and span a plane; raises `FrameError`."""
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
-        raise FrameError(f"{what}: shape {points.shape}, wanted (N, 3) with N >= 3")
+        raise FrameError(f"{what}: shape {points.shape}, expected (N, 3) with N >= 3")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
         raise FrameError(f"{what}: point {bad[0] + 1} is not finite: {points[bad[0]]} mm")
@@ -230,7 +230,7 @@ def _information(weights: ArrayLike | None, count: int) -> tuple[Array, bool]:
     """Return every pair's inverse covariance (N, 3, 3), and whether its scale is known."""
     given = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
     if given.shape not in ((count,), (count, 3, 3)):
-        raise FrameError(f"weights: shape {given.shape}, wanted ({count},) or ({count}, 3, 3)")
+        raise FrameError(f"weights: shape {given.shape}, expected ({count},) or ({count}, 3, 3)")
     if given.ndim == 1:
         if not (np.isfinite(given) & (given > 0)).all():
             raise FrameError(f"weights: all must be finite and above 0, found {given}")

@@ -166,7 +166,7 @@ def solve(
     if not gain <= creeping:
         raise IdentificationError(
             f"kinematics do not settle: the last of {iterations} steps improves chi^2 by "
-            f"{gain:.3g}, wanted <= {creeping:g}; check robot, units and joint signs"
+            f"{gain:.3g}, expected <= {creeping:g}; check robot, units and joint signs"
         )
     return state, system
 

@@ -107,7 +107,7 @@ class Kinematics:
     """Which errors a robot may have. ``arm`` is nominal, its tool frame is not used.
 
     P parameters are ordered: base (shift in mm, rotation vector about its origin), reflectors,
-    links by kind and row, then as far as they are wanted gravity, waves, tool, curves.
+    links by kind and row, then, where they are asked for, gravity, waves, tool, curves.
     """
 
     arm: Arm

@@ -51,7 +51,7 @@ class SweepStream:
                 raise BadStream(f"{name}: {np.sum(~np.isfinite(values))} values are not finite")
         if not (len(self.device_s) >= LEAST_SAMPLES and len(self.joints_rad) >= LEAST_READINGS):
             raise BadStream(
-                f"{len(self.device_s)} samples and {len(self.joints_rad)} joint readings, wanted "
+                f"{len(self.device_s)} samples and {len(self.joints_rad)} joint readings, expected "
                 f">= {LEAST_SAMPLES} and {LEAST_READINGS}: sweep further or sample faster"
             )
         if not bool(np.all(np.diff(self.device_s) > 0)):
@@ -68,8 +68,8 @@ class SweepStream:
         others_rad = 1e-3  # by which the other axes may seem to move
         if not moved_rad <= others_rad:
             raise BadStream(
-                f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, wanted "
-                f"<= {np.degrees(others_rad):.3f} deg"
+                f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, "
+                f"expected <= {np.degrees(others_rad):.3f} deg"
             )
         read_rad = self.joints_rad[:, axis]
         read_s, prompt, clock_s = self._read_times()
@@ -79,7 +79,7 @@ class SweepStream:
         used &= prompt
         if not np.count_nonzero(used) >= LEAST_READINGS:
             raise BadStream(
-                f"{np.count_nonzero(used)} joint readings at constant speed, wanted >= "
+                f"{np.count_nonzero(used)} joint readings at constant speed, expected >= "
                 f"{LEAST_READINGS}: the joints are another sweep's, or were asked for too rarely"
             )
         read_rad, read_s = read_rad[used], read_s[used]
@@ -90,8 +90,8 @@ class SweepStream:
         if not off_rad.max() <= uneven_rad:
             raise BadStream(
                 f"a joint reading is {np.degrees(off_rad.max()):.3f} deg off the constant speed, "
-                f"wanted <= {np.degrees(uneven_rad):.3f} deg: the axis paused or a clock jumped; "
-                "sweep again"
+                f"expected <= {np.degrees(uneven_rad):.3f} deg: the axis paused or a clock "
+                "jumped; sweep again"
             )
         return _Line(centre_s, float(middle), float(slope), clock_s)
 
@@ -123,7 +123,7 @@ class SweepStream:
         )
         if not abs(found_mm - radius_mm) <= self.RADIUS_MM:
             raise BadStream(
-                f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted "
+                f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, expected "
                 f"{radius_mm:.1f} +-{self.RADIUS_MM:g} mm: "
                 "units are not mm and rad, or another axis or reflector moved"
             )
@@ -165,7 +165,7 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= scale:
         raise BadStream(
             f"the tracker sees the axis turn at {np.degrees(seen_rad_s):.4f} deg/s, the joints' "
-            f"readings at {np.degrees(line.speed_rad_s):.4f} deg/s, wanted equal within "
+            f"readings at {np.degrees(line.speed_rad_s):.4f} deg/s, expected equal within "
             f"{100 * scale:g} %: angles or times are in other units, or a stream is another's"
         )
     offset_s, clock_s = _clock(time_s, window_s)
@@ -176,7 +176,7 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     lost_share = 0.25
     if not lost <= lost_share * wanted:
         raise BadStream(
-            f"{lost} of {wanted} samples never came, wanted <= {100 * lost_share:g} %: see the "
+            f"{lost} of {wanted} samples never came, expected <= {100 * lost_share:g} %: see the "
             "beam's way and the tracker's link"
         )
     clock_s = float(np.hypot(clock_s, line.clock_s))
@@ -202,7 +202,7 @@ def _between_ends(angle_rad: Array) -> slice:
     least_turn_rad = 0.15
     if not abs(ends[1] - ends[0]) >= least_turn_rad:
         raise BadStream(
-            f"the axis turned by {np.degrees(ends[1] - ends[0]):.2f} deg, wanted >= "
+            f"the axis turned by {np.degrees(ends[1] - ends[0]):.2f} deg, expected >= "
             f"{np.degrees(least_turn_rad):.1f} deg: sweep further"
         )
     ramp_rad = float(np.radians(0.5))  # at each end, taken off with the ramps
@@ -219,7 +219,7 @@ def _without_spikes(angle_rad: Array) -> Bools:
     kept: Bools = off_rad <= spike_sigma * 1.48 * np.median(off_rad) + least_spike_rad
     if not np.mean(~kept) <= spikes_share:
         raise BadStream(
-            f"{np.sum(~kept)} of {len(kept)} samples stand out from their neighbours, wanted <= "
+            f"{np.sum(~kept)} of {len(kept)} samples stand out from their neighbours, expected <= "
             f"{100 * spikes_share:g} %: the beam or the reflector is not steady"
         )
     return kept

@@ -61,7 +61,7 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Swept
             return SweptAxis(axis, f"{name}: {error}")
     rising, falling = motions
     if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
-        return SweptAxis(axis, "both sweeps turned the same way; wanted one upwards, one downwards")
+        return SweptAxis(axis, "both sweeps turned the same way, expected one up and one down")
     try:
         records, speed_rad_s = records_of(rising, falling), _speed(rising, falling)
     except BadStream as error:
@@ -71,7 +71,7 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Swept
     if not abs(shift_rad) <= longest_lag_s * speed_rad_s:
         return SweptAxis(
             axis,
-            f"tracker and joints are {shift_rad / speed_rad_s:.3f} s apart, wanted <= "
+            f"tracker and joints are {shift_rad / speed_rad_s:.3f} s apart, expected <= "
             f"{longest_lag_s:g} s: see the controller's and the tracker's load",
             lag_s=shift_rad / speed_rad_s,
         )
@@ -90,7 +90,7 @@ def records_of(rising: Motion, falling: Motion) -> Records:
     if not high - low >= least_overlap * widest:
         raise BadStream(
             f"both directions share {np.degrees(high - low):.1f} deg of "
-            f"{np.degrees(widest):.1f} deg, wanted >= {100 * least_overlap:g} %: sweep one range"
+            f"{np.degrees(widest):.1f} deg, expected >= {100 * least_overlap:g} %: sweep one range"
         )
     joint, error, side = list[Array](), list[Array](), list[Array]()
     for motion, sign in ((rising, 1.0), (falling, -1.0)):

@@ -688,7 +688,7 @@ class _Measurements(Rules):
 
     def _rested(self, record: Record, name: str, rested_s: float, rest_s: float) -> None:
         wanted_s = rest_s / self._scene.time_factor
-        what = f"{record.key}: {rested_s:.3f} s after the {name}'s motion, wanted {wanted_s:g} s"
+        what = f"{record.key}: {rested_s:.3f} s after the {name}'s motion, expected {wanted_s:g} s"
         self._check("I3", record, rested_s >= wanted_s, what)
         self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")
 

@@ -212,7 +212,7 @@ class Journal:
             for record, stored in _stored(self._base, path):
                 self._seq, self._hash = record.seq, stored
                 self._take(record)
-        except BaseException as error:
+        except BaseException as error:  # nothing leaves the file open
             self._base.close()
             if isinstance(error, sqlite3.Error):
                 raise StorageError(f"journal {path}: cannot be read: {error}") from error
@@ -334,8 +334,8 @@ def plain_body(body: Body, what: str, then: str = "") -> tuple[Json, bytes]:
     text = msgspec.json.encode(plain)
     if NULL in text and (bad := _not_finite(plain)):
         raise NotFinite(
-            f"{what}: {bad.removeprefix('.')}, wanted a finite number; nothing was written; check "
-            f"the device that it came from{then}"
+            f"{what}: {bad.removeprefix('.')}, expected a finite number; nothing was written; "
+            f"check the device that it came from{then}"
         )
     return plain, text
 
@@ -491,7 +491,7 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
         before = first[0] if first else b""
         # As bytes: a text that is damaged is noticed where it is decoded.
         texts = ", ".join(f"CAST({each} AS BLOB)" for each in ("t", "kind", "key", "body"))
-        rows = f"SELECT seq, {texts}, hash FROM record WHERE seq > ? ORDER BY seq"  # noqa: S608
+        rows = f"SELECT seq, {texts}, hash FROM record WHERE seq > ? ORDER BY seq"  # noqa: S608 - ours
         for row in base.execute(rows, (after,)):
             record, stored = _record(row)
             before = chain(before, record)

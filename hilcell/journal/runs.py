@@ -98,7 +98,7 @@ def read_log(folder: Path) -> Log:
         return Log(records)
     except HilcellError:
         raise
-    except Exception as error:
+    except Exception as error:  # whatever its records hold, they are refused in words
         raise StorageError(
             f"journal {folder / JOURNAL}: its records are no run's: {one_line(error)}; another "
             f"version of hilcell wrote it, or somebody has changed it; {FETCH}",
@@ -223,7 +223,7 @@ def check_space(runs: Path, points: int) -> None:
         if free < wanted and can_be_made(runs):
             raise HilcellError(
                 f"folder of runs {runs.absolute()}: {free / 1e6:.1f} MB of its disk are free, "
-                f"wanted {wanted / 1e6:.1f} MB for a run of {points} points; make room, or choose "
-                "a folder of another disk with --runs",
+                f"expected {wanted / 1e6:.1f} MB for a run of {points} points; make room, or "
+                "choose a folder of another disk with --runs",
                 code="HC-J15",
             )

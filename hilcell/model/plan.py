@@ -34,7 +34,7 @@ class Step:
     duration_s: float
     spans: tuple[Span, ...] = ()  # in their order; for the forecast
     note: str = ""  # why an act does nothing
-    warning: str = ""  # why its result is not what is wanted
+    warning: str = ""  # why hardly any result could be accepted
 
 
 class FloorBefore(msgspec.Struct, frozen=True):

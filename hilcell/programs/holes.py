@@ -119,7 +119,7 @@ def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
 
     rows = read_named_rows(path, read_file(path), [NORMALS, HEADER], "holes", fault_of)
     if len(rows.names) > MOST_HOLES:
-        problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"
+        problem = f"{len(rows.names)} holes, expected at most {MOST_HOLES}: split the file"
         raise SettingsError(str(path), [problem])
     values = np.array(rows.values)
     by_normal = rows.header == NORMALS

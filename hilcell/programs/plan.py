@@ -304,7 +304,7 @@ class _Unreached:
         cell, stations = self.cell, self.stations
         range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
         if not low <= range_mm <= high:
-            return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
+            return f"tracker range {range_mm:.0f} mm, expected {low:.0f} .. {high:.0f} mm"
         arm, status = cell.robot.arm(), cell.robot.status
         seen = hole.reflector_poses()[0]
         poses = np.stack([_in_base(cell, station, seen) for station in stations])
@@ -321,7 +321,7 @@ class _Unreached:
         worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
         low, high = np.degrees(limits[:, worst])
         return (
-            f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, wanted {low:.2f} "
+            f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, expected {low:.2f} "
             f".. {high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
         )
 

@@ -135,7 +135,7 @@ def _held(path: Path, what: str) -> int:
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file), path.lstat()):
                     return file
-        except BaseException:
+        except BaseException:  # nothing leaves the file open
             os.close(file)
             raise
         os.close(file)

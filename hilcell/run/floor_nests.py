@@ -21,7 +21,7 @@ ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was 
 
 
 class WrongDistance(NamedTuple):
-    """Two nests whose distance is not the one that is wanted."""
+    """Two nests whose distance is not the expected one."""
 
     nests: list[str]
     distance_mm: float

@@ -131,7 +131,7 @@ class Forecast:
     Durations are real seconds: a simulated cell that runs faster takes less of them.
     """
 
-    CLOSING_S = 0.35  # the devices are released, the result is computed
+    CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
     def __init__(self) -> None:
         self._steps: list[_Step] = []

@@ -148,7 +148,7 @@ def refusal(prompt: Prompt, look: Look, lost: Mapping[str, DeviceError]) -> str:
         return f"the tracker sees no reflector at {prompt.place}: {look.reason}"
     return (
         f"the tracker sees a reflector {look.seen_mm:.2f} mm from {prompt.place}, "
-        f"wanted <= {prompt.limit_mm:.1f} mm"
+        f"expected <= {prompt.limit_mm:.1f} mm"
     )
 
 

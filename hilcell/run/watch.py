@@ -314,8 +314,8 @@ class Watch:
             self.prove()
             self._run.pause(
                 f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
-                f"was, wanted within {off.limit_mm:.3f} mm: the strip has jumped, or a slide nest "
-                "has moved"
+                f"was, expected within {off.limit_mm:.3f} mm: the strip has jumped, or a slide "
+                "nest has moved"
             )
             self._mover.hold_station(station, again=True)
             off = self._prove_hold(station)
@@ -398,7 +398,7 @@ class Watch:
             place="the room",
             expected_mm=(x, y, z),
             limit_mm=self._run.cell.tracker.find_radius_mm,
-            reason=f"room temperature: {cause.found}, wanted {cause.wanted}",
+            reason=f"room temperature: {cause.found}, expected {cause.wanted}",
             by_itself=True,
         )
         self._room_within_s = None
@@ -438,7 +438,7 @@ class Watch:
         steady_s = now_s - self._room_within_s
         if not steady_s >= table.steady_s:
             why = f"the air has been within {table.back_k:g} K for {steady_s:.0f} s"
-            return Look(None, f"{why}, wanted {table.steady_s:g} s", reading.taken_s)
+            return Look(None, f"{why}, expected {table.steady_s:g} s", reading.taken_s)
         return Look(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
 
     @staticmethod

@@ -273,7 +273,7 @@ def change(file: Path, *commands: str) -> None:
         Path.unlink,
     ],
 )
-def test_a_damaged_index_is_made_anew(runs: Path, opened: Opened, harm: Any) -> None:
+def test_a_damaged_index_is_made_again(runs: Path, opened: Opened, harm: Any) -> None:
     rows = read_index(runs)
     harm(runs / NAME)
     assert read_index(runs) == rows
