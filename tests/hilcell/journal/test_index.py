@@ -372,6 +372,13 @@ def test_strange_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert not {"\x1b", "\u202e"} & {*capsys.readouterr().out}
 
 
+def test_a_cell_whose_name_is_no_text_spoils_no_list(tmp_path: Path) -> None:
+    written(tmp_path / "1-made", cell={"name": 5, "serial": 7, "grid": {"station": [1]}})
+    (row,) = read_index(tmp_path)
+    assert (row.state, row.cell, row.serial) == ("finished", "5", "7")
+    assert matches(row, "cell:5")
+
+
 def test_no_runs(tmp_path: Path) -> None:
     assert read_index(tmp_path / "none") == []
     assert read_index(tmp_path) == []

@@ -46,6 +46,8 @@ def test_corrected_points_are_known_again(runs: Path) -> None:
             refuse(runs, again)
     with pytest.raises(CorrectedBefore, match=r"1 of 4 .*\(H2; the stamp\)"):
         refuse(runs, np.vstack([NOMINAL[:2], COMMAND[:1], NOMINAL[2:]]))
+    with pytest.raises(CorrectedBefore, match=r"12 of 12 .*H9, and 2 more; the stamp"):
+        refuse(runs, np.vstack([COMMAND] * 4))
     refuse(runs, np.vstack([COMMAND[:1] + 0.05, NOMINAL]))
 
 
