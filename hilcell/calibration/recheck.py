@@ -40,7 +40,6 @@ MOTION, SLIP = 6, 3  # degrees of freedom
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
 Verdict = Literal["valid", "update", "redo"]
-WORDS = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
 
 
 @dataclass(frozen=True, eq=False)

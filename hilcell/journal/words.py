@@ -67,7 +67,7 @@ def id_of(key: str, log: Log) -> PointId:
             found["how"] = part
         else:
             rest.append(SIDES.get(part, part))
-    if kind in ("world", "control", *CHECKS, "slide", "three"):  # after how often it was measured
+    if kind in ("world", "control", *CHECKS, "slide", "three"):  # its nest is the last part
         rest = rest[-1:]
     return PointId(kind, target=" ".join(rest), **found)
 

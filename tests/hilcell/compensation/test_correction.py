@@ -98,12 +98,12 @@ def test_a_map_that_jumps_is_refused() -> None:
     def error_at(at_mm: Array) -> Array:
         return np.where(at_mm > 1500.0, 20.0, -20.0) * [1.0, 0, 0]
 
-    with pytest.raises(HilcellError, match="hole 7"):
+    with pytest.raises(HilcellError, match="do not settle: hole 7"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(error_at), names=["hole 7"])
 
 
 def test_a_map_without_a_value_is_refused() -> None:
-    with pytest.raises(HilcellError, match="target 1"):
+    with pytest.raises(HilcellError, match="do not settle: target 1"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(lambda at_mm: at_mm * np.nan))
 
 

@@ -126,7 +126,7 @@ def test_recorded_stations_come_first_and_free_ones_serve_where_they_do_not() ->
     near = wall(4, 20, 300.0)
     assert [each.station for each in plan(CELL, near, free=True).stations] == [CELL.station[1]]
     far = holes_at([[-100.0, 3300.0, 1100.0]])
-    with pytest.raises(HilcellError):
+    with pytest.raises(HilcellError, match="cannot be drilled"):
         plan(CELL, far)
     (only,) = plan(CELL, far, free=True).stations
     assert only.station not in CELL.station
