@@ -5,8 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.calibration import decision
 from hilcell.calibration.file import read_calibration
-from hilcell.journal.runs import CALIBRATION
+from hilcell.calibration.recheck import recheck_result
+from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.model.verdicts import Limits
 from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -15,7 +18,9 @@ pytestmark = pytest.mark.waits
 LOST = '[[fault]]\nname = "robot.lost_zero"\nvalue = 0.02\n'  # 0.35 mrad: 0.7 mm at the cube
 
 
-def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_path: Path) -> None:
+def test_a_lost_zero_is_updated_and_the_update_holds(
+    golden: GoldenRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     faults, runs = tmp_path / "faults.toml", tmp_path / "runs"
     faults.write_text(LOST)
     with simulation(faults=str(faults)) as cell:
@@ -42,6 +47,11 @@ def test_a_lost_zero_is_updated_and_the_update_holds(golden: GoldenRuns, tmp_pat
     assert done.returncode == 0, done.stderr
     done = command("compensate", "V", targets, "--station", "S1100", "-o", out, "--runs", runs)
     assert done.returncode == 2
+    monkeypatch.setattr(decision, "limits_of", lambda cell: Limits(0.1, 0.11, None))
+    for name in ("R", "V"):  # its base moved; as predicted: both out of such a tolerance
+        result = recheck_result(read_log(runs / name))
+        assert (result.verdict, result.in_tolerance) == ("redo", False)
+        assert "Calibrate again: the errors are as predicted, but out of tolerance" in result.text
 
 
 def test_an_update_that_a_slip_explains_as_well_is_in_doubt(
