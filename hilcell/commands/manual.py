@@ -33,7 +33,8 @@ def explain(args: Explain) -> int:
     known = catalogue()
     named = re.sub("^(HC[- ]?)?", "HC-", args.code.upper(), count=1)
     if named not in known:
-        near = near_misses(named, known, most=3)
+        # One digit, or a word, is like too many codes.
+        near = near_misses(named, known, most=3) if re.match(r"HC-[A-Z].*\d", named) else []
         hint = f"did you mean {' or '.join(near)}?" if near else "codes are like HC-T10"
         raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
     entry = known[named]

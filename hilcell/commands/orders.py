@@ -144,7 +144,10 @@ class Compensate(Signature):
     calibration: Annotated[str, Word("a run or calibration.json", "CALIBRATION")]
     targets: Annotated[
         str,
-        Word(f"targets in {{W}}, header {TARGETS}; or a robot program", "TARGETS.csv|PROGRAM"),
+        Word(
+            f"targets in {{W}}, header {TARGETS}; or a robot program of an installed format",
+            "TARGETS.csv|PROGRAM",
+        ),
     ]
     allow_stroke: Annotated[
         float,
@@ -167,7 +170,7 @@ class Compensate(Signature):
     station: Annotated[str, Argument("where they are reached", "S")]
     output: Annotated[str, Output("corrected targets, or program", "OUT")]
     cell: Annotated[
-        str, Argument("refuse a calibration of another cell, and changed joint turns", "CELL")
+        str, Argument("refuse a calibration of another cell, and joint turns that change", "CELL")
     ] = ""
     settings: Settings = ()
     tool: ToolName = ""
@@ -271,7 +274,7 @@ class Doctor(Signature):
     """Check this PC before a run; nothing moves."""
 
     cell: Annotated[
-        str, Argument("also connect once to each unused device of a real cell", "CELL")
+        str, Argument("also connect once to each device of a real cell that no run uses", "CELL")
     ] = ""
     settings: Settings = ()
     runs: Runs
@@ -286,17 +289,26 @@ class Sim(Signature):
     seed: Annotated[int, Argument("of the machine (default: 1)", "N", seed_of)] = 1
     machine_seed: MachineSeed = None
     truth: Annotated[bool, Argument("the control channel answers what is true; for tests")] = False
-    speed: Annotated[float, Argument("a factor of real time (default: 1)", "X|max", speed_of)] = 1.0
-    faults: Annotated[str, Argument("faults to inject, TOML (docs/training.md)", "FILE")] = ""
+    speed: Annotated[
+        float,
+        Argument("a factor of real time, or as fast as it goes (default: 1)", "X|max", speed_of),
+    ] = 1.0
+    faults: Annotated[
+        str, Argument("faults to inject, TOML: docs/training.md has names and form", "FILE")
+    ] = ""
     train: Annotated[bool, Argument("offer faults from a menu, to practise")] = False
     ports: Annotated[
         dict[str, int] | None,
-        Argument("of rail, robot, tracker, control (default: free)", "NAME=PORT,...", ports_of),
+        Argument(
+            "TCP ports of rail, robot, tracker, control (default: free ones)",
+            "NAME=PORT,...",
+            ports_of,
+        ),
     ] = None
 
 
 class Completion(Signature):
-    """Print the script that completes commands in a shell: bash, zsh, .."""
+    """Print the script that completes commands in bash, zsh, fish or tcsh."""
 
     shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], Word("the shell")]
 
@@ -336,7 +348,11 @@ class RunStudy(Signature):
     ] = None
     output: Annotated[
         str,
-        Output("folder of results (default: FILE-results), or the report (DIR/report.html)", "OUT"),
+        Output(
+            "folder of results (default: FILE-results); of a report its file "
+            "(default: DIR/report.html)",
+            "OUT",
+        ),
     ] = ""
     dry_run: Annotated[bool, Argument("list the cases only")] = False
     json: Json = False

@@ -151,7 +151,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print an error, and where the arguments are listed, and end with exit code 2."""
-        # The password of a URL that stands where none is wanted.
+        # A URL in the place of another word may hold a password.
         words = re.sub(r"(://[^:/@\s]*:)\S*@", r"\1***@", message)
         print_message(f"{self.prog}: {words}\n`{self.prog} --help` lists what there is")
         self.exit(EXIT_REFUSED)

@@ -45,8 +45,9 @@ def test_an_unknown_code_is_refused_with_those_most_like_it(
     assert f"did you mean {meant}" in said.err
 
 
+@pytest.mark.parametrize("typed", ["bogus", "3", "30", "T", "HC-"])
 def test_codes_are_described_where_none_is_like_an_unknown_one(
-    capsys: pytest.CaptureFixture[str],
+    typed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["explain", "bogus"]) == 2
+    assert main(["explain", typed]) == 2
     assert "; codes are like HC-T10" in capsys.readouterr().err
