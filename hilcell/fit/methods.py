@@ -426,7 +426,10 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
         Column("method", itemgetter("method")),
         *(Column(name, itemgetter(f"{name}_mm"), "mm", ".4f") for name in names),
     ]
-    return Table(columns, [{"method": name, **each} for name, each in methods.items()])
+    rows: list[Mapping[str, str | float]] = [
+        {"method": name, **each} for name, each in methods.items()
+    ]
+    return Table(columns, rows)
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:

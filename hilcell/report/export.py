@@ -20,7 +20,7 @@ from hilcell.present.renderers import csv_of, xlsx_of
 from hilcell.present.table import Column, Table, Value, listed, vector
 from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
-from hilcell.report.tables import ACCURACY, FRAMES, Tables
+from hilcell.report.tables import ACCURACY, FRAMES, Posed, Tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with the sheets run, points, frames, results and before and after."""
     compared = Table(ACCURACY, Tables(facts).validated_rows(), "before and after")
     entries = (f"{row}{column}" for row in range(4) for column in range(4))
-    columns = (*FRAMES, *vector("m", entries, "", "matrix.flat"))
+    columns: tuple[Column[Posed], ...] = (*FRAMES, *vector("m", entries, "", "matrix.flat"))
     frames = Table(columns, Tables(facts).posed(), "frames")
     sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
     begun = datetime.fromisoformat(facts.records[0].t)

@@ -164,8 +164,8 @@ class RunScreen(FilterScreen):
             return
         self.points_open &= not view.live
         glyphs = self.application.glyphs
-        shown = run_text.identity(view), run_text.step(view), run_text.progress(view)
-        shown += devices.lamps(view, glyphs), devices.interlocks(view, glyphs)
+        texts = run_text.identity(view), run_text.step(view), run_text.progress(view)
+        shown = (*texts, devices.lamps(view, glyphs), devices.interlocks(view, glyphs))
         for name, lines in zip(LINES, shown, strict=True):
             self.panel(name).show(lines)
         self._show_points(view)

@@ -216,7 +216,8 @@ class Site:
         last = [*log.points][-1:]
         rail_mm = log.points[last[0]].rail_mm if last else None
         if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
-            rail_mm = [log.cell.reference, *log.happened(StationHeld)][-1].rail_mm
+            held = log.happened(StationHeld)
+            rail_mm = held[-1].rail_mm if held else log.cell.reference.rail_mm
         T_W_B = layout.nominal_base(rail_mm)
         slide = {nest.name: cls._above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
         standing = {nest.name: cls._above(nest.xyz_mm) for nest in layout.standing}

@@ -550,7 +550,8 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
 
 def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
     """Return the step under way and those after it, when each starts and how long it takes."""
-    heading, starts_s, steps = section("next steps", "starts in   takes"), 0.0, []
+    heading, starts_s = section("next steps", "starts in   takes"), 0.0
+    steps: list[Sequence[Cell]] = []
     start, style, shape = "now", "$foreground", " " if view.at_rest else glyphs.moving
     for words, takes_s in _parts(view)[: min(rows - 1, MOST_STEPS)]:
         said = ((text, style) for text in (words, start, duration(takes_s)))

@@ -334,5 +334,5 @@ class Views:
         first = ("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")
         last = (f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")
         edge = "│", "$stale"
-        rows = (first, *((edge, each, edge) for each in cells), last)
-        return [Content.assemble(*row) for row in rows]
+        rows = [Content.assemble(edge, each, edge) for each in cells]
+        return [Content.assemble(*first), *rows, Content.assemble(*last)]

@@ -8,22 +8,24 @@ from typing import Any
 
 import msgspec
 
-from hilcell.cell import file, layout, surroundings
+from hilcell.cell import file, layout, robot, surroundings
 from hilcell.cell import file as cell
 from hilcell.cell.file import Iso9283Table, RoomTable
 from hilcell.cell.settings import range_text
+from hilcell.cell.tables import Frozen
+from hilcell.cell.uncertainty import UncertaintyTable
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
 SECTIONS: dict[str, type[msgspec.Struct]] = {
     "The whole file": cell.Cell,
     "[rail]": cell.RailTable,
-    "[robot]": cell.RobotTable,
+    "[robot]": robot.RobotTable,
     "[[robot.joint]]": cell.Joint,
     "[robot.envelope]": surroundings.EnvelopeTable,
     "[[robot.envelope.capsule]]": surroundings.CapsuleTable,
     "[tracker]": cell.TrackerTable,
     "A pose": cell.Pose,
-    "[layout]": cell.Layout,
+    "[layout]": layout.Layout,
     "A nest": cell.Nest,
     "A length": layout.KnownLength,
     "[[station]]": cell.Station,
@@ -38,7 +40,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
     "[[tool]]": cell.ToolTable,
-    "[uncertainty]": cell.UncertaintyTable,
+    "[uncertainty]": UncertaintyTable,
     "[certificate]": cell.CertificateTable,
     "[recheck]": file.RecheckTable,
     "[iso9283]": Iso9283Table,
@@ -79,6 +81,6 @@ def test_no_table_is_left_out() -> None:
     tables = {
         kind
         for kind in (vars(cell) | vars(layout) | vars(surroundings)).values()
-        if isinstance(kind, type) and issubclass(kind, cell.Frozen) and kind is not cell.Frozen
+        if isinstance(kind, type) and issubclass(kind, Frozen) and kind is not Frozen
     }
     assert tables == set(SECTIONS.values())

@@ -13,8 +13,8 @@ from sqlalchemy import select
 from hilcell.calibration.file import SEAL
 from hilcell.journal.runs import CALIBRATION
 from hilcell.plant import shipper
-from hilcell.plant.database import Database
-from hilcell.plant.shipper import SEEN, Shipped, ship
+from hilcell.plant.database import SEEN, Database
+from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import DOCUMENT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run

@@ -18,9 +18,9 @@ import pytest
 from sqlalchemy import Engine, event, func, select
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import Database
+from hilcell.plant.database import SEEN, Database
 from hilcell.plant.record import record_of
-from hilcell.plant.shipper import SEEN, Shipped, ship
+from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server

@@ -19,9 +19,9 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
+from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, SEEN, Database
 from hilcell.plant.record import digest_of, heads, record_of
-from hilcell.plant.shipper import SEEN, ship, write
+from hilcell.plant.shipper import ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server

@@ -24,8 +24,8 @@ from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import ENGINE, JOURNAL, EngineFile, read_records
 from hilcell.plant.cells import cells
-from hilcell.plant.database import Database
-from hilcell.plant.shipper import SEEN, Shipped, ship
+from hilcell.plant.database import SEEN, Database
+from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run, extend, write_journal

@@ -20,6 +20,7 @@ from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, quantity
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
+from hilcell.report.tables import Tables
 from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
@@ -222,7 +223,7 @@ def test_orientations_where_they_were_measured(
     facts = run(tmp_path / "r")
     names = ".//dcc:result/dcc:name"
     assert "Orientation error of the tool" not in texts(parsed(facts), names)
-    monkeypatch.setattr(dcc.Tables, "oriented", lambda _: [("S300", "before", Turned())])
+    monkeypatch.setattr(Tables, "oriented", lambda _: [("S300", "before", Turned())])
     root = parsed(facts)
     assert faults(root) == []
     assert "Orientation error of the tool" in texts(root, names)

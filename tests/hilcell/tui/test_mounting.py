@@ -37,5 +37,6 @@ def test_each_screen_handles_an_event_once(handler: str, monkeypatch: pytest.Mon
         await settle(pilot)
 
     run_app(open_all, "done")
-    screens = [each.__name__ for each in (*PAGES.values(), RunScreen, StartScreen)]
+    opened: list[type[BaseScreen]] = [*PAGES.values(), RunScreen, StartScreen]
+    screens = [each.__name__ for each in opened]
     assert {name: calls[name] for name in screens} == dict.fromkeys(screens, 1)
