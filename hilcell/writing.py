@@ -119,7 +119,7 @@ def _mode(path: Path, inputs: list[Path]) -> int | None:
             raise PermissionError(0, "Permission denied")
     read = (each.stat() for each in inputs if each.exists())
     if stat.S_ISREG(found.st_mode) and any(os.path.samestat(found, each) for each in read):
-        raise NotWritten(f"{_name(path)} is what is read; write elsewhere")
+        raise NotWritten(f"{_name(path)} is read by this command; write elsewhere")
     return found.st_mode
 
 

@@ -1,4 +1,8 @@
-"""Where the rail and the nests stand, and whether reflectors are carried by hand."""
+"""Where the rail and the nests stand, and whether reflectors are carried by hand.
+
+Frames: {W} world, of the floor's first three nests; {B} robot base; {S} slide, whose nests are
+given in nominal {B}, for the slide carries the robot.
+"""
 
 from __future__ import annotations
 

@@ -280,14 +280,14 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
         metas = getattr(kind, "__metadata__", ())
         words = next((meta.description for meta in metas if meta.description), "")
         if isinstance(value, str) and words:
-            wanted, hint = f"{words} are wanted", ""
+            wanted, hint = f"expected {words}", ""
         elif expected := _EXPECTED.match(str(error)):
-            wanted = f"{_KINDS[expected[1]]} is wanted"
+            wanted = f"expected {_KINDS[expected[1]]}"
         elif str(error).startswith("Invalid enum value"):  # msgspec repeats the value
-            wanted = "a known word is wanted"
+            wanted = "expected a known word"
         else:
             wanted = str(error)
-        problems.append(f"{path}: {wanted}, found {_short(value)}{hint}")
+        problems.append(f"{path}: {wanted}, got {_short(value)}{hint}")
         return msgspec.NODEFAULT
 
 

@@ -136,7 +136,9 @@ def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
     """Refuse volumes and links so small that nothing would collide; raises `ValueError`."""
     least_mm = min(lengths_mm)
     if not least_mm >= LEAST_MM:
-        raise ValueError(f"{key}: expected >= {LEAST_MM:g} mm, got {least_mm:g} mm: metres?")
+        raise ValueError(
+            f"{key}: expected >= {LEAST_MM:g} mm, got {least_mm:g} mm; are these metres?"
+        )
 
 
 def posture(rail_mm: float, joints_rad: Array) -> Array:

@@ -52,7 +52,7 @@ class InstrumentDcc:
             raise NotRead(f"cannot be read: {error.strerror}") from error
         longest = 4_000_000  # characters
         if len(text) > longest:
-            raise NotRead(f"has {len(text)} characters, wanted at most {longest}")
+            raise NotRead(f"has {len(text)} characters, expected at most {longest}")
         if "<!DOCTYPE" in text:
             raise NotRead("declares a document type; a DCC has none")
         try:
@@ -74,7 +74,7 @@ class InstrumentDcc:
         """
         found = [each for each in self.root.iter(f"{DCC}quantity") if each.get("id") == id]
         if len(found) != 1:
-            raise NotRead(f"{len(found)} quantities have the id {id!r}, wanted 1")
+            raise NotRead(f"expected one quantity of the id {id!r}, got {len(found)}")
         lengths = [each for each in found[0].iter() if self._unit(each) in MM]
         if not lengths:
             raise NotRead(f"quantity {id!r} is no length in {', '.join(MM)}")
@@ -134,7 +134,7 @@ class InstrumentDcc:
             except ValueError:
                 figure = math.nan
             if not math.isfinite(figure):
-                raise NotRead(f"{name} is {clean(word)!r}, wanted a figure")
+                raise NotRead(f"{name}: expected a figure, got {clean(word)!r}")
             yield figure
 
 
@@ -196,7 +196,7 @@ def with_certificates(stated: UncertaintyTable, folder: Path) -> UncertaintyTabl
             continue
         try:
             if getattr(stated, f"{name}_certificate"):
-                raise NotRead(f"names the certificate; so does {name}_certificate: wanted one")
+                raise NotRead(f"names the certificate; so does {name}_certificate: state one")
             certificate = InstrumentDcc.read(folder / place)
             found[f"{name}_certificate"] = certificate.words
             if id and not limit:

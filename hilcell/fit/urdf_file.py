@@ -67,7 +67,7 @@ class JointText:
             origin = self.parts.get("origin", {})
             other = sorted(set(origin) - {"xyz", "rpy"})
             if other:
-                raise ValueError(f"origin has {', '.join(other)}, wanted xyz and rpy only")
+                raise ValueError(f"origin: expected xyz and rpy only, got {', '.join(other)}")
             xyz_m = _vector(origin, "origin", "xyz", (0.0, 0.0, 0.0))
             rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
             if not np.abs(rpy_rad).max() <= most_turn_rad:
@@ -132,7 +132,7 @@ class UrdfText:
         """Return the joint that carries each link."""
         most_joints = 1000  # of one file
         if len(self.joints) > most_joints:
-            raise NotUrdf(f"has {len(self.joints)} joints, wanted at most {most_joints}")
+            raise NotUrdf(f"has {len(self.joints)} joints, expected at most {most_joints}")
         above: dict[str, JointText] = {}
         for joint in self.joints:
             child = joint.end("child")
@@ -201,7 +201,7 @@ class _Reader:
 
     def _root(self, name: str, attributes: dict[str, str], at: int) -> None:
         if name != "robot":
-            raise NotUrdf(f"is no URDF: its root is <{name}>, wanted <robot>")
+            raise NotUrdf(f"is no URDF: its root is <{name}>, expected <robot>")
         self.found.name, self.found.tag_end = attributes.get("name", ""), self._end(at)
 
     def _part(self, joint: JointText, name: str, attributes: dict[str, str], at: int) -> None:
@@ -318,7 +318,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     reach_m = float(lengths_mm(np.vstack([chain.origins[1:, :3, 3], chain.tip[:3, 3]])).sum()) / MM
     if not LEAST_REACH_M <= reach_m <= MOST_REACH_M:
         problem = (
-            f"the links behind joint 1 are {reach_m:.4g} m long together, wanted "
+            f"the links behind joint 1 are {reach_m:.4g} m long together, expected "
             f"{LEAST_REACH_M:g} to {MOST_REACH_M:g} m: lengths in a URDF are metres"
         )
         raise SettingsError(str(path), [problem])
@@ -372,7 +372,7 @@ def _unfit(way: list[JointText]) -> str:
         return f"has joints that follow others (mimic): {_list(mimics)}"
     if len(moving) != 6:
         names = _list([joint.name for joint in moving]) or "none"
-        return f"has {len(moving)} revolute joints, wanted six: {names}"
+        return f"has {len(moving)} revolute joints, expected six: {names}"
     return ""
 
 
@@ -391,7 +391,7 @@ def _vector(
         raise ValueError(f"{part} {name} has macros of xacro: expand the file first")
     cells = found[name].split()
     if len(cells) != 3:
-        raise ValueError(f"{part} {name} has {len(cells)} numbers, wanted three")
+        raise ValueError(f"{part} {name} has {len(cells)} numbers, expected three")
     return np.array(numbers([f"{part} {name}"] * 3, cells))
 
 

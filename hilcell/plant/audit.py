@@ -66,7 +66,7 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     make = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
     content = _content(path, make)
     if b"PUBLIC KEY" in content:
-        raise BadKey(path, "it is a public key, wanted the private one", f"name that one; {make}")
+        raise BadKey(path, "it is a public key, expected the private one", f"name that one; {make}")
     others = stat.S_IRWXG | stat.S_IRWXO
     if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & others:
         raise BadKey(
@@ -79,7 +79,7 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     except _WRONG:
         raise BadKey(path, "it is no private key in PEM", make) from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise BadKey(path, "it is another kind of key, wanted Ed25519", make)
+        raise BadKey(path, "it is another kind of key, expected Ed25519", make)
     return key
 
 
@@ -88,13 +88,13 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
     publish = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
     content = _content(path, publish)
     if b"PRIVATE KEY" in content:
-        raise BadKey(path, "it is a private key, wanted the public one", publish)
+        raise BadKey(path, "it is a private key, expected the public one", publish)
     try:
         key = load_pem_public_key(content)
     except _WRONG:
         raise BadKey(path, "it is no public key in PEM", publish) from None
     if not isinstance(key, Ed25519PublicKey):
-        raise BadKey(path, "it is another kind of key, wanted Ed25519", publish)
+        raise BadKey(path, "it is another kind of key, expected Ed25519", publish)
     return key
 
 
@@ -249,7 +249,7 @@ class _Record(NamedTuple):
             why = "is no plain file" if name in self.sizes else "is missing"
             raise NotProven(f"{self.name}: {name} {why}; nothing in this record is proven")
         if size > most:
-            raise NotProven(f"{self.name}: {name} has {size} bytes, wanted at most {most}")
+            raise NotProven(f"{self.name}: {name} has {size} bytes, expected at most {most}")
         with _as_not_proven(f"{self.name}: {name}"), self.open(name) as file:
             return file.read(most)
 

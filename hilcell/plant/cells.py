@@ -153,7 +153,7 @@ def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float)
 def doubts(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
     """Return what is wrong with the records: serial numbers and clocks, one sentence each.
 
-    ``cells`` are the names of those whose records are wanted; None for all.
+    ``cells`` are the names of those whose records to check; None for all.
     """
     of = _Doubts(connection)
     kinds = (of.serials, of.robots, of.namesakes, of.at_once, of.ahead, of.set_back)

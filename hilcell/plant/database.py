@@ -277,7 +277,7 @@ class Database:
 
 
 def _parsed(url: str) -> URL:
-    forms = "postgresql://USER@HOST/DATABASE or sqlite:///FILE is wanted"
+    forms = "expected postgresql://USER@HOST/DATABASE or sqlite:///FILE"
     try:
         if b"\0" in unquote_to_bytes(url):  # libpq would read no further
             raise exc.ArgumentError
@@ -297,11 +297,13 @@ def _parsed(url: str) -> URL:
             f"plant database: {name} is a file of a folder of runs, which may be deleted at any "
             "time; name another, as plant.db"
         )
-    for name in parsed.query.keys() - _options(backend):
-        raise PlantError(
-            f"plant database: its URL has the option {clean(name)}, wanted are those of "
-            "PostgreSQL's own library, as ?sslmode=verify-full"
-        )
+    known = _options(backend)
+    for name in parsed.query:
+        if name not in known:
+            raise PlantError(
+                f"plant database: unknown option {clean(name)} of its URL; expected one of "
+                "PostgreSQL's own library, as ?sslmode=verify-full"
+            )
     return parsed.set(drivername=drivers[backend])
 
 

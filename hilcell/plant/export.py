@@ -38,7 +38,7 @@ def export(
 ) -> Manifest:
     """Write the record of a cell to a folder, or to an archive where ``place`` ends in .zip.
 
-    ``serial`` is wanted where cells of several serial numbers have that name. Raises `NotWritten`,
+    ``serial`` is needed where cells of several serial numbers have that name. Raises `NotWritten`,
     `PlantError`, and `HilcellError` for a cell that has shipped nothing.
     """
     source = _Source(connection)

@@ -253,7 +253,7 @@ def _moment(t: str) -> datetime:
     """Return a time; raises `ValueError` where no clock of a cell can have said it."""
     found = datetime.fromisoformat(t)
     if not 1980 <= found.year < 2200:  # a PC whose battery is empty begins with the first
-        raise ValueError(f"it says the time {t}, wanted are years of 1980 to 2200")
+        raise ValueError(f"expected a time of the years 1980 to 2199, got {t}")
     return found
 
 

@@ -143,7 +143,7 @@ def _content(path: Path) -> bytes:
         if not stat.S_ISREG(found.st_mode):
             raise BadDocument(path, "is a link or no file")
         if found.st_size > MOST_BYTES:
-            raise BadDocument(path, f"has {found.st_size} bytes, wanted at most {MOST_BYTES}")
+            raise BadDocument(path, f"has {found.st_size} bytes, expected at most {MOST_BYTES}")
         return path.read_bytes()
     except OSError as error:
         raise BadDocument(path, f"cannot be read: {error.strerror}") from error

@@ -108,7 +108,7 @@ def dcc_bytes(facts: Facts) -> bytes:
     if facts.log.calibration != "validated" or not page.judged_places():
         raise NotWritten(
             f"run {facts.run}: no certificate, its calibration is "
-            f"{facts.log.calibration.replace('_', ' ')}; wanted one whose targets were measured "
+            f"{facts.log.calibration.replace('_', ' ')}; expected one whose targets were measured "
             "and judged; `hilcell report` shows what there is"
         )
     written = environment("hilcell.report").get_template("dcc.xml.j2").render(

@@ -22,8 +22,9 @@ def find_browser() -> str:
     found = next((path for path in map(shutil.which, browsers) if path), "")
     if not found:
         raise NotWritten(
-            f"report: no browser to print a PDF with, wanted one of {', '.join(browsers)}; install "
-            "chromium, or write FILE.html, open it in any browser and print it to a file"
+            "report: no browser to print a PDF with, expected one of "
+            f"{', '.join(browsers)}; install chromium, or write FILE.html, open it in any browser "
+            "and print it to a file"
         )
     return found
 

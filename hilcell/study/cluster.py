@@ -205,7 +205,9 @@ class Workers:
             elif there != self._versions:
                 problems.append(f"{address}: {self._differences(there)}")
         many = {address: n for address, n in client.nthreads().items() if n > 1}
-        problems += [f"{address}: {n} threads, wanted --nthreads 1" for address, n in many.items()]
+        problems += [
+            f"{address}: {n} threads, expected --nthreads 1" for address, n in many.items()
+        ]
         if problems:
             raise Cluster(f"{name}: workers differ: {'; '.join(problems)}")
 

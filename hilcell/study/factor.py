@@ -101,7 +101,7 @@ class Distribution(Frozen, frozen=True, kw_only=True):
             if stated and key not in wanted:
                 yield f"{key}: {self.kind} has none"
             elif key in wanted and not stated:
-                yield f"{key}: missing; {self.kind} wants it"
+                yield f"{key}: missing; {self.kind} needs it"
 
 
 Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
@@ -223,7 +223,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     def _stated(self) -> Iterator[str]:
         if not (self._has_range or self._has_levels):
-            yield "levels are wanted, or low and high"
+            yield "expected levels, or low and high"
 
     def _range_without_levels(self) -> Iterator[str]:
         for key in ("labels", "weights"):
@@ -261,7 +261,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
         if not all(isinstance(each, Mapping) and each for each in self.ends):
             yield "setting: missing; without it each level is a table of settings"
         elif self.labels is None:
-            yield "labels: missing; levels that are tables of settings want names"
+            yield "labels: missing; levels that are tables of settings need names"
 
     def _one_each(self, key: str) -> Iterator[str]:
         """Yield that a list has not one for each level, or each end."""

@@ -69,7 +69,7 @@ class Optimum(Frozen, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.most_minutes is None and self.mm_per_minute is None:
-            raise ValueError("most_minutes, mm_per_minute or both are wanted")
+            raise ValueError("expected most_minutes, mm_per_minute or both")
 
 
 class Study(Frozen, frozen=True, kw_only=True):
@@ -137,7 +137,7 @@ class Study(Frozen, frozen=True, kw_only=True):
             yield "samples: missing; how many points has the Sobol design?"
         elif self.samples & (self.samples - 1):
             above = 1 << self.samples.bit_length()
-            yield f"samples: a power of two is wanted: {above // 2} or {above}"
+            yield f"samples: expected a power of two, {above // 2} or {above}, got {self.samples}"
 
     def _optimum_wanted(self) -> Iterator[str]:
         if self.design != "optimise":
