@@ -369,19 +369,22 @@ def _speak(listening: socket.socket, answer: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "named"),
     [
-        ("report",),
-        ("a.toml", "b"),
-        ("report", "r", "--workers", "2"),
-        ("a.toml", "--workers", "0"),
-        ("a.toml", "--scheduler", "host"),
-        ("a.toml", "--workers", "2", "--scheduler", "tcp://h:1"),
-        ("report", "r"),
+        (("report",), "folder"),
+        (("a.toml", "b"), "'b'"),
+        (("report", "r", "--workers", "2"), "--workers"),
+        (("report", "r", "--dry-run"), "--dry-run"),
+        (("a.toml", "--workers", "0"), "--workers"),
+        (("a.toml", "--scheduler", "host"), "--scheduler"),
+        (("a.toml", "--workers", "2", "--scheduler", "tcp://h:1"), "--scheduler"),
+        (("report", "r"), "folder"),
     ],
 )
-def test_words_that_contradict_one_another(words: tuple[str, ...]) -> None:
-    assert command("study", *words).returncode == 2
+def test_words_that_contradict_one_another(words: tuple[str, ...], named: str) -> None:
+    done = command("study", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert named in done.stderr
 
 
 def test_a_dry_run_lists_the_cases(tmp_path: Path) -> None:

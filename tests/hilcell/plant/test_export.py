@@ -155,6 +155,19 @@ def test_an_archive_is_proven_as_a_folder_is(auditor: Auditor) -> None:
     auditor.said(auditor.verify(place))
 
 
+def test_a_file_that_is_twice_in_an_archive_is_named(auditor: Auditor) -> None:
+    """Programs differ in which of both they read."""
+    place = auditor.folder / "twice.zip"
+    auditor.said(auditor.export(out=place), 0)
+    with zipfile.ZipFile(place, "a") as archive:
+        name = next(each for each in archive.namelist() if each.endswith("run.json"))
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr(name, archive.read(name))
+    done = command(*auditor.verify(place))
+    assert done.returncode == 1
+    assert f"{name}: is no plain file" in done.stderr
+
+
 def test_each_file_that_was_touched_is_named(auditor: Auditor) -> None:
     (folder,) = (auditor.out / "runs").iterdir()
     points = folder / "points.json"

@@ -124,6 +124,29 @@ def test_figures_are_those_of_both_results(seeds: Comparison, pair: tuple[Path, 
         assert (each.limit is not None) == (what == "mean")
 
 
+def test_an_uncertain_base_widens_the_limit_before_a_correction_alone(
+    first: Log, records: list[Record]
+) -> None:
+    """A correction that was learnt in a run's {B} makes up for where that {B} is."""
+
+    def uncertain(record: Record) -> Record:
+        if record.kind != "frame" or record.key != "base":
+            return record
+        covariance = (100.0 * np.array(record.body["covariance"])).tolist()
+        return msgspec.structs.replace(record, body=record.body | {"covariance": covariance})
+
+    known, doubted = compare_runs(first, first), compare_runs(first, altered(records, uncertain))
+    limits = [
+        {(each.place, each.what): each.limit for each in of(found, "validation", " mean")}
+        for found in (known, doubted)
+    ]
+    for (place, what), limit in limits[0].items():
+        widened = limits[1][place, what]
+        assert limit is not None
+        assert widened is not None
+        assert (widened > 1.01 * limit) == what.startswith("before"), (place, what)
+
+
 def test_a_run_is_as_itself(first: Log, records: list[Record]) -> None:
     found = compare_runs(first, Log(records))
     assert found.settings == []
