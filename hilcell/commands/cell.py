@@ -48,7 +48,7 @@ class Trainer:
         print_message("\n".join(["training:", *rows, HELP]))
 
     def take(self, line: str) -> bool:
-        """Obey one line of the keyboard; return whether more are wanted."""
+        """Obey one line of the keyboard; return whether to read another."""
         word = line.strip().lower()
         if word == "q":
             return False

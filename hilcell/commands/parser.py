@@ -86,8 +86,8 @@ class Parser(argparse.ArgumentParser):
         formatter = self._get_formatter()
         formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
         formatter.add_text(self.description)
-        # argparse says nowhere else what it would list.
-        listed = {each.dest: each for each in self.commands._choices_actions}  # noqa: SLF001
+        actions = self.commands._choices_actions  # noqa: SLF001 - argparse lists them nowhere else
+        listed = {each.dest: each for each in actions}
         for title, names in self.groups.items():
             formatter.start_section(title)
             formatter.add_arguments([listed[name] for name in names])

@@ -102,7 +102,7 @@ class FilterScreen(BaseScreen):
 
     @abstractmethod
     def filter_rows(self) -> None:
-        """Show the rows that are wanted."""
+        """Show the rows that match the filter."""
 
     def do_find(self) -> None:
         box = self.query_one("#find", Input)

@@ -116,7 +116,12 @@ class RunScreen(FilterScreen):
         (120, "-table"),  # the table has nominal and measured places in its stead
         (138, "-wide"),  # the map in three views
     ]
-    VERTICAL_BREAKPOINTS = [(0, "-low"), (22, "-fair"), (24, "-full"), (32, "-tall")]  # noqa: RUF012
+    VERTICAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
+        (0, "-low"),
+        (22, "-fair"),
+        (24, "-full"),
+        (32, "-tall"),
+    ]
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
         Binding("q,backspace", "back", show=False, priority=True),
