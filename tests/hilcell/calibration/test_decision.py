@@ -14,6 +14,7 @@ from hilcell.calibration.decision import (
     judged_again,
     limits_within,
 )
+from hilcell.calibration.errors import judged_places, places
 from hilcell.calibration.measurement_budget import NOISE, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.model.outcome import Outcome
@@ -54,6 +55,18 @@ def test_an_uncertainty_that_is_no_number_accepts_nothing() -> None:
 def test_another_test_must_accept_as_well(also: Outcome) -> None:
     found = judged(0.01, 0.02, LIMITS, GUARD, also=also, words="too few targets")
     assert (found.holds, found.outcome, found.decision) == (False, also, "too few targets")
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, []), (2, []), (3, ["others"])])
+def test_other_stations_are_judged_together_and_shown_so_where_they_are_several(
+    count: int, shown: list[str]
+) -> None:
+    cell = load_cell("paper")
+    stations = [cell.reference, *(each for each in cell.station if each != cell.reference)]
+    cell = msgspec.structs.replace(cell, station=stations[:count])
+    reference, *others = (each.name for each in cell.station)
+    assert list(judged_places(cell)) == [reference, *(["others"] if others else []), *others]
+    assert list(places(cell)) == [reference, *shown, *others]
 
 
 def test_a_verdict_is_judged_again_by_other_limits() -> None:
