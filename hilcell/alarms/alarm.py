@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 from hilcell.alarms.catalogue import SEVERITIES, By, Severity, code_of_verdict, entry_of
 from hilcell.clean import clean
+from hilcell.errors import EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_REFUSED, EXIT_STORAGE
 from hilcell.model.events import (
     AlarmsAcknowledged,
     AnswerRefused,
@@ -316,7 +317,8 @@ class _Raised:
         elif not self.live and (end is None or refused_has_end):
             crash = self._crash(state, log.counted)
             yield _Moment(crash, log.newest or newest, cause="watched", origin=log.began)
-        refused = end is not None and end.exit in (2, 3, 5, 6, 7) and end.reason != reason
+        failed = (EXIT_REFUSED, EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE)
+        refused = end is not None and end.exit in failed and end.reason != reason
         if end is not None and end.error and refused:
             # Its end alone says so.
             yield from self._moments(end.error, newest, "fault", "not watched")

@@ -38,6 +38,7 @@ def test_a_lost_zero_is_updated_and_the_update_holds(
     updated = read_calibration(runs / "R" / CALIBRATION)
     assert [update.run for update in updated.provenance.updates] == ["R"]
     assert updated.provenance.run == "small"
+    assert updated.provenance.written == updated.provenance.updates[-1].written
     found = end_of(again)["result"]["recheck"]
     assert again.returncode == 0, again.stderr
     assert (found["verdict"], found["calibration"]) == ("valid", "R")

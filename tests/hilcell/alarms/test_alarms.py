@@ -196,11 +196,15 @@ def test_what_stopped_an_earlier_session_was_dealt_with() -> None:
     assert [alarm.code for alarm in later] == ["HC-T10"]
 
 
-def test_a_resume_that_was_refused_stands_beside_the_fault() -> None:
+@pytest.mark.parametrize(
+    ("exit_code", "more"),
+    [(1, []), (4, []), *((refused, ["HC-C04"]) for refused in (2, 3, 5, 6, 7))],
+)
+def test_a_resume_that_was_refused_stands_beside_the_fault(exit_code: int, more: list[str]) -> None:
     first = (*BEGUN, CLOSED, faulted(STALLED), ended(STALLED))
     locked = CellLocked("device rail is locked by run x (pid 1); wait for its end")
-    found = alarms(*first, ended(locked, 6))
-    assert [alarm.code for alarm in found] == ["HC-R31", "HC-C04"]
+    found = alarms(*first, ended(locked, exit_code))
+    assert [alarm.code for alarm in found] == ["HC-R31", *more]
 
 
 def test_a_run_that_never_began_says_why() -> None:

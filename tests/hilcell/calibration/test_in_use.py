@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -141,6 +142,33 @@ def test_the_current_one_is_not_known_where_a_later_journal_cannot_be_read(tmp_p
         with_calibration(using(), "recheck", tmp_path)
     cell = with_calibration(using("1-old"), "recheck", tmp_path).cell
     assert calibration_named(cell, "recheck").provenance.run == "1-old"
+
+
+FIXED = (
+    "name", "serial", "robot.joint", "robot.smr_mm", "robot.more_smr_mm", "robot.status",
+    "layout.base", "layout.floor", "station", "grid.station",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("key", ["", *FIXED])
+def test_a_cell_that_was_changed_keeps_its_calibration_but_for_what_that_rests_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    table, _, field = key.rpartition(".")
+    then: dict[str, Any] = {name: getattr(CELL, name) for name in ("name", "serial", "station")}
+    for name in ("robot", "layout", "grid"):
+        of = getattr(CELL, name)
+        then[name] = SimpleNamespace(**{each: getattr(of, each) for each in of.__struct_fields__})
+    if key:
+        (vars(then[table]) if table else then)[field] = "other"
+    made(tmp_path, "1-old", digest="d" * 64)
+    log = SimpleNamespace(cell=SimpleNamespace(**then))
+    monkeypatch.setattr(in_use, "read_log", lambda folder: log)
+    if not key:
+        assert with_calibration(using("1-old"), "recheck", tmp_path).accepted == []
+        return
+    with pytest.raises(Unfit, match=f"{key} differs from the cell that was calibrated"):
+        with_calibration(using("1-old"), "recheck", tmp_path)
 
 
 def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
