@@ -73,6 +73,12 @@ def test_connect_names_drive_and_strip_and_moves_nothing(bench: Bench) -> None:
     assert "write HC_SEQ" not in bench.kuka.requests
 
 
+def test_connect_holds_an_axis_that_somebody_left_free(bench: Bench) -> None:
+    bench.kuka.variables["HC_HELD"] = "FALSE"
+    bench.robot.connect()
+    assert bench.kuka.variables["HC_HELD"] == "TRUE"
+
+
 def test_a_motion_goes_alone_at_its_speed_and_ends_held(bench: Bench) -> None:
     bench.connect()
     bench.rail.home()
