@@ -111,6 +111,27 @@ def test_states_are_in_mm_and_rad() -> None:
     assert state.tool[0] == pytest.approx(90.0)
 
 
+def test_each_value_of_a_state_is_that_of_its_field() -> None:
+    numbers: dict[str, rtde.Numbers] = {name: (float(n),) for n, name in enumerate(OUTPUTS)}
+    numbers |= {"actual_q": (0.1,) * 6, "actual_qd": (0.2,) * 6, "actual_TCP_pose": (0.3,) * 6}
+    state = UrState.checked(numbers, 1.0, 2.0)
+    values = {
+        "timestamp": state.timestamp_s,
+        "robot_mode": state.robot_mode,
+        "safety_status": state.safety_status,
+        "runtime_state": state.runtime_state,
+        "target_speed_fraction": state.speed_fraction,
+        "output_int_register_24": state.acknowledged,
+        "output_int_register_25": state.error,
+        "output_int_register_26": state.session,
+        "output_int_register_27": state.count,
+        ECHO: state.echo,
+    }
+    assert values == {name: numbers[name][0] for name in values}
+    places = (state.joints_rad, state.speeds_rad_s, state.tcp)
+    assert [each.tolist() for each in places] == [[0.1] * 6, [0.2] * 6, [0.3] * 6]
+
+
 def test_registers_of_the_script() -> None:
     values = Order(7, np.arange(6.0), 0.25, stop=True).registers(3)
     assert tuple(values) == INPUTS
