@@ -221,6 +221,22 @@ class Snapshot(Poll):
     statusword: int
     mode: int
 
+    @classmethod
+    def of(
+        cls,
+        statusword: int,
+        position: int,
+        velocity: int,
+        *,
+        strip: int,
+        alarms: int,
+        taken_s: float,
+        mode: int = NO_MODE,
+    ) -> Snapshot:
+        """Return what was read; the status word says whether the drive has power."""
+        powered = cia.state_of(statusword) in cia.POWERED
+        return cls(position, velocity, strip, alarms, powered, taken_s, statusword, mode)
+
     @property
     def state(self) -> State:
         return cia.state_of(self.statusword)
@@ -291,8 +307,9 @@ class ProcessImage:
         else:
             strip, alarms = self._other_strip(check)
         self._taken_s = taken_s
-        powered = cia.state_of(statusword) in cia.POWERED
-        return Snapshot(position, velocity, strip, alarms, powered, taken_s, statusword, mode)
+        return Snapshot.of(
+            statusword, position, velocity, strip=strip, alarms=alarms, taken_s=taken_s, mode=mode
+        )
 
     def take(self, pdo: Mapping) -> None:
         """Take a PDO that may lack an object, as the device has mapped it."""

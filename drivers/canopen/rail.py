@@ -474,5 +474,5 @@ class Release:
             self._sdo.read(index, tries=1)
             for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
         )
-        powered, taken_s = cia.state_of(statusword) in cia.POWERED, self._link.clock.pc_s()
-        return Snapshot(position, velocity, 0, self.NO_STRIP, powered, taken_s, statusword, mode=0)
+        taken_s, alarms = self._link.clock.pc_s(), self.NO_STRIP
+        return Snapshot.of(statusword, position, velocity, strip=0, alarms=alarms, taken_s=taken_s)

@@ -19,6 +19,15 @@ def poll(position: int = 1000, strip: int = 100, velocity: Any = 30) -> Snapshot
     return Snapshot(position, velocity, strip, 0, True, 0.0, 0x27, 1)
 
 
+@pytest.mark.parametrize(
+    ("statusword", "powered"),
+    [(0x27, True), (0x07, True), (0x0F, True), (0x08, False), (0x23, False), (0x40, False)],
+)
+def test_a_drive_has_power_until_its_brakes_have_ended(statusword: int, powered: bool) -> None:
+    now = Snapshot.of(statusword, 1000, 30, strip=100, alarms=1, taken_s=2.0, mode=8)
+    assert now == Snapshot(1000, 30, 100, 1, powered, 2.0, statusword, 8)
+
+
 def after(*polls: Snapshot, every_s: float = 0.1) -> Standstill:
     standstill = Standstill(WINDOWS)
     for n, each in enumerate(polls):
