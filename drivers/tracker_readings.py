@@ -114,10 +114,14 @@ Answer = TypeVar("Answer")
 
 
 def when_ready(
-    ask: Callable[[], Answer], busy: Callable[[Answer], bool], limit_s: float, clock: Clock
+    ask: Callable[[], Answer],
+    busy: Callable[[Answer], bool],
+    limit_s: float,
+    clock: Clock,
+    pause_s: float = BUSY_PAUSE_S,
 ) -> Answer:
     """Return the answer of a device that is asked again while it is busy; the last one, then."""
     patience = Patience(limit_s, limit_s)
     while busy(answer := ask()) and not patience.over():
-        clock.wait(BUSY_PAUSE_S)
+        clock.wait(pause_s)
     return answer

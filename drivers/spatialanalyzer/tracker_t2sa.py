@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -37,6 +38,7 @@ from drivers.tracker_readings import (
     checked_order,
     misplaced,
     std_of_repeats,
+    when_ready,
 )
 from drivers.wires.link import Link
 from drivers.wires.tcp import TcpLink
@@ -194,12 +196,8 @@ class T2saBridge:
 
     def ask(self, command: str) -> Reply:
         """Request, again while the bridge is busy; raises the error of a refusal."""
-        limit_s = self._limit_s(command)
-        patience = Patience(limit_s, limit_s)
-        while (reply := self.exchange(command)).code == BUSY:
-            if patience.over():
-                break
-            self._clock.wait(BUSY_PAUSE_S)
+        ask, limit_s = partial(self.exchange, command), self._limit_s(command)
+        reply = when_ready(ask, lambda each: each.code == BUSY, limit_s, self._clock, BUSY_PAUSE_S)
         if not reply.accepted:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
@@ -371,20 +369,18 @@ class T2saTracker:
 
     def _ready(self, bridge: T2saBridge) -> str:
         """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
-        limit_s = MEASURE_S
-        patience = Patience(limit_s, limit_s)
-        while not (reply := bridge.exchange(bridge.STATUS)).is_ready:
-            if patience.over():
-                alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
-                raise TRACKER.failed(
-                    alarm,
-                    "connect",
-                    f"state {reply.text!r} for {limit_s:.1f} s",
-                    wanted=repr(READY[0]),
-                    act=ACTS.get(alarm, ACT),
-                    status=reply.code,
-                )
-            self._clock.wait(BUSY_PAUSE_S)
+        ask, limit_s = partial(bridge.exchange, bridge.STATUS), MEASURE_S
+        reply = when_ready(ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S)
+        if not reply.is_ready:
+            alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
+            raise TRACKER.failed(
+                alarm,
+                "connect",
+                f"state {reply.text!r} for {limit_s:.1f} s",
+                wanted=repr(READY[0]),
+                act=ACTS.get(alarm, ACT),
+                status=reply.code,
+            )
         return reply.text
 
     def _set_up(self, bridge: T2saBridge) -> None:
