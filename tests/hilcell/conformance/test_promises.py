@@ -6,12 +6,15 @@ wait for deadlines are judged of the robot, and every night of all.
 
 from __future__ import annotations
 
+import math
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.supervision import LIFE_S
@@ -19,8 +22,9 @@ from hilcell.cell.file import load_cell
 from hilcell.conformance import trial, wire_faults
 from hilcell.conformance.acts import PORTS, Port
 from hilcell.conformance.kit import PROMISES, driver_cell, promises_of, renewed
-from hilcell.conformance.trial import Outcome, Promise, Trial
+from hilcell.conformance.trial import Bench, BenchClock, Broken, Outcome, Promise, Trial
 from hilcell.errors import Stopped
+from hilcell.ports import RobotReading
 from tests.hilcell.conformance.broken_drivers import BROKEN, LateByTag
 
 pytestmark = pytest.mark.waits
@@ -75,6 +79,16 @@ def test_the_page_lists_the_promises() -> None:
     text = PAGE.read_text("utf-8")
     assert renewed(text) == text
     assert all(f"`{promise.name}`" in text for promise in PROMISES)
+
+
+@pytest.mark.parametrize("turned_deg", [0.003, -0.003, math.nan])
+def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
+    bench = Bench(load_cell("paper"), "robot", BenchClock(lambda: None))
+    one = RobotReading(np.zeros(6), np.eye(4), still=True, taken_s=0.0)
+    other = replace(one, joints_rad=np.radians([0.0, 0.0, turned_deg, 0.0, 0.0, 0.0]))
+    bench.rested(one, one, "it moves")
+    with pytest.raises(Broken, match="it moves: "):
+        bench.rested(one, other, "it moves")
 
 
 @pytest.mark.parametrize(
