@@ -74,7 +74,7 @@ class Device:
     def connected(self, wire: Wire | None) -> Wire:
         """Return a wire; raises `DeviceError` before it is opened, and after it was closed."""
         if wire is None:
-            raise self.failed(self.absent, "use", "not connected")
+            raise self.failed(self.absent, "use", "not connected", act="connect first")
         return wire
 
 
