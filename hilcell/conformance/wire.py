@@ -177,10 +177,14 @@ class Wire:
                     if self.mode == "behind":
                         time.sleep(self.AHEAD_S)
                 if far in ready and (data := self._received(far)):
-                    if self.mode == "hold" or (kept and self.mode == "behind"):
+                    mode = self.mode  # another thread may have changed it in this round
+                    if mode == "hold" or (kept and mode == "behind"):
                         kept += data
                     else:
-                        copy += data if self.mode == "keep" else b""
+                        if kept and mode != "mute":
+                            near.send(kept)
+                            kept = b""
+                        copy += data if mode == "keep" else b""
                         self._answer(data, near)
         near.close(reset=False)
         far.leave()

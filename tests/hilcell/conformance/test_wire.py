@@ -120,6 +120,27 @@ def test_answers_do_not_come_or_come_later(
     assert exactly(link, len(later)) == later
 
 
+def test_what_is_kept_comes_first_whenever_the_mode_changes(
+    wires: Wires, link: socket.socket, echo: Echo, looks: Looks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another thread changed it while an answer was read: that one overtook what was kept."""
+    (proxy,) = wires.all
+    wires.set("hold")
+    echo.heard(link, b"ask")
+    looks.taken()
+    read, passed = proxy._received, list[bytes]()
+
+    def received(end: wire.End) -> bytes:
+        passed.append(read(end))
+        if passed == [b"end", b"end"]:  # the question, and now its answer
+            wires.straight()
+        return passed[-1]
+
+    monkeypatch.setattr(proxy, "_received", received)
+    link.sendall(b"end")
+    assert exactly(link, 6) == b"askend"
+
+
 def test_requests_are_swallowed(wires: Wires, link: socket.socket, looks: Looks) -> None:
     assert said(link, b"one") == b"one"
     wires.set("blackhole")
