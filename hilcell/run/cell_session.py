@@ -1,9 +1,9 @@
 """The face of a run that procedures see: motions and points, guarded.
 
-It stands on three layers, each of which knows only those below: `Mover` moves slide and robot,
-`Meter` measures where they stand, `Watch` proves that tracker, slide and room are as they were. A
-point that the journal already holds is returned as it is: that, and nothing else, is what makes a
-run resumable.
+It stands on layers, each of which adds to the one below and knows no other: `RunContext` has cell,
+devices and journal, `Mover` moves slide and robot, `Meter` measures where they stand, `Watch`
+proves that tracker, slide and room are as they were. A point that the journal already holds is
+returned as it is: that, and nothing else, is what makes a run resumable.
 """
 
 from __future__ import annotations
@@ -18,60 +18,27 @@ from hilcell.geometry.kinematics import forward
 from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
-from hilcell.run.meter import Meter
-from hilcell.run.mover import Mover, Straight, SweepOrder
+from hilcell.run.mover import Straight, SweepOrder
 from hilcell.run.prompts import FLANGE
-from hilcell.run.run_context import RunContext
 from hilcell.run.states import still_refused
 from hilcell.run.watch import Watch
 
 
-class CellSession:
+class CellSession(Watch):
     """A cell with its devices open, as one run sees it. Used by the worker thread alone."""
-
-    def __init__(self, run: RunContext) -> None:
-        self._run = run
-        self._mover = mover = Mover(run)
-        self._meter = meter = Meter(run, mover)
-        self._watch = watch = Watch(run, mover, meter)
-
-        # The layers' own, as far as procedures use it.
-        self.cell, self.devices, self.clock = run.cell, run.devices, run.clock
-        self.log, self.frames, self.folder = run.log, run.frames, run.folder
-        self.checkpoint, self.pause = run.checkpoint, run.pause
-        self.add, self.event = run.add, run.event
-        self.frame, self.verdict, self.judge = run.frame, run.verdict, run.judge
-        self.reach, self.reached = run.reach, run.reached
-        self.home_rail, self.rail_referenced = mover.home_rail, mover.rail_referenced
-        self.rail_to, self.await_strip = mover.rail_to, mover.await_strip
-        self.robot_to, self.expect = mover.robot_to, mover.expect
-        self.floor_point, self.back_point = meter.floor_point, meter.back_point
-        self.borrowed_point, self.restored = meter.borrowed_point, meter.restored
-        self.frame_world, self.close_step = watch.frame_world, watch.close_step
-        self.hold_station = watch.hold_station
-
-    @property
-    def held(self) -> Station | None:
-        """Return the station at which the slide is held."""
-        return self._mover.held
 
     @property
     def seed(self) -> int:
         """Return the run's seed, from which random targets are drawn."""
         return self.log.inputs.seed
 
-    def park_robot(self) -> None:
-        """Bring the robot to its safe pose."""
-        self.checkpoint()
-        self._mover.park_robot()
-
     def sweep(self, order: SweepOrder) -> StreamRecorded:
         """Sweep one axis with the tracker streaming, once in a run's life; see `Mover.sweep`."""
         if order.key in self.log.streams:
             return self.log.streams[order.key]
         self.checkpoint()
-        self._watch.prove_where_doubtful()
-        return self._mover.sweep(order)
+        self.prove_where_doubtful()
+        return super().sweep(order)
 
     def flange_point(
         self,
@@ -94,7 +61,7 @@ class CellSession:
         its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
         Points that wait to be re-measured come first, and a room that is as it was.
         """
-        self._watch.check_room()
+        self.check_room()
         self.retake_waiting()
         count = len(self.cell.robot.seats_mm) if seats else 1
         ids = [id.at_seat(seat) for seat in range(1, count + 1)]
@@ -116,7 +83,7 @@ class CellSession:
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
             if refused := still_refused(self.log, point):
-                self._run.add(RetakeRefused(key=point.key, reason=refused))
+                self.add(RetakeRefused(key=point.key, reason=refused))
                 continue
             facts: dict[str, object] = {"nominal_mm": point.nominal_mm}
             if point.nominal_deg is not None:
@@ -135,7 +102,7 @@ class CellSession:
         self.checkpoint()
         self.hold_station(station)
         if self.cell.layout.by_hand:
-            self._meter.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+            self.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
 
     def _flange_points(
         self,
@@ -151,10 +118,10 @@ class CellSession:
         nominal target known.
         """
         self.checkpoint()
-        self._watch.prove_where_doubtful()
+        self.prove_where_doubtful()
         self.flange_at(station)
         above, what = ids[0].side > 0, ids[0].key
-        robot = self._mover.robot_to(joints_rad, what, above=above, straight=straight)
+        robot = self.robot_to(joints_rad, what, above=above, straight=straight)
         T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
         stray_mm = 10.0  # in the measured base: nominal errors are far less, a lost zero is more
@@ -162,8 +129,8 @@ class CellSession:
             smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]
             at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
             place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
-            reading = self._watch.measured_in_world(id.key, place, at_mm, samples, stray_mm)
-            self._meter.keep(
+            reading = self.measured_in_world(id.key, place, at_mm, samples, stray_mm)
+            self.keep(
                 id,
                 station.name,
                 reading,
@@ -185,29 +152,29 @@ class CellSession:
         self.checkpoint()
         robot = self.robot_to(joints_rad, missing[0][0].key)
         for id, near_mm in missing:
-            reading = self._watch.measured(id.key, id.target, near_mm, self.cell.tracker.samples)
-            self._meter.keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
+            reading = self.measured(id.key, id.target, near_mm, self.cell.tracker.samples)
+            self.keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
 
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self._watch.check_room()
-        self._watch.prove_where_doubtful()
+        self.check_room()
+        self.prove_where_doubtful()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        self._meter.seat(nest.name, expected)
+        self.seat(nest.name, expected)
         limit_mm = 2 * self.cell.layout.nest_tolerance_mm
-        reading = self._watch.measured_in_world(id.key, nest.name, expected, samples, limit_mm)
-        return self._meter.keep(id, station.name, reading)
+        reading = self.measured_in_world(id.key, nest.name, expected, samples, limit_mm)
+        return self.keep(id, station.name, reading)
 
     def slide_now(self, id: PointId, name: str) -> Point:
         """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self._watch.prove_where_doubtful()
+        self.prove_where_doubtful()
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
         if name == FLANGE:
@@ -215,10 +182,10 @@ class CellSession:
         else:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
-        self._meter.seat(name, expected)
+        self.seat(name, expected)
         samples = self.cell.nest_samples
-        reading = self._watch.measured_in_world(id.key, name, expected, samples)
-        return self._meter.keep(id, "", reading)
+        reading = self.measured_in_world(id.key, name, expected, samples)
+        return self.keep(id, "", reading)
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""

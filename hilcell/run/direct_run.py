@@ -21,7 +21,6 @@ from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.prompts import Look, Prompt, unanswered
-from hilcell.run.run_context import RunContext
 
 
 class MemoryJournal:
@@ -79,8 +78,10 @@ def direct_run(
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
     identities = connect_all(devices, lambda _: None)
     journal.append("event", "", Connected.of(identities, ""))
-    run = RunContext(cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody)
-    procedure.perform(CellSession(run))
+    session = CellSession(
+        cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
+    )
+    procedure.perform(session)
     return journal.log
 
 

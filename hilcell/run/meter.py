@@ -19,17 +19,14 @@ from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerRe
 from hilcell.run.interlocks import check_held, check_strip, time_of
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt
-from hilcell.run.run_context import RunContext
 
 
-class Meter:
+class Meter(Mover):
     """Measures where slide and robot stand. ``last`` is the newest point of this session."""
 
     TRIES = 3  # of a measurement, before anybody is asked
 
-    def __init__(self, run: RunContext, mover: Mover) -> None:
-        self._run, self._mover = run, mover
-        self.last: Point | None = None
+    last: Point | None = None
 
     # -- readings -----------------------------------------------------------------------------
 
@@ -48,19 +45,19 @@ class Meter:
             except NoReading as error:
                 failed, cause = error, error.of_point(key)
                 said, facts = str(error), cause.facts()
-                self._run.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
-        limit_mm = self._run.cell.tracker.find_radius_mm
-        prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
-        self._run.ask(prompt, lambda: self._look(key, near_mm), cause)
+                self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
+        limit_mm = self.cell.tracker.find_radius_mm
+        prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, failed)
+        self.ask(prompt, lambda: self._look(key, near_mm), cause)
         return None
 
     def _reading(
         self, key: str, near_mm: Array, samples: int, *, back: bool = False
     ) -> TrackerReading:
         """Return one measurement; raises `NoReading`, and `DeviceError` for an older one."""
-        tracker = self._run.devices.tracker
+        tracker = self.devices.tracker
         take = turning_over(tracker).measure_back if back else tracker.measure
-        reflector, began_s = self._run.cell.tracker.reflector, self._run.clock.pc_s()
+        reflector, began_s = self.cell.tracker.reflector, self.clock.pc_s()
         reading = take(near_mm, reflector, samples)
         if not reading.taken_s >= began_s:
             raise DeviceError(
@@ -78,7 +75,7 @@ class Meter:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            return Look.failed(error, self._run.clock.pc_s())
+            return Look.failed(error, self.clock.pc_s())
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))
@@ -87,9 +84,9 @@ class Meter:
         self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float
     ) -> None:
         """Refuse a reflector further than ``limit_mm`` from (3,) in {W}, once {B} was measured."""
-        if not self._run.frames.based():
+        if not self.frames.based():
             return
-        found_mm = self._run.frames.world_from_tracker(reading.xyz_mm)[0]
+        found_mm = self.frames.world_from_tracker(reading.xyz_mm)[0]
         off_mm = math.dist(found_mm, expected_mm)
         if not off_mm <= limit_mm:
             raise DeviceError(
@@ -112,10 +109,10 @@ class Meter:
         """Journal a reading with those of rail and robot; raises `DeviceError` for a slide that
         left its station meanwhile, and for a pose that is not that of its joints.
         """
-        rail = self._run.devices.rail.read()
-        if self._mover.held is not None:
-            check_strip(self._run.cell, rail, self._mover.held, f"after measuring {id.key}")
-        now_s = self._run.clock.pc_s()
+        rail = self.devices.rail.read()
+        if self.held is not None:
+            check_strip(self.cell, rail, self.held, f"after measuring {id.key}")
+        now_s = self.clock.pc_s()
         body: dict[str, object] = {
             "station": station,
             "frame": "tracker",
@@ -132,48 +129,48 @@ class Meter:
                 ReadingTime(reading.taken_s, now_s - reading.taken_s),
                 time_of(rail, now_s),
                 None if robot is None else time_of(robot, now_s),
-                None if robot is None else self._mover.began,
+                None if robot is None else self.began,
             ),
         }
         if robot is not None:
-            check_pose(self._run.cell.robot, robot, f"measure {id.key}")
+            check_pose(self.cell.robot, robot, f"measure {id.key}")
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
-        self.last = self._run.point(id, **body | facts)
+        self.last = self.point(id, **body | facts)
         return self.last
 
     # -- nests on the floor, which prove the tracker ----------------------------------------------
 
     def floor_point(self, id: PointId, nest: Nest) -> Point:
-        if known := self._run.log.find(id):
+        if known := self.log.find(id):
             return known
-        self._run.checkpoint()
+        self.checkpoint()
         self.seat(nest.name, nest.xyz_mm)
-        cell = self._run.cell
+        cell = self.cell
         samples = cell.proof_samples if id.kind == "control" else cell.nest_samples
         return self._floor_point(id, nest, samples)
 
     def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:
         """Measure a nest on the floor in the tracker's second face."""
-        if known := self._run.log.find(id):
+        if known := self.log.find(id):
             return known
-        self._run.checkpoint()
+        self.checkpoint()
         return self._floor_point(id, nest, samples, back=True)
 
     def borrowed_point(self, id: PointId, place: str, nest: Nest) -> Point:
         """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
-        if known := self._run.log.find(id):
+        if known := self.log.find(id):
             return known
-        self._run.checkpoint()
+        self.checkpoint()
         self._borrow(place, nest)
-        return self._floor_point(id, nest, self._run.cell.nest_samples)
+        return self._floor_point(id, nest, self.cell.nest_samples)
 
     def restored(self, nest: Nest) -> None:
         """Have every borrowed reflector put back where it belongs."""
-        self._run.checkpoint()
+        self.checkpoint()
         self._borrow(nest.name, nest)
 
     def _floor_point(self, id: PointId, nest: Nest, samples: int, *, back: bool = False) -> Point:
-        near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
+        near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
         while True:
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
                 return self.keep(id, "", reading)
@@ -185,41 +182,40 @@ class Meter:
 
         Robot parked, slide held. Mounted reflectors are where they are.
         """
-        run = self._run
-        if not run.cell.layout.by_hand or run.log.seated == place:
+        if not self.cell.layout.by_hand or self.log.seated == place:
             return
-        self._mover.park_robot()
-        rail = run.devices.rail.read()
-        check_held(run.cell, rail, self._mover.held, f"seat the reflector at {place}")
+        self.parked()
+        rail = self.devices.rail.read()
+        check_held(self.cell, rail, self.held, f"seat the reflector at {place}")
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
-        prompt = seat_prompt(run.cell, place, run.log.seated, near_mm, limit_mm)
-        look = run.ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
+        prompt = seat_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
+        look = self.ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
         assert look.xyz_mm is not None  # noqa: S101 - an answer is proven by a look that saw it
-        self._run.add(Seated(place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm))
+        self.add(Seated(place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm))
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
 
         Its last position, shifted by the slide's motion where it rides on the slide, is used first.
         """
-        layout = self._run.cell.layout
-        if place in self._run.log.sights:
-            sight = self._run.log.sights[place]
+        layout = self.cell.layout
+        if place in self.log.sights:
+            sight = self.log.sights[place]
             rides = place not in {nest.name for nest in layout.standing}
-            T_L_W = inverse(self._run.frames.tracker_in_world())
+            T_L_W = inverse(self.frames.tracker_in_world())
             along = T_L_W[:3, :3] @ np.array(layout.rail_direction)
             moved_mm = (strip_mm - sight.strip_mm) * rides * along
             return np.array(sight.xyz_mm) + moved_mm, layout.nest_tolerance_mm
-        near_mm = self._run.frames.tracker_from_world(nominal_mm)[0]
-        if "world" not in self._run.log.frames:
-            return near_mm, self._run.cell.tracker.find_radius_mm
+        near_mm = self.frames.tracker_from_world(nominal_mm)[0]
+        if "world" not in self.log.frames:
+            return near_mm, self.cell.tracker.find_radius_mm
         flange_mm = 20.0  # by the nominal arm
         limit_mm = flange_mm if place == FLANGE else 2 * layout.nest_tolerance_mm
         return near_mm, limit_mm
 
     def _borrow(self, place: str, nest: Nest) -> None:
         """Have the reflector of ``place`` carried to ``nest``; the robot is parked."""
-        self._mover.park_robot()
-        near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
-        prompt = borrow_prompt(self._run.cell, place, nest.name, near_mm)
-        self._run.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)
+        self.parked()
+        near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
+        prompt = borrow_prompt(self.cell, place, nest.name, near_mm)
+        self.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)

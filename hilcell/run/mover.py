@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -211,7 +212,7 @@ class RobotMotion:
         return reading
 
 
-class Mover:
+class Mover(RunContext):
     """Moves one of both at a time.
 
     ``held`` is the station at which the slide is held, ``began`` the rail's reading by which the
@@ -220,30 +221,34 @@ class Mover:
 
     PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
-    def __init__(self, run: RunContext) -> None:
-        self._run = run
-        self.held: Station | None = None
-        self.began: ReadingTime | None = None
-        self._robot: RobotReading | None = None  # since which the robot has not moved
-        self._coming = ComingPoses(run.cell)
-        self._first_pass = FirstPass(run, self._coming)
+    held: Station | None = None
+    began: ReadingTime | None = None
+    _robot: RobotReading | None = None  # since which the robot has not moved
+
+    @cached_property
+    def _coming(self) -> ComingPoses:
+        return ComingPoses(self.cell)
+
+    @cached_property
+    def _first_pass(self) -> FirstPass:
+        return FirstPass(self, self._coming)
 
     # -- the rail -----------------------------------------------------------------------------
 
     def home_rail(self) -> None:
         """Find the drive's reference; the robot goes to its safe pose first."""
-        if not self._run.cell.has_rail:
-            self.park_robot()
+        if not self.cell.has_rail:
+            self.parked()
             return
         self._prepare_rail("rail.home", {})
-        self._run.devices.rail.home()
+        self.devices.rail.home()
         self._hold_rail()
 
     def rail_to(self, position_mm: float) -> None:
         """Move by the drive alone, without the strip, and hold."""
         self._prepare_rail("rail.move", {"position_mm": position_mm})
-        self._run.devices.rail.move_to(position_mm)
-        self._run.devices.rail.settle()
+        self.devices.rail.move_to(position_mm)
+        self.devices.rail.settle()
         self._hold_rail()
 
     def hold_station(self, station: Station, *, again: bool = False) -> None:
@@ -254,17 +259,17 @@ class Mover:
         """
         if self.held == station and not again:
             return
-        if not self._run.cell.has_rail or (not again and self._stands_at(station)):
+        if not self.cell.has_rail or (not again and self._stands_at(station)):
             self.held = station
-            self._run.add(StationFoundHeld(station=station.name))
+            self.add(StationFoundHeld(station=station.name))
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
-        tries = approach_station(self._run.devices.rail, self._run.cell.rail, station)
+        tries = approach_station(self.devices.rail, self.cell.rail, station)
         self._hold_rail()
-        reading = self._run.devices.rail.read()
-        check_strip(self._run.cell, reading, station, "hold")
+        reading = self.devices.rail.read()
+        check_strip(self.cell, reading, station, "hold")
         self.held = station
-        self._run.add(
+        self.add(
             StationHeld(
                 station=station.name,
                 tries=tries,
@@ -275,18 +280,18 @@ class Mover:
         )
 
     def _stands_at(self, station: Station) -> bool:
-        held = [each.station for each in self._run.log.happened(StationHeld)]
-        if self._run.log.session < 2 or not held or held[-1] != station.name:
+        held = [each.station for each in self.log.happened(StationHeld)]
+        if self.log.session < 2 or not held or held[-1] != station.name:
             return False
-        reading = self._run.devices.rail.read()
+        reading = self.devices.rail.read()
         off_mm = abs(reading.strip_mm - station.strip_mm)
         at_rest = reading.still and not reading.powered
-        return at_rest and off_mm <= self._run.cell.rail.strip_tolerance_mm
+        return at_rest and off_mm <= self.cell.rail.strip_tolerance_mm
 
     def rail_referenced(self) -> bool:
         """Whether drive and absolute strip agree, which proves the drive's reference."""
-        reading = self._run.devices.rail.read()
-        return abs(reading.position_mm - reading.strip_mm) <= self._run.cell.rail.slip_limit_mm
+        reading = self.devices.rail.read()
+        return abs(reading.position_mm - reading.strip_mm) <= self.cell.rail.slip_limit_mm
 
     def await_strip(self, lost: StripLost) -> None:
         """Hold the slide where it is, and suspend the run until its strip reads well.
@@ -302,11 +307,11 @@ class Mover:
             "head is fixed and near enough to it, and look at its cable.",
             place="the strip",
             expected_mm=None,
-            limit_mm=self._run.cell.rail.slip_limit_mm,
+            limit_mm=self.cell.rail.slip_limit_mm,
             reason=lost.summary,
         )
-        self._run.ask(prompt, lambda: self._look_at_strip(lost), lost)
-        self._run.add(StripBack())
+        self.ask(prompt, lambda: self._look_at_strip(lost), lost)
+        self.add(StripBack())
 
     def _look_at_strip(self, lost: StripLost) -> Look:
         """Read the strip; one that was frozen must be where the drive is, as far as may slip.
@@ -314,9 +319,9 @@ class Mover:
         One that was in alarm may be read before the drive has its reference.
         """
         try:
-            reading = self._run.devices.rail.read()
+            reading = self.devices.rail.read()
         except DeviceError as error:
-            return Look.failed(error, self._run.clock.pc_s())
+            return Look.failed(error, self.clock.pc_s())
         if not reading.still:
             return Look(
                 None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s
@@ -327,22 +332,22 @@ class Mover:
 
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
-        self._run.checkpoint()
-        robot, _ = self._check_parked(self.park_robot())  # read at rest, after its motion ended
+        self.checkpoint()
+        robot, _ = self._check_parked(self.parked())  # read at rest, after its motion ended
         self.held = None
-        self._run.intend("", action, **facts, seen=seen(robot, self._run.clock.pc_s()))
+        self.intend("", action, **facts, seen=seen(robot, self.clock.pc_s()))
         return time_of(*self._check_parked(robot))  # the commit may have taken long
 
     def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
         """Return a young reading of a robot that lets the slide move, and when it was judged."""
-        robot = self._run.fresh(self._run.devices.robot.read, taken)
-        now_s = self._run.clock.pc_s()
-        rail_may_move(self._run.cell, robot, now_s)
+        robot = self.fresh(self.devices.robot.read, taken)
+        now_s = self.clock.pc_s()
+        rail_may_move(self.cell, robot, now_s)
         return robot, now_s
 
     def _hold_rail(self) -> None:
-        self._run.devices.rail.hold()
-        self._run.clock.wait(self._run.cell.settle.rail_s)
+        self.devices.rail.hold()
+        self.clock.wait(self.cell.settle.rail_s)
 
     # -- the robot ----------------------------------------------------------------------------
 
@@ -352,31 +357,36 @@ class Mover:
 
         Nobody knows where one that fails has ended, so the robot is read again before the next.
         """
-        motion, self._robot = RobotMotion(self._run, self.held, self._robot), None
+        motion, self._robot = RobotMotion(self, self.held, self._robot), None
         motion.slide()
         yield motion
         self._robot, self.began = motion.robot, motion.began
 
-    def park_robot(self) -> RobotReading:
-        """Bring the robot to its safe pose unless it is there; return its reading there.
+    def park_robot(self) -> None:
+        """Bring the robot to its safe pose."""
+        self.checkpoint()
+        self.parked()
+
+    def parked(self) -> RobotReading:
+        """Return a reading of the robot at its safe pose, to which it goes unless it is there.
 
         A slide that has left the station at which it is held stops the run: a resumed one, which
         holds none yet, parks wherever the slide rests. Here, before the first motion, the
         controller's kinematics are compared with the cell file's.
         """
-        cell = self._run.cell
+        cell = self.cell
         safe_rad = np.radians(cell.robot.safe_deg)
-        now = self._run.devices.robot.read()
+        now = self.devices.robot.read()
         if now.still:  # a pose that was read under way is not that of its joints
             kinematics = check_pose(cell.robot, now, "park")
-            if not (kinematics.holds or self._run.log.by_factory_links):
-                self._run.add(FactoryLinks(off_mm=kinematics.off_mm))
+            if not (kinematics.holds or self.log.by_factory_links):
+                self.add(FactoryLinks(off_mm=kinematics.off_mm))
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
         self._robot = now
         with self.admitted() as motion:
             motion.check_way(safe_rad, "park")
-            self._run.intend("", "robot.park", seen=seen(*motion.slide()))
+            self.intend("", "robot.park", seen=seen(*motion.slide()))
             return motion.drive([safe_rad], cell.robot.speed_percent, "park")
 
     def robot_to(
@@ -387,8 +397,8 @@ class Mover:
         Coming from one side on every axis takes the joints' backlash out of the error. A speed that
         is stated does not hold for a first pass.
         """
-        usual_percent = self._run.cell.robot.speed_percent
-        check_joint_limits(self._run.cell, joints_rad, what)
+        usual_percent = self.cell.robot.speed_percent
+        check_joint_limits(self.cell, joints_rad, what)
         with self.admitted() as motion:
             speed_percent = self._first_pass.speed_percent(motion.strip_mm, joints_rad, what)
             if straight is None:
@@ -401,9 +411,9 @@ class Mover:
             place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
             if straight is not None:
                 place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
-            self._run.intend(what, "robot.move", **place, seen=seen(rail, judged_s))
+            self.intend(what, "robot.move", **place, seen=seen(rail, judged_s))
             reading = motion.drive(stops, speed_percent, what)
-        self._run.clock.wait(self._run.cell.settle.robot_s)
+        self.clock.wait(self.cell.settle.robot_s)
         return reading
 
     def expect(self, station: Station, joints_rad: Array) -> None:
@@ -412,7 +422,7 @@ class Mover:
 
     def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
-        cell = self._run.cell
+        cell = self.cell
         now_rad = joints_rad if cell.surroundings is None else motion.resting_rad()
         if not above and self._coming.clear(motion.strip_mm, now_rad, joints_rad):
             return [below(cell, joints_rad), joints_rad]
@@ -424,8 +434,8 @@ class Mover:
         """Return where to go, in turn: to the pose to come from, unless the robot rests there."""
         before_rad = straight.from_rad
         there = bool(np.all(np.abs(motion.resting_rad() - before_rad) < SAME_RAD))
-        if self._run.cell.surroundings is not None:
-            check_way(self._run.cell, motion.strip_mm, before_rad, joints_rad, what)
+        if self.cell.surroundings is not None:
+            check_way(self.cell, motion.strip_mm, before_rad, joints_rad, what)
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
 
@@ -438,20 +448,19 @@ class Mover:
         window of the cell's clock in which they arrived, joints the cell's clock before and after
         they were asked for; the reader of the stream pairs them.
         """
-        run = self._run
-        tracker, robot = streams_of(run.devices.tracker), sweeps_of(run.devices.robot)
-        check_joint_limits(run.cell, order.target_rad, order.key)
-        check_stated(run.cell, order.key)
+        tracker, robot = streams_of(self.devices.tracker), sweeps_of(self.devices.robot)
+        check_joint_limits(self.cell, order.target_rad, order.key)
+        check_stated(self.cell, order.key)
         self.robot_to(order.start_rad, order.key)
-        reflector = run.cell.tracker.reflector
+        reflector = self.cell.tracker.reflector
         joints_deg = np.degrees(order.target_rad)
         with self.admitted() as motion:
             motion.check_way(order.target_rad, order.key)
         with self.admitted() as motion:
             target = {"axis": order.axis + 1, "joints_deg": joints_deg}
-            run.intend(order.key, "robot.sweep", **target, seen=seen(*motion.slide()))
+            self.intend(order.key, "robot.sweep", **target, seen=seen(*motion.slide()))
             with (
-                StreamFile(run.folder, order.key) as file,
+                StreamFile(self.folder, order.key) as file,
                 tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
                 robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
             ):
@@ -459,21 +468,21 @@ class Mover:
                 motion.begin(order.target_rad, order.key)
                 sweep.kickoff()
                 while not sweep.ended:
-                    run.clock.wait(self.PACE_S)
+                    self.clock.wait(self.PACE_S)
                     file.take((), [sweep.collect()])
                     file.take(stream.collect())
                 sweep.complete()
                 file.take(stream.complete())
                 measured = msgspec.structs.replace(
                     file.finish(),
-                    set_up=run.log.set_ups.number,
+                    set_up=self.log.set_ups.number,
                     axis=order.axis + 1,
                     speed_deg_s=float(np.degrees(sweep.speed_rad_s)),
                     rate_hz=stream.rate_hz,
                     start_deg=np.degrees(order.start_rad).tolist(),
                     end_deg=joints_deg.tolist(),
                     reflector=reflector,
-                    session=run.log.session,
+                    session=self.log.session,
                 )
-        run.add(measured)
+        self.add(measured)
         return measured

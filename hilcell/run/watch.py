@@ -55,9 +55,7 @@ from hilcell.run.floor_nests import (
     wrong_distances,
 )
 from hilcell.run.meter import Meter
-from hilcell.run.mover import Mover
 from hilcell.run.prompts import Look, Prompt
-from hilcell.run.run_context import RunContext
 from hilcell.run.states import retake_refusal
 
 
@@ -77,23 +75,21 @@ class Off(NamedTuple):
         return abs(self.off_mm) <= self.limit_mm
 
 
-class Watch:
+class Watch(Meter):
     """Proves tracker, hold and room; measures again, after a proof, where somebody was asked."""
 
     MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 
-    def __init__(self, run: RunContext, mover: Mover, meter: Meter) -> None:
-        self._run, self._mover, self._meter = run, mover, meter
-        self._proven: tuple[str, int] | None = None  # station and visit
-        self._room_judged: Point | None = None
-        self._room_within_s: float | None = None  # since which, cell time
+    _proven: tuple[str, int] | None = None  # station and visit
+    _room_judged: Point | None = None
+    _room_within_s: float | None = None  # since which, cell time
 
     def measured(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,), tracker's frame.
 
         After a question the tracker is proven first: it may have moved meanwhile.
         """
-        while (reading := self._meter.measure(key, place, near_mm, samples)) is None:
+        while (reading := self.measure(key, place, near_mm, samples)) is None:
             self.prove_where_doubtful()
         return reading
 
@@ -104,24 +100,24 @@ class Watch:
 
         Raises `DeviceError` where it is further away than ``limit_mm``, once {B} was measured.
         """
-        near_mm = self._run.frames.tracker_from_world(expected_mm)[0]
+        near_mm = self.frames.tracker_from_world(expected_mm)[0]
         reading = self.measured(key, place, near_mm, samples)
         if limit_mm is not None:
-            self._meter.check_expected(key, reading, expected_mm, limit_mm)
+            self.check_expected(key, reading, expected_mm, limit_mm)
         return reading
 
     # -- the tracker's set-up ---------------------------------------------------------------------
 
     def frame_world(self) -> None:
         """Frame {W} at the tracker's present set-up; where that is done, prove it."""
-        cell, number = self._run.cell, self._run.log.set_ups.number
+        cell, number = self.cell, self.log.set_ups.number
         if self._framed:
             self.prove()
             return
         ids = self._nest_ids(number)
         # Since an engine before this one measured them, the tracker may have moved.
-        if begun := [id.key for id in ids if self._run.log.find(id)]:
-            self._run.add(WorldFramedAgain(invalid=begun))
+        if begun := [id.key for id in ids if self.log.find(id)]:
+            self.add(WorldFramedAgain(invalid=begun))
         nests = self._measured(ids)
         measured_mm = positions_mm(nests)
         if not number:
@@ -132,7 +128,7 @@ class Watch:
             self._renew(nests, self._controls())
         T = world_from_tracker(cell, measured_mm)
         keys = [nest.key for nest in nests]
-        self._run.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
+        self.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
 
     def prove(self) -> None:
         """Prove that the tracker stands where {W} was framed.
@@ -140,7 +136,7 @@ class Watch:
         Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
         where a nest has, or where frames rest on what was measured since the last proof.
         """
-        log = self._run.log
+        log = self.log
         before = [log.point(id) for id in self._nest_ids(log.set_ups.number)]
         now = self._controls()
         stand = self._stand(before, now)
@@ -151,15 +147,15 @@ class Watch:
             if some_stand(before, now):
                 self._blame(motions_mm(before, now))
             self._renew(before, now)
-        self._run.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
+        self.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
 
     def close_step(self, *, carried: bool = False) -> None:
         """Prove the tracker at the end of a step that has measured something.
 
         Where the reflector is carried by hand to the nests, only if ``carried``.
         """
-        by_hand = self._run.cell.layout.by_hand
-        if self._run.log.set_ups.open and self._framed and (carried or not by_hand):
+        by_hand = self.cell.layout.by_hand
+        if self.log.set_ups.open and self._framed and (carried or not by_hand):
             self.prove()
 
     def prove_where_doubtful(self) -> None:
@@ -169,7 +165,7 @@ class Watch:
         block to be lost. A reflector that is carried by hand stays where it is; every seat of it
         is a pause.
         """
-        cell, done = self._run.cell, self._run.log.set_ups
+        cell, done = self.cell, self.log.set_ups
         doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
         if doubtful and not cell.layout.by_hand and self._framed:
             self.prove()
@@ -177,14 +173,14 @@ class Watch:
     @property
     def _framed(self) -> bool:
         """Whether {W} is framed at the tracker's present set-up."""
-        return world_key(self._run.log.set_ups.number) in self._run.log.frames
+        return world_key(self.log.set_ups.number) in self.log.frames
 
     def _measured(self, ids: list[PointId]) -> list[Point]:
-        nests = self._run.cell.layout.floor
-        return [self._meter.floor_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
+        nests = self.cell.layout.floor
+        return [self.floor_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
 
     def _controls(self) -> list[Point]:
-        log, names = self._run.log, [nest.name for nest in self._run.cell.layout.floor]
+        log, names = self.log, [nest.name for nest in self.cell.layout.floor]
         kinds = (*PROOFS, LENGTH)
         before = Counter(point.id.nest for kind in kinds for point in log.measured(kind))
         return self._measured(
@@ -200,24 +196,24 @@ class Watch:
                 "a floor nest or its reflector has moved; fix it, then start a new run",
                 wrong._asdict(),
             )
-        set_ups = self._run.log.set_ups
-        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
+        set_ups = self.log.set_ups
+        limits_mm = limits_of(self.cell, run_noise(self.log), before, now)
         moved_mm, limit_mm = float(motions_mm(before, now).max()), float(limits_mm.min())
         self._check_renewable(moved_mm, limit_mm)
         number, invalid = set_ups.number + 1, list(set_ups.unproven)
         moved = TrackerMoved(set_up=number, invalid=invalid, moved_mm=moved_mm, limit_mm=limit_mm)
-        self._run.add(moved)
+        self.add(moved)
         self.frame_world()
         raise BlockLost
 
     def _stand(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
         """Whether all nests are seen where they were."""
-        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
+        limits_mm = limits_of(self.cell, run_noise(self.log), before, now)
         return bool(np.all(motions_mm(before, now) <= limits_mm))
 
     def _changes(self, now: list[Point]) -> Iterator[WrongDistance]:
         """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
-        cell, log = self._run.cell, self._run.log
+        cell, log = self.cell, self.log
         first = [log.point(id) for id in self._nest_ids(0)]
         limits_mm = distance_limits(cell, run_noise(log), first, now)
         return wrong_distances(cell, positions_mm(first), positions_mm(now), limits_mm)
@@ -227,11 +223,11 @@ class Watch:
 
         The cell file knows their distances to millimetres, the tracker to hundredths.
         """
-        cell, before = self._run.cell, self._run.log.inputs.floor_before
+        cell, before = self.cell, self.log.inputs.floor_before
         if before is None:
             return
         then_mm = np.array([before.nests_mm[nest.name] for nest in cell.layout.floor])
-        limit_mm = limit_since(cell, run_noise(self._run.log), nests, before.temperature_c)
+        limit_mm = limit_since(cell, run_noise(self.log), nests, before.temperature_c)
         for wrong in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
             raise DeviceError(
                 "HC-T32",
@@ -249,7 +245,7 @@ class Watch:
         no distance by as much as would show.
         """
         stands = off_mm <= ALIKE * off_mm.max()
-        names = np.array([nest.name for nest in self._run.cell.layout.floor])
+        names = np.array([nest.name for nest in self.cell.layout.floor])
         moving, standing = names[~stands].tolist(), names[stands].tolist()
         raise self._moved(
             f"{', '.join(moving)} moved by {off_mm.max():.3f} mm, {', '.join(standing)} by "
@@ -262,7 +258,7 @@ class Watch:
 
     def _check_renewable(self, moved_mm: float, limit_mm: float) -> None:
         """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
-        log = self._run.log
+        log = self.log
         invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
         built = next((key for point in invalid if (key := self._rests_on(point))), "")
         if not built and log.set_ups.number < self.MOST_SET_UPS:
@@ -280,7 +276,7 @@ class Watch:
 
     def _rests_on(self, point: Point) -> str:
         """Return the frame or verdict that was built with a point, if there is one."""
-        log = self._run.log
+        log = self.log
         built = {
             "base": "base",
             "slide": f"station.{point.station}",
@@ -302,22 +298,22 @@ class Watch:
         `BlockLost` where it was the tracker that has moved. A strip that has jumped pauses an
         attended run; `DeviceError` where the slide is still beside its place afterwards.
         """
-        self._mover.hold_station(station, again=again)
-        cell, log = self._run.cell, self._run.log
+        super().hold_station(station, again=again)
+        cell, log = self.cell, self.log
         if again or not (self._framed and cell.has_rail) or cell.layout.by_hand:
             return
         if self._proven == (station.name, log.visit):
             return
-        self._mover.park_robot()  # the arm may stand in the beam's way to the slide
+        self.parked()  # the arm may stand in the beam's way to the slide
         off = self._prove_hold(station)
         if not off.holds:
             self.prove()
-            self._run.pause(
+            self.pause(
                 f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
                 f"was, expected within {off.limit_mm:.3f} mm: the strip has jumped, or a slide "
                 "nest has moved"
             )
-            self._mover.hold_station(station, again=True)
+            super().hold_station(station, again=True)
             off = self._prove_hold(station)
         if not off.holds:
             jump = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}").facts
@@ -335,18 +331,18 @@ class Watch:
     def _prove_hold(self, station: Station) -> Off:
         """Measure the nest, and journal that it is where it was, if so."""
         self.prove_where_doubtful()
-        nest = self._run.cell.layout.slide[0]
-        turn = len(self._run.log.select(HELD, station.name))
+        nest = self.cell.layout.slide[0]
+        turn = len(self.log.select(HELD, station.name))
         id = PointId(
-            HELD, station=station.name, session=self._run.log.session, turn=turn, nest=nest.name
+            HELD, station=station.name, session=self.log.session, turn=turn, nest=nest.name
         )
-        expected_mm = (self._run.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        samples = self._run.cell.tracker.samples  # as quickly as a target
+        expected_mm = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
+        samples = self.cell.tracker.samples  # as quickly as a target
         reading = self.measured_in_world(id.key, nest.name, expected_mm, samples)
-        point = self._meter.keep(id, station.name, reading)
+        point = self.keep(id, station.name, reading)
         off = self._off(station, point)
         if off.holds:
-            self._run.add(SlideProven(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
+            self.add(SlideProven(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
         return off
 
     def _off(self, station: Station, now: Point) -> Off:
@@ -355,7 +351,7 @@ class Watch:
         The first of all is where it is. From one station to another the strip leads less well than
         back to the same.
         """
-        log, cell = self._run.log, self._run.cell
+        log, cell = self.log, self.cell
         keys = (proof.key for proof in log.happened(SlideProven))
         before = [log.points[key] for key in keys if key in log.points]
         here = [point for point in before if point.station == station.name]
@@ -378,10 +374,10 @@ class Watch:
         That point waits to be re-measured, where it may be. Where the reflector is carried by hand
         there is none to look at, and somebody who feels the room.
         """
-        point, table = self._meter.last, self._run.cell.room
-        if point is None or point is self._room_judged or self._run.cell.layout.by_hand:
+        point, table = self.last, self.cell.room
+        if point is None or point is self._room_judged or self.cell.layout.by_hand:
             return
-        then_c, self._room_judged = reference_c(self._run.log), point
+        then_c, self._room_judged = reference_c(self.log), point
         if then_c is None or point.temperature_c is None:
             return
         if abs(point.temperature_c - then_c) <= table.range_k:
@@ -389,28 +385,26 @@ class Watch:
         self._await_room(point, then_c)
 
     def _await_room(self, point: Point, then_c: float) -> None:
-        cause, nest = self._room_cause(point, then_c), self._run.cell.layout.floor[0]
-        x, y, z = self._run.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
+        cause, nest = self._room_cause(point, then_c), self.cell.layout.floor[0]
+        x, y, z = self.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
         prompt = Prompt(
             title="Wait for the room's temperature",
             text=f"{cause.found}. The run goes on by itself when the air is {cause.wanted}; close "
             "doors and gates, look at the heating.",
             place="the room",
             expected_mm=(x, y, z),
-            limit_mm=self._run.cell.tracker.find_radius_mm,
+            limit_mm=self.cell.tracker.find_radius_mm,
             reason=f"room temperature: {cause.found}, expected {cause.wanted}",
             by_itself=True,
         )
         self._room_within_s = None
-        if not retake_refusal(self._run.log, point.key):
-            self._run.add(RetakeAsked(key=point.key))  # done also by a run that is resumed
-        self._run.ask(
-            prompt, lambda: self._look_at_room(np.array(prompt.expected_mm), then_c), cause
-        )
-        self._run.add(RoomBack())
+        if not retake_refusal(self.log, point.key):
+            self.add(RetakeAsked(key=point.key))  # done also by a run that is resumed
+        self.ask(prompt, lambda: self._look_at_room(np.array(prompt.expected_mm), then_c), cause)
+        self.add(RoomBack())
 
     def _room_cause(self, point: Point, then_c: float) -> NoReading:
-        table, now_c = self._run.cell.room, point.temperature_c or 0.0
+        table, now_c = self.cell.room, point.temperature_c or 0.0
         return NoReading(
             "HC-V14",
             "Tracker",
@@ -424,12 +418,12 @@ class Watch:
 
     def _look_at_room(self, near_mm: Array, then_c: float) -> Look:
         """Look at the weather station; good once the air has been within the band long enough."""
-        table, reflector = self._run.cell.room, self._run.cell.tracker.reflector
+        table, reflector = self.cell.room, self.cell.tracker.reflector
         try:
-            reading = self._run.devices.tracker.measure(near_mm, reflector, 1)
+            reading = self.devices.tracker.measure(near_mm, reflector, 1)
         except DeviceError as error:
-            return Look.failed(error, self._run.clock.pc_s())
-        now_s = self._run.clock.now_s()
+            return Look.failed(error, self.clock.pc_s())
+        now_s = self.clock.now_s()
         off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c
         if not abs(off_k) <= table.back_k:
             self._room_within_s = None
@@ -451,5 +445,5 @@ class Watch:
         """Return the identities of the points that frame {W} at a set-up."""
         return [
             PointId("world", number=set_up or None, nest=nest.name)
-            for nest in self._run.cell.layout.floor
+            for nest in self.cell.layout.floor
         ]

@@ -22,7 +22,6 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
-from hilcell.run.run_context import RunContext
 from hilcell.run.run_plan import RunPlan, changed_assets
 
 REST_S = 0.02
@@ -242,7 +241,7 @@ class Worker:
             self._journal.append("event", "", ChangesAccepted(changes=changes, by=by))
             self._journal.append("event", "", connected)  # only now the next resume's measure
         self._checkpoint()
-        run = RunContext(
+        self.session = CellSession(
             self._plan.cell,
             self.devices,
             self._clock,
@@ -251,7 +250,6 @@ class Worker:
             ask=self._ask,
             pause=self._pause,
         )
-        self.session = CellSession(run)
         self._plan.procedure.perform(self.session)
 
     def _claim(self, identities: list[Identity]) -> None:

@@ -15,7 +15,6 @@ from hilcell.ports import DeviceError, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.direct_run import MemoryJournal, direct_run
 from hilcell.run.prompts import Look, Prompt
-from hilcell.run.run_context import RunContext
 from procedures.reflectors import REFLECTORS
 
 CELL = load_cell("paper")
@@ -43,8 +42,8 @@ def carried(folder: Path, different: str) -> tuple[Log, list[str]]:
     journal.append("plan", "", REFLECTORS.inputs(CELL, plan) | more)
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
     connect_all(devices, lambda _: None)
-    run = RunContext(CELL, devices, simulated.clock, journal, checkpoint=lambda: None, ask=ask)
-    REFLECTORS.perform(CellSession(run))
+    session = CellSession(CELL, devices, simulated.clock, journal, checkpoint=lambda: None, ask=ask)
+    REFLECTORS.perform(session)
     return journal.log, titles
 
 

@@ -16,7 +16,6 @@ from hilcell.journal.log import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import SweepOrder
-from hilcell.run.run_context import RunContext
 from hilcell.run.stopping import SafeStop, close_all
 
 START_RAD = np.radians([-10.0, -100.0, 110.0, 5.0, 40.0, 20.0])
@@ -62,7 +61,7 @@ class Engine:
         self.log = journal.log
         self.at_wait = 0
         self.then: Callable[[], object] = lambda: None
-        run = RunContext(
+        self.bench = CellSession(
             cell,
             self.devices,
             Watched(clock, self._waited),
@@ -70,7 +69,6 @@ class Engine:
             checkpoint=clock.check,
             ask=lambda prompt, look, error: look(),
         )
-        self.bench = CellSession(run)
 
     def stop_all(self) -> None:
         """Stop as an operator does."""

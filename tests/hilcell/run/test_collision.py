@@ -220,7 +220,7 @@ def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: B
 
     def go(session: CellSession, number: int) -> None:
         session.robot_to(LEFT, "start of a sweep")
-        with session._mover.admitted() as sweep:
+        with session.admitted() as sweep:
             sweep.begin(LEFT, "sweep")
         post.robot.joints_rad = RIGHT  # the sweep took it there
         session.robot_to(LEFT, "next")

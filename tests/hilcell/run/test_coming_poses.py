@@ -138,7 +138,7 @@ def visit(bed: Bed, *poses_rad: Array, swept_rad: Array | None = None) -> str:
         session.expect(S1100, np.array(poses_rad))
         for joints_rad in poses_rad:
             if joints_rad is poses_rad[-1] and swept_rad is not None:
-                with session._mover.admitted() as sweep:
+                with session.admitted() as sweep:
                     sweep.begin(swept_rad, "sweep")
                 bed.robot.joints_rad = swept_rad
             session.robot_to(joints_rad, "a point")

@@ -67,7 +67,7 @@ def striking(bed: Bed, strike: Callable[[DirtyRail], None]) -> Points:
             struck.append(number)
             strike(rail_of(bed))
         session.hold_station(S1100, again=rail_of(bed).frozen_mm is not None)
-        with session._mover.admitted():
+        with session.admitted():
             pass
 
     return Points(3, act)

@@ -299,7 +299,7 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
     Floor(bed, monkeypatch)
 
     def act(session: CellSession, number: int) -> None:
-        watch, journal = session._watch, session._run._journal
+        watch, journal = session, session._journal
         until(lambda: session.log.state == "running")  # another thread writes that
         watch.prove_where_doubtful()
         proofs = len(bed.events("tracker proven"))
