@@ -15,7 +15,7 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.time import PatientTime, PlantTime
-from fakes.truth.controller_arm import controller_arm
+from fakes.truth.machine import controller_arm
 from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion

@@ -10,17 +10,500 @@ brakes by itself is looked at until it stands.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from enum import Enum, IntEnum
 from functools import partial
 
-from fakes.canopen.rail_drive import NODE, RailDrive
-from fakes.canopen.slave import HEADER, SYNC_COB_ID, Abort, abort_reply
+from fakes.canopen.slave import (
+    HEADER,
+    INVALID,
+    SYNC_COB_ID,
+    Abort,
+    CanopenSlave,
+    Entry,
+    ErrorKind,
+    Mapping,
+    NodeIdentity,
+    ReceivePdo,
+    SdoAbortError,
+    TransmitPdo,
+    abort_reply,
+)
 from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.strips.wire import STRIP_NODE, RailStrip, StripBus, StripLine, strip_wire
 from fakes.time import PlantTime
-from fakes.truth.rail_truth import RailTruth
-from hilcell.cell.file import Cell
+from fakes.truth.noise import Dither
+from fakes.truth.rail_truth import RailState, RailTruth
+from hilcell.cell.file import Cell, RailTable
+
+NODE = 5
+IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
+
+
+class Mode(IntEnum):
+    """Modes of operation, 6060h."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    HOMING = 6
+
+
+class State(Enum):
+    """States of the power drive system, with their bits in the statusword."""
+
+    NOT_READY_TO_SWITCH_ON = 0x00
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
+    FAULT = 0x08
+
+
+class Command(Enum):
+    """Commands of the controlword."""
+
+    SHUTDOWN = "shutdown"
+    SWITCH_ON = "switch on, or disable operation"
+    ENABLE_OPERATION = "enable operation"
+    DISABLE_VOLTAGE = "disable voltage"
+    QUICK_STOP = "quick stop"
+    FAULT_RESET = "fault reset"
+
+    @staticmethod
+    def of(word: int) -> Command:
+        """Return the command that bits 0-3 of a controlword give."""
+        if not word & 0x02:
+            return Command.DISABLE_VOLTAGE
+        if not word & 0x04:
+            return Command.QUICK_STOP
+        if not word & 0x01:
+            return Command.SHUTDOWN
+        return Command.ENABLE_OPERATION if word & 0x08 else Command.SWITCH_ON
+
+
+# CiA 402-2, figure of the state machine, by the number of each transition. 0, 1, 13 and 14 are the
+# drive's own; ENABLE OPERATION in READY TO SWITCH ON passes through SWITCHED ON (3, then 4).
+TRANSITIONS = {
+    (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
+    (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
+    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): State.SWITCHED_ON,  # 3
+    (State.SWITCHED_ON, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 4
+    (State.OPERATION_ENABLED, Command.SWITCH_ON): State.SWITCHED_ON,  # 5
+    (State.SWITCHED_ON, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 6
+    (State.READY_TO_SWITCH_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 7
+    (State.READY_TO_SWITCH_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 7
+    (State.OPERATION_ENABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 8
+    (State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
+    (State.SWITCHED_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 10
+    (State.SWITCHED_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 10
+    (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
+    (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
+    (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15
+    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 16
+}
+
+
+class Control(IntEnum):
+    """Bits of the controlword."""
+
+    NEW_SET_POINT = 0x10
+    AT_ONCE = 0x20
+    RELATIVE = 0x40
+    FAULT_RESET = 0x80
+    HALT = 0x100
+
+
+class Status(IntEnum):
+    """Bits of the statusword."""
+
+    VOLTAGE = 1 << 4
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT = 1 << 11
+    MODE_DONE = 1 << 12
+    MODE_ERROR = 1 << 13
+
+
+class RailDrive(CanopenSlave):
+    """Node 5, CiA 402: moves the rail of the plant as its objects say, by profile or homing.
+
+    1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed whenever
+    the drive is not in OPERATION ENABLED and has come to rest; while it is open, the servo dithers
+    by a few counts and its speed is almost never 0. Bit 12 of the statusword says "set-point
+    acknowledged" in mode 1 and "homing attained" in mode 6.
+    """
+
+    NEGATIVE_LIMIT_SWITCH = 17  # homing method
+    FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
+    ABOVE_ZERO = range(1, 1 << 32)
+    DITHER_COUNTS, DITHER_HZ = 2, 50.0
+    COUNTS_PER_MM = 1000.0
+    INT32 = range(-(1 << 31), 1 << 31)
+
+    def __init__(
+        self,
+        rail: RailTruth,
+        faults: Faults,
+        table: RailTable,
+        send: Callable[[int, bytes], None],
+    ) -> None:
+        super().__init__(NODE, IDENTITY, send)
+        self._rail, self._faults = rail, faults
+        self._slide = rail.poll()
+        self._dither = Dither(self.DITHER_COUNTS, NODE)
+        self._forget()
+        self._add_objects(table)
+        self._add_pdos()
+        self._rail.brake(closed=True)
+
+    def _forget(self) -> None:
+        """Put the drive to where it stands after power-on (transitions 0 and 1)."""
+        self.state = State.SWITCH_ON_DISABLED
+        self._mode = Mode.NONE
+        self._word = 0
+        self._commanded = False
+        self._busy = False  # a motion was started and has not been seen to end
+        self._target = 0
+        self._direction = 0
+        self._pending: int | None = None
+        self._reached = self._early = self._acknowledged = self._halted = False
+        self._hurry = 1.0
+        self._limited = self._following_error = False
+        self._open_switch = 0
+        self._homing = self._homed = self._homing_error = False
+
+    # -- values of the plant ------------------------------------------------------------------
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion was started and has not been seen to end."""
+        return self._busy
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the drive brings the slide to rest by itself."""
+        return self._busy and self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+
+    def dither(self) -> None:
+        """Let the servo hunt on; once a SYNC."""
+        self._dither.step()
+
+    def observe(self, slide: RailState) -> None:
+        """Take the slide's state of now; end motions, trip limits."""
+        self._slide = slide
+        if not self._busy:
+            return
+        if not self._homing and self.state is State.OPERATION_ENABLED:
+            blocked = {-1: slide.at_negative_limit, 1: slide.at_positive_limit}
+            if blocked.get(self._direction, False):
+                self.trip_limit(0)
+        if not slide.moving:
+            self._busy = False
+            self._come_to_rest()
+
+    def _come_to_rest(self) -> None:
+        match self.state:
+            case State.OPERATION_ENABLED:
+                self._reached = True
+                self._homed = self._homed or self._homing
+                self._homing = False
+                if self._pending is not None:
+                    target, self._pending = self._pending, None
+                    self._start(target)
+            case State.QUICK_STOP_ACTIVE:
+                self._rail.brake(closed=True)
+                if self._stays_in_quick_stop():
+                    self._reached = True
+                else:
+                    self.state = State.SWITCH_ON_DISABLED  # transition 12
+            case State.FAULT_REACTION_ACTIVE | State.FAULT:
+                self._rail.brake(closed=True)
+                self.state = State.FAULT  # transition 14
+            case _:
+                pass
+
+    # -- faults -------------------------------------------------------------------------------
+
+    def fail(self, code: int) -> None:
+        """Go through FAULT REACTION ACTIVE to FAULT with EMCY ``code`` (transitions 13, 14).
+
+        The first fault counts: a drive already in fault stays as it is.
+        """
+        if self.state in {State.FAULT_REACTION_ACTIVE, State.FAULT}:
+            return
+        self._following_error = code == self.FOLLOWING_ERROR
+        self.emergency(code, ErrorKind.DEVICE_PROFILE)
+        self._react_to_fault()
+
+    def _react_to_fault(self) -> None:
+        self._cancel()
+        self.state = State.FAULT_REACTION_ACTIVE
+        option = self.dictionary.number(0x605E)
+        rolling_mm_s2 = 30.0  # of a slide without power or brake
+        if option == 0:
+            self.state = State.FAULT  # without power the slide rolls on
+            self._rail.quick_stop(rolling_mm_s2)
+        else:
+            self._brake_down(self.dictionary.number(0x6084 if option == 1 else 0x6085))
+
+    def trip_limit(self, switch: int) -> None:
+        """Stop on a limit switch; ``switch`` -1 or 1 holds it open until the fault is reset."""
+        self._open_switch = switch
+        self._limited = True
+        self.fail(self.LIMIT_SWITCH_HIT)
+
+    def _brake_down(self, deceleration: int) -> None:
+        if self._busy:
+            self._rail.quick_stop(deceleration / self.COUNTS_PER_MM)
+        else:
+            self._come_to_rest()
+
+    def _cancel(self) -> None:
+        self._pending = None
+        self._homing = self._reached = self._early = self._halted = False
+
+    def emergency(self, code: int, register: int) -> None:
+        """Send EMCY ``code``; 603Fh holds the last error."""
+        if code:
+            self.dictionary.set(0x603F, 0, code)
+        super().emergency(code, register)
+
+    # -- hooks of the node --------------------------------------------------------------------
+
+    def connection_lost(self) -> None:
+        """Act by 6007h: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        if self.state is not State.OPERATION_ENABLED:
+            return
+        match self.dictionary.number(0x6007):
+            case 1:
+                self._react_to_fault()
+            case 2:
+                self._enter(State.SWITCH_ON_DISABLED)
+            case 3:
+                self._enter(State.QUICK_STOP_ACTIVE)
+            case _:
+                pass
+
+    def switched_off(self) -> None:
+        """Close the brake and stand in SWITCH ON DISABLED; the reference is lost."""
+        self._rail.brake(closed=True)
+        self._forget()
+
+    def written(self) -> None:
+        """Obey a controlword once all objects of its frame are in place."""
+        if not self._commanded:
+            return
+        self._commanded = False
+        before, self._word = self._word, self.dictionary.number(0x6040)
+        rising = self._word & ~before
+        if rising & Control.FAULT_RESET:
+            self._clear_fault()
+        if self.state is not State.FAULT:
+            self._walk(Command.of(self._word))
+        elif rising & Control.FAULT_RESET:
+            self._walk(Command.FAULT_RESET)
+        if not self._word & Control.NEW_SET_POINT:
+            self._acknowledged = False
+        if self.state is State.OPERATION_ENABLED:
+            self._operate(rising, before & ~self._word)
+
+    # -- the state machine --------------------------------------------------------------------
+
+    def _walk(self, command: Command) -> None:
+        target = TRANSITIONS.get((self.state, command))
+        leaves = command is Command.ENABLE_OPERATION and self.state is State.QUICK_STOP_ACTIVE
+        if target is None or (leaves and not self._stays_in_quick_stop()):
+            return
+        self._enter(target)
+        if command is Command.ENABLE_OPERATION and target is State.SWITCHED_ON:
+            self._walk(command)
+
+    def _enter(self, state: State) -> None:
+        was_enabled = self.state is State.OPERATION_ENABLED
+        self.state = state
+        if state is State.OPERATION_ENABLED:
+            self._target = self._position()
+            self._rail.brake(closed=False)
+        elif state is State.QUICK_STOP_ACTIVE:
+            self._quick_stop()
+        elif was_enabled or self._busy:
+            self._cancel()
+            self._busy = False
+            self._rail.brake(closed=True)
+
+    def _quick_stop(self) -> None:
+        self._cancel()
+        option = self.dictionary.number(0x605A)
+        if option == 0:
+            self._busy = False
+            self._enter(State.SWITCH_ON_DISABLED)
+            self._rail.brake(closed=True)
+            return
+        self._brake_down(self.dictionary.number(0x6084 if option in {1, 5} else 0x6085))
+
+    def _stays_in_quick_stop(self) -> bool:
+        return self.dictionary.number(0x605A) >= 5
+
+    def _clear_fault(self) -> None:
+        if not self.dictionary.number(0x1001):
+            return
+        self._following_error = self._limited = False
+        self._open_switch = 0
+        self.emergency(0, ErrorKind.DEVICE_PROFILE)
+
+    # -- operation ----------------------------------------------------------------------------
+
+    def _operate(self, rising: int, falling: int) -> None:
+        if rising & Control.HALT and self._busy:
+            self._halted = True
+            self._rail.quick_stop(self.dictionary.number(0x6084) / self.COUNTS_PER_MM)
+        if self._mode is Mode.PROFILE_POSITION:
+            if falling & Control.HALT and self._halted:
+                self._halted = False
+                self._start(self._target)
+            if rising & Control.NEW_SET_POINT and not self._word & Control.HALT:
+                self._take_set_point()
+        elif self._mode is Mode.HOMING and rising & Control.NEW_SET_POINT:
+            self._start_homing()
+
+    def _take_set_point(self) -> None:
+        if self._faults.take("rail.no_acknowledge") is not None:
+            return
+        wanted = self.dictionary.number(0x607A)
+        wanted += self._target if self._word & Control.RELATIVE else 0
+        low, high = (self.dictionary.number(0x607D, sub) for sub in (1, 2))
+        target = min(max(wanted, low), high) if self._homed else wanted
+        self._limited = target != wanted
+        self._acknowledged = True
+        self._early = self._faults.take("rail.early_target_reached") is not None
+        self._hurry = self._faults.number("rail.overspeed") or 1.0
+        if self._busy and not self._word & Control.AT_ONCE:
+            self._pending = target
+        else:
+            self._start(target)
+
+    def _start(self, target: int) -> None:
+        number = self.dictionary.number
+        self._target, self._reached, self._busy = target, False, True
+        gap = target - self._position()  # of the counter, which may have wrapped
+        self._direction = (gap > 0) - (gap < 0)
+        speed = self._hurry * min(number(0x6081), number(0x607F))
+        # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
+        acceleration = min(number(0x6083), number(0x6084))
+        end_mm = self._slide.encoder_mm + gap / self.COUNTS_PER_MM
+        self._rail.move(end_mm, speed / self.COUNTS_PER_MM, acceleration / self.COUNTS_PER_MM)
+
+    def _start_homing(self) -> None:
+        self._reached = self._homed = False
+        self._homing_error = self.dictionary.number(0x6098) != self.NEGATIVE_LIMIT_SWITCH
+        if self._homing_error:
+            return
+        self._homing = self._busy = True
+        self._target = 0
+        self._rail.home(self.dictionary.number(0x6099, 1) / self.COUNTS_PER_MM)
+
+    # -- objects ------------------------------------------------------------------------------
+
+    def _position(self) -> int:
+        """Return the encoder's count, which wraps at 32 bits."""
+        count = round(self._slide.encoder_mm * self.COUNTS_PER_MM)
+        return (count - self.INT32[0]) % len(self.INT32) + self.INT32[0]
+
+    def _dithers(self) -> bool:
+        return self._busy or self.state is State.OPERATION_ENABLED
+
+    def _position_shown(self) -> int:
+        return self._position() + (self._dither.counts if self._dithers() else 0)
+
+    def _velocity(self) -> int:
+        hunting = self.DITHER_HZ * self._dither.change if self._dithers() else 0.0
+        return round(self._slide.velocity_mm_s * self.COUNTS_PER_MM + hunting)
+
+    def _inputs(self) -> int:
+        negative = self._slide.at_negative_limit or self._open_switch < 0
+        positive = self._slide.at_positive_limit or self._open_switch > 0
+        return int(negative) | int(positive) << 1
+
+    def _statusword(self) -> int:
+        word = self.state.value | Status.VOLTAGE | Status.REMOTE
+        word |= Status.TARGET_REACHED if self._reached or self._early else 0
+        word |= Status.INTERNAL_LIMIT if self._limited else 0
+        if self._mode is Mode.HOMING:
+            done, error = self._homed, self._homing_error
+        else:
+            done = self._acknowledged or self._pending is not None
+            error = self._following_error
+        return word | (Status.MODE_DONE if done else 0) | (Status.MODE_ERROR if error else 0)
+
+    def _change_mode(self, mode: int) -> None:
+        if self._busy:
+            raise SdoAbortError(Abort.DEVICE_STATE)
+        self._mode = Mode(mode)
+
+    def _shown_mode(self) -> int:
+        wrong = self._faults.take("rail.wrong_mode")
+        return int(self._mode) if wrong is None else int(wrong)
+
+    def _note_command(self, _word: int) -> None:
+        self._commanded = True
+
+    def _product(self) -> int:
+        wrong = self._faults.take("rail.wrong_identity")
+        return IDENTITY.product if wrong is None else int(wrong)
+
+    def _add_objects(self, table: RailTable) -> None:
+        speed = round(table.speed_mm_s * self.COUNTS_PER_MM)
+        acceleration = round(table.acceleration_mm_s2 * self.COUNTS_PER_MM)
+        add, record = self.dictionary.add, self.dictionary.add_array
+        self.dictionary.entry(0x1018, 2).read = self._product
+        add(0x6007, 0, Entry("h", 1, allowed=range(4)))
+        add(0x603F, 0, Entry("H", 0, "ro", mappable=True))
+        add(0x6040, 0, Entry("H", 0, mappable=True, write=self._note_command))
+        add(0x6041, 0, Entry("H", 0, "ro", mappable=True, read=self._statusword))
+        add(0x605A, 0, Entry("h", 2, allowed=(0, 1, 2, 5, 6)))
+        modes = tuple(Mode)
+        add(0x605E, 0, Entry("h", 2, allowed=(0, 1, 2)))
+        add(0x6060, 0, Entry("b", 0, mappable=True, allowed=modes, write=self._change_mode))
+        add(0x6061, 0, Entry("b", 0, "ro", mappable=True, read=self._shown_mode))
+        add(0x6064, 0, Entry("i", 0, "ro", mappable=True, read=self._position_shown))
+        add(0x6067, 0, Entry("I", 100))
+        add(0x6068, 0, Entry("H", 0))
+        add(0x606C, 0, Entry("i", 0, "ro", mappable=True, read=self._velocity))
+        add(0x606F, 0, Entry("H", 100))
+        add(0x6070, 0, Entry("H", 0))
+        add(0x607A, 0, Entry("i", 0, mappable=True))
+        add(0x607C, 0, Entry("i", 0, allowed=(0,)))
+        record(0x607D, Entry("i", self.INT32[0]), Entry("i", self.INT32[-1]))
+        for index, value in {
+            0x607F: 2 * speed,
+            0x6081: speed,
+            0x6083: acceleration,
+            0x6084: acceleration,
+            0x6085: 2 * acceleration,
+        }.items():
+            add(index, 0, Entry("I", value, mappable=True, allowed=self.ABOVE_ZERO))
+        add(0x6098, 0, Entry("b", 0, allowed=(0, self.NEGATIVE_LIMIT_SWITCH)))
+        speeds = (speed // 5, speed // 50)
+        record(0x6099, *(Entry("I", value, allowed=self.ABOVE_ZERO) for value in speeds))
+        add(0x609A, 0, Entry("I", acceleration, allowed=self.ABOVE_ZERO))
+        add(0x60FD, 0, Entry("I", 0, "ro", mappable=True, read=self._inputs))
+        add(0x6502, 0, Entry("I", 1 << 0 | 1 << 5, "ro"))
+
+    def _add_pdos(self) -> None:
+        """Lay out the PDOs as the profile's defaults do; all but the first are switched off."""
+        receive, transmit = (None, 0x6060, 0x607A), (None, 0x6061, 0x6064, 0x606C)
+        for number, more in enumerate(receive):
+            mapped: Mapping = ((0x6040, 0), *([(more, 0)] if more else []))
+            cob_id = 0x200 + 0x100 * number + NODE | (INVALID if number else 0)
+            self.receive_pdos.append(ReceivePdo(self.dictionary, number, cob_id, mapped))
+        for number, more in enumerate(transmit):
+            mapped = ((0x6041, 0), *([(more, 0)] if more else []))
+            cob_id = 0x180 + 0x100 * number + NODE | (INVALID if number else 0)
+            self.transmit_pdos.append(TransmitPdo(self.dictionary, number, cob_id, mapped))
 
 
 class RailServer(BusServer):

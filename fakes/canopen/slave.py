@@ -62,20 +62,44 @@ class Entry:
         """Return the length in bytes of a number."""
         return struct.calcsize("<" + self.kind)
 
+    @property
+    def number(self) -> int:
+        if not isinstance(self.value, int):
+            raise TypeError(f"expected an object that holds a number, got {self.value!r}")
+        return self.value
+
     def encode(self) -> bytes:
         value = self.value if self.read is None else self.read()
         if isinstance(value, str):
             return value.encode("ascii")
         return struct.pack("<" + self.kind, value)
 
-    def decode(self, data: bytes) -> int | str:
-        """Return the value of ``data``; raises `SdoAbortError` on a wrong length."""
+    def upload(self) -> bytes:
+        """Read over the wire; raises `SdoAbortError`."""
+        write_only = 0x06010001
+        if self.access == "wo":
+            raise SdoAbortError(write_only)
+        return self.encode()
+
+    def check_writable(self) -> None:
+        """Raise `SdoAbortError` where it cannot be written over the wire."""
+        if self.access == "ro":
+            raise SdoAbortError(Abort.READ_ONLY)
+
+    def download(self, data: bytes) -> None:
+        """Write over the wire; raises `SdoAbortError`."""
+        self.check_writable()
         if self.kind == "s":
-            return data.decode("ascii", errors="replace")
+            self.value = data.decode("ascii", errors="replace")
+            return
         if len(data) != self.size:
             raise SdoAbortError(Abort.WRONG_LENGTH)
         value: int = struct.unpack("<" + self.kind, data)[0]
-        return value
+        if self.allowed is not None and value not in self.allowed:
+            raise SdoAbortError(Abort.VALUE_RANGE)
+        if self.write is not None:
+            self.write(value)
+        self.value = value
 
 
 class ObjectDictionary:
@@ -109,40 +133,11 @@ class ObjectDictionary:
         return self._entries[index, sub]
 
     def number(self, index: int, sub: int = 0) -> int:
-        value = self._entries[index, sub].value
-        if not isinstance(value, int):
-            raise TypeError(f"object {index:04X}:{sub:02X} holds {value!r}, not a number")
-        return value
+        return self._entries[index, sub].number
 
     def set(self, index: int, sub: int, value: int | str) -> None:
         """Change a value from inside the device, with any access."""
         self._entries[index, sub].value = value
-
-    def upload(self, index: int, sub: int) -> bytes:
-        """Read an object over the wire; raises `SdoAbortError`."""
-        entry = self.entry(index, sub)
-        write_only = 0x06010001
-        if entry.access == "wo":
-            raise SdoAbortError(write_only)
-        return entry.encode()
-
-    def check_writable(self, index: int, sub: int) -> Entry:
-        """Return an object that may be written over the wire; raises `SdoAbortError`."""
-        entry = self.entry(index, sub)
-        if entry.access == "ro":
-            raise SdoAbortError(Abort.READ_ONLY)
-        return entry
-
-    def download(self, index: int, sub: int, data: bytes) -> None:
-        """Write an object over the wire; raises `SdoAbortError`."""
-        entry = self.check_writable(index, sub)
-        value = entry.decode(data)
-        if isinstance(value, int):
-            if entry.allowed is not None and value not in entry.allowed:
-                raise SdoAbortError(Abort.VALUE_RANGE)
-            if entry.write is not None:
-                entry.write(value)
-        entry.value = value
 
     def restore(self, indices: range) -> None:
         """Put the values of ``indices`` back to those at power-on."""
@@ -222,7 +217,7 @@ class SdoServer:
 
     def _initiate_upload(self, index: int, sub: int) -> bytes:
         self.reset()
-        data = self._dictionary.upload(index, sub)
+        data = self._dictionary.entry(index, sub).upload()
         if 1 <= len(data) <= 4:
             command = 0x43 | (4 - len(data)) << 2
             return HEADER.pack(command, index, sub) + data.ljust(4, b"\0")
@@ -239,12 +234,14 @@ class SdoServer:
 
     def _initiate_download(self, command: int, index: int, sub: int, request: bytes) -> bytes:
         self.reset()
+        entry = self._dictionary.entry(index, sub)
         expedited, sized = bool(command & 2), bool(command & 1)
         if expedited:
-            length = 4 - (command >> 2 & 3) if sized else self._natural_length(index, sub)
-            self._dictionary.download(index, sub, request[4 : 4 + length])
+            own = 4 if entry.kind == "s" else entry.size
+            length = 4 - (command >> 2 & 3) if sized else own
+            entry.download(request[4 : 4 + length])
         else:
-            self._dictionary.check_writable(index, sub)
+            entry.check_writable()
             announced = struct.unpack_from("<I", request, 4)[0] if sized else None
             self._download = _Transfer(index, sub, b"", announced)
         return HEADER.pack(0x60, index, sub) + bytes(4)
@@ -258,13 +255,9 @@ class SdoServer:
         if command & 1:
             if transfer.announced not in {None, len(transfer.data)}:
                 raise SdoAbortError(Abort.WRONG_LENGTH)
-            self._dictionary.download(transfer.index, transfer.sub, transfer.data)
+            self._dictionary.entry(transfer.index, transfer.sub).download(transfer.data)
             self._download = None
         return bytes([0x20 | command & TOGGLE]) + bytes(7)
-
-    def _natural_length(self, index: int, sub: int) -> int:
-        entry = self._dictionary.entry(index, sub)
-        return 4 if entry.kind == "s" else entry.size
 
 
 INVALID = 1 << 31
@@ -292,66 +285,57 @@ class Pdo:
         transmission: int = 255,
     ) -> None:
         self._dictionary = dictionary
-        self._communication, self._mapping = communication, mapping
         types = (*self.SYNC_TYPES, *self.EVENT_TYPES)
+        self._cob_id = Entry("I", self.NO_RTR | cob_id, write=self._change_cob_id)
+        self._type = Entry("B", transmission, allowed=types)
+        inhibit, self._timer_ms = Entry("H", 0, write=self._while_invalid), Entry("H", 0)
         dictionary.add_array(
-            communication,
-            Entry("I", self.NO_RTR | cob_id, write=self._change_cob_id),
-            Entry("B", transmission, allowed=types),
-            Entry("H", 0, write=self._while_invalid),
-            Entry("B", 0),
-            Entry("H", 0),
+            communication, self._cob_id, self._type, inhibit, Entry("B", 0), self._timer_ms
         )
-        dictionary.add(mapping, 0, Entry("B", len(mapped), write=self._change_count))
-        for number in range(8):
-            value = self._coded(*mapped[number]) if number < len(mapped) else 0
-            dictionary.add(mapping, number + 1, Entry("I", value, write=self._change_mapping))
+        coded = [at << 16 | sub << 8 | 8 * dictionary.entry(at, sub).size for at, sub in mapped]
+        coded += [0] * (8 - len(coded))
+        self._places = [Entry("I", value, write=self._change_mapping) for value in coded]
+        self._count = Entry("B", len(mapped), write=self._change_count)
+        for number, entry in enumerate((self._count, *self._places)):
+            dictionary.add(mapping, number, entry)
 
     @property
     def valid(self) -> bool:
         """Whether the PDO is switched on."""
-        return not self._dictionary.number(self._communication, 1) & INVALID
+        return not self._cob_id.number & INVALID
 
     @property
     def cob_id(self) -> int:
-        return self._dictionary.number(self._communication, 1) & 0x7FF
+        return self._cob_id.number & 0x7FF
 
     @property
     def transmission(self) -> int:
-        return self._dictionary.number(self._communication, 2)
+        return self._type.number
 
-    @property
-    def event_timer_s(self) -> float:
-        """Return the event timer, 0 for none."""
-        return self._dictionary.number(self._communication, 5) / 1000.0
-
-    def mapped(self) -> list[tuple[int, int]]:
-        count = self._dictionary.number(self._mapping, 0)
-        values = (self._dictionary.number(self._mapping, sub) for sub in range(1, count + 1))
-        return [(value >> 16, value >> 8 & 0xFF) for value in values]
+    def mapped(self) -> list[Entry]:
+        return [self._mapped(place) for place in self._places[: self._count.number]]
 
     def assemble(self) -> bytes:
         """Return the present data of the mapped objects."""
-        return b"".join(self._dictionary.entry(*key).encode() for key in self.mapped())
+        return b"".join(entry.encode() for entry in self.mapped())
 
     def distribute(self, data: bytes) -> bool:
         """Write received data to the mapped objects; a frame that is too short changes nothing."""
-        entries = [(key, self._dictionary.entry(*key).size) for key in self.mapped()]
-        if len(data) < sum(size for _, size in entries):
+        entries = self.mapped()
+        if len(data) < sum(entry.size for entry in entries):
             return False
-        for (index, sub), size in entries:
+        for entry in entries:
             # A PDO has no answer: where a value is refused, the node keeps the old one.
             with suppress(SdoAbortError):
-                self._dictionary.download(index, sub, data[:size])
-            data = data[size:]
+                entry.download(data[: entry.size])
+            data = data[entry.size :]
         return True
 
-    def _coded(self, index: int, sub: int) -> int:
-        return index << 16 | sub << 8 | 8 * self._dictionary.entry(index, sub).size
+    def _mapped(self, place: Entry) -> Entry:
+        return self._dictionary.entry(place.number >> 16, place.number >> 8 & 0xFF)
 
     def _change_cob_id(self, value: int) -> None:
-        old = self._dictionary.number(self._communication, 1)
-        if self.valid and (value ^ old) & 0x3FFFFFFF:
+        if self.valid and (value ^ self._cob_id.number) & 0x3FFFFFFF:
             raise SdoAbortError(Abort.DEVICE_STATE)
         if not value & self.NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
             raise SdoAbortError(Abort.VALUE_RANGE)
@@ -361,28 +345,24 @@ class Pdo:
             raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _change_mapping(self, _value: int) -> None:
-        if self.valid or self._dictionary.number(self._mapping, 0):
+        if self.valid or self._count.number:
             raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _change_count(self, count: int) -> None:
         self._while_invalid(count)
-        if count > 8:
+        if count > len(self._places):
             raise SdoAbortError(Abort.VALUE_RANGE)
         bits = 0
-        for sub in range(1, count + 1):
-            bits += self._checked_bits(self._dictionary.number(self._mapping, sub))
+        for place in self._places[:count]:
+            try:
+                entry = self._mapped(place)
+            except SdoAbortError:
+                raise SdoAbortError(Abort.NO_SUCH_OBJECT) from None
+            if not entry.mappable or place.number & 0xFF != 8 * entry.size:
+                raise SdoAbortError(Abort.NOT_MAPPABLE)
+            bits += 8 * entry.size
         if bits > 64:
             raise SdoAbortError(Abort.PDO_TOO_LONG)
-
-    def _checked_bits(self, value: int) -> int:
-        try:
-            entry = self._dictionary.entry(value >> 16, value >> 8 & 0xFF)
-        except SdoAbortError:
-            raise SdoAbortError(Abort.NO_SUCH_OBJECT) from None
-        bits = value & 0xFF
-        if not entry.mappable or bits != 8 * entry.size:
-            raise SdoAbortError(Abort.NOT_MAPPABLE)
-        return bits
 
 
 class TransmitPdo(Pdo):
@@ -420,17 +400,17 @@ class TransmitPdo(Pdo):
         """Return the data due now, by the event timer or because it changed."""
         if self.transmission not in self.EVENT_TYPES or not self.valid:
             return None
-        data, timer_s = self.assemble(), self.event_timer_s
-        if data == self._sent and not (timer_s and now_s >= self._sent_s + timer_s):
+        data = self.assemble()
+        if data == self._sent and now_s < self.next_s():
             return None
         self._sent, self._sent_s = data, now_s
         return data
 
     def next_s(self) -> float:
         """Return when the event timer runs out."""
-        if self.transmission in self.EVENT_TYPES and self.valid and self.event_timer_s:
-            return self._sent_s + self.event_timer_s
-        return float("inf")
+        if self.transmission in self.EVENT_TYPES and self.valid and self._timer_ms.number:
+            return self._sent_s + self._timer_ms.number / 1000.0
+        return math.inf
 
 
 class ReceivePdo(Pdo):

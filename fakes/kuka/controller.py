@@ -20,7 +20,7 @@ import numpy as np
 
 from fakes.faults import Faults, Vanished
 from fakes.time import LifeTimer
-from fakes.truth.controller_arm import controller_arm, flicker
+from fakes.truth.machine import controller_arm, flicker
 from fakes.truth.noise import Dither
 from fakes.truth.plant import Plant, ReplayPlant, strike
 from fakes.truth.rail_truth import RailState, RailTruth

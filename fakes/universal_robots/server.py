@@ -9,18 +9,335 @@ then two come glued.
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 import socket
 import struct
 import threading
 import time
 from enum import IntEnum
+from functools import partial
 
 import numpy as np
 
+from fakes.faults import Faults, Vanished
 from fakes.site import Site
-from fakes.universal_robots.controller import UrController
+from fakes.time import LifeTimer, PlantTime
+from fakes.truth.machine import controller_arm, flicker
+from fakes.truth.plant import Plant, ReplayPlant, strike
+from fakes.truth.transforms import Array, rotation_vector
 from fakes.wires import HOST, RECEIVE, Listener, Segments, Server
+from hilcell.cell.file import Cell
+
+
+class Mode(IntEnum):
+    """Robot modes."""
+
+    BOOTING = 2
+    POWER_OFF = 3
+    RUNNING = 7
+
+
+class Safety(IntEnum):
+    """States of the safety system."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+class Runtime(IntEnum):
+    """States of the program."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSED = 4
+
+
+class Error(IntEnum):
+    """How the program acknowledges."""
+
+    OK = 0
+    UNKNOWN_COMMAND = 1
+    OUT_OF_LIMITS = 2
+    LOST = 8
+    BRAKED = 9
+
+
+Values = dict[str, float | int | Array]
+
+
+class UrController:
+    """One robot's controller; its methods may come from several threads.
+
+    Nobody may read more here than a controller knows: joints and poses are its own nominal ones. It
+    plays one program, that which came last by the script port. Of programs it understands the one
+    named ``hilcell``: that waits for another sequence in its register, moves, and acknowledges; a
+    motion of which the PC gives no sign of life is braked. Any other one plays and moves nothing.
+    """
+
+    STEP_S = 0.002  # of the controller
+    LIFE_MS = 1500
+    INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
+    NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
+    SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
+
+    def __init__(
+        self, cell: Cell, plant: Plant | ReplayPlant, faults: Faults, time: PlantTime
+    ) -> None:
+        self._lock = threading.RLock()
+        self._plant, self._motion, self._faults, self._time = plant, plant.robot, faults, time
+        self._arm = controller_arm(cell)
+        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
+        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
+        self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+        self._tcp = np.array([*cell.robot.smr_mm, 0.0, 0.0, 0.0]) / 1000.0
+        self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
+        self._inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
+        self._session = self._count = self._acknowledged = self._error = 0
+        self._timer = LifeTimer(self._life_ran_out)
+        self._stale: Values | None = None
+        self.restore()
+
+    @property
+    def inputs(self) -> set[str]:
+        """Return the names of the registers that a client may write."""
+        return set(self._inputs)
+
+    def restore(self) -> None:
+        """The operator puts everything right; no program plays."""
+        with self._lock:
+            self.remote, self._mode = True, Mode.RUNNING
+            self.safety: int = Safety.NORMAL
+            self._runtime: int = Runtime.STOPPED
+            self._fraction, self._wrong_tool = 1.0, False
+            self._end_program()
+            self._motion.override(1.0)
+
+    def slide(self, fraction: float) -> None:
+        """Somebody moves the speed slider at the panel."""
+        with self._lock:
+            self._fraction = fraction
+            self._motion.override(fraction)
+
+    def state(self) -> Values:
+        """Return the outputs of one cycle by name; a moving robot gets further."""
+        with self._lock:
+            self._strike_by_motion()
+            self._run()
+            values = self._values()
+            stale = self._faults.take("robot.stale_position") is not None
+            if stale and self._stale is not None:
+                values |= self._stale
+            kept = ("timestamp", "actual_q", "actual_qd", "actual_TCP_pose")
+            self._stale = {name: values[name] for name in kept}
+            bad = self._faults.take("robot.bad_number")
+            if bad is not None:
+                values["actual_q"] = np.array([float(bad), *np.ravel(values["actual_q"])[1:]])
+            return values
+
+    def write(self, values: dict[str, float]) -> None:
+        life = "input_int_register_26"  # the PC's sign
+        with self._lock:
+            self._strike_on_request()
+            changed = {name for name, value in values.items() if self._inputs[name] != value}
+            self._inputs |= values
+            if life in changed:
+                self._timer.set_ms(-self.LIFE_MS)
+            self._run()
+            if self._session and self._runtime == Runtime.STOPPED:
+                self._time.advance(self.STEP_S)  # a PC that looks at the end of its session waits
+            # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
+            # for the slower the PC, the more of them it gives.
+            if self._time.followed and changed != {life}:
+                self._motion.poll()
+
+    def play(self, script: str) -> None:
+        """Play a program in place of the one before; local control, or a stop, takes none."""
+        with self._lock:
+            self._strike_on_request()
+            name = self.NAME.match(script)
+            ready = self._mode == Mode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
+            if not self.remote or not ready or not name:
+                return
+            self._end_program()
+            self._program, self._runtime = name[1], Runtime.PLAYING
+            session = self.SESSION.search(script)
+            if self._program == "hilcell" and session:
+                self._session = int(session[1])
+                self._acknowledged = int(self._inputs["input_int_register_24"])
+                self._error = Error.OK
+
+    def ask(self, command: str) -> str:
+        with self._lock:
+            self._strike_on_request()
+            if command == "stop":
+                if not self.remote:
+                    return "Failed to execute: stop"
+                self._end_program()
+                return "Stopped"
+            known = self.safety in Safety.__members__.values()
+            safety = Safety(self.safety).name if known else "UNDEFINED"
+            answers = {
+                "robotmode": f"Robotmode: {self._mode.name}",
+                "safetystatus": f"Safetystatus: {safety}",
+                "is in remote control": str(self.remote).lower(),
+                "running": f"Program running: {str(self._runtime == Runtime.PLAYING).lower()}",
+                "programState": f"{Runtime(self._runtime).name} {self._program or 'null'}",
+                "get serial number": str(self._arm.serial),
+                "PolyscopeVersion": "URSoftware 5.12.0.1101319 (Mar 22 2022)",
+            }
+            if command == "get robot model":
+                other = self._faults.take("robot.wrong_identity")
+                if other is None:
+                    return f"{self._arm.model} SIMULATED"
+                return "UR5" if other is True else str(other)
+            return answers.get(command, f"could not understand: {command!r}")
+
+    # -- the outputs --------------------------------------------------------------------------
+
+    def _values(self) -> Values:
+        now_s = self._time.now_s()
+        state = self._motion.state(now_s)  # as of the package's own time, however busy this PC is
+        joints_rad, speeds = state.joints_rad, np.zeros(6)
+        dither_rad, dither_rad_s = 5e-6, 4e-4  # of a joint that holds
+        if state.moving:
+            before_rad, now_rad = self._motion.past(np.array([now_s - self.STEP_S, now_s]))[0]
+            speeds = (now_rad - before_rad) / self.STEP_S
+        else:
+            landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
+            off = flicker(landed, round(now_s / self.STEP_S), 12)
+            joints_rad, speeds = joints_rad + dither_rad * off[:6], dither_rad_s * off[6:]
+        T = self._arm.chain.pose(joints_rad)
+        pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])
+        if self._faults.take("robot.wrong_tool") is not None:
+            self._wrong_tool = True
+        tool = np.zeros(6) if self._wrong_tool else self._tcp
+        found: Values = {
+            "timestamp": now_s,
+            "actual_q": joints_rad,
+            "target_q": state.joints_rad,
+            "actual_qd": speeds,
+            "actual_TCP_pose": pose,
+            "robot_mode": self._mode,
+            "safety_status": self.safety,
+            "safety_mode": self.safety,
+            "runtime_state": self._runtime,
+            "target_speed_fraction": self._fraction,
+            "speed_scaling": self._fraction,
+            "output_int_register_24": self._acknowledged,
+            "output_int_register_25": self._error,
+            "output_int_register_26": self._session,
+            "output_int_register_27": self._count,
+        }
+        registers = zip(range(24, 30), tool, strict=True)
+        found |= {f"output_double_register_{n}": float(value) for n, value in registers}
+        return found | self._inputs
+
+    # -- the program --------------------------------------------------------------------------
+
+    @property
+    def _ours(self) -> bool:
+        return self._program == "hilcell" and self._runtime == Runtime.PLAYING
+
+    def _run(self) -> None:
+        if not self._ours:
+            return
+        self._count += 1
+        stop = self._inputs["input_int_register_27"] != 0
+        if self._moves:
+            if stop:
+                self._brake(Error.BRAKED)
+            elif not self._motion.moving and not self._frozen:
+                self._acknowledge(Error.OK)
+        elif self._inputs["input_int_register_24"] != self._acknowledged:
+            error = Error.BRAKED if stop else self._start()
+            if error != Error.OK:
+                self._acknowledge(error)
+        if self._inputs["input_int_register_27"] == self._session:
+            self._end_program()
+
+    def _start(self) -> int:
+        speed_rad_s = self._inputs["input_double_register_30"]
+        move_joints = 1
+        if self._inputs["input_int_register_25"] != move_joints or not speed_rad_s > 0.0:
+            return Error.UNKNOWN_COMMAND
+        target = [self._inputs[f"input_double_register_{n}"] for n in range(24, 30)]
+        target_deg = np.degrees(target)
+        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+            return Error.OUT_OF_LIMITS
+        struck = strike(self._faults, self._plant, target_deg)
+        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
+        self._moves = True
+        if not self._frozen:
+            to_rad = np.radians(struck.target_deg)
+            way_rad = np.abs(to_rad - self._motion.state().joints_rad)
+            slowest_s = float(np.max(way_rad / self._full_rad_s))
+            wanted_s = float(np.max(way_rad)) / speed_rad_s
+            self._motion.move(to_rad, min(1.0, slowest_s / wanted_s) if wanted_s > 0 else 1.0)
+        self._timer.start(-self.LIFE_MS)
+        return Error.OK
+
+    def _acknowledge(self, error: int) -> None:
+        if not self._keeps_acknowledge:
+            self._timer.stop()
+            self._moves, self._error = False, error
+            self._acknowledged = int(self._inputs["input_int_register_24"])
+
+    def _brake(self, why: int) -> None:
+        self._motion.brake()
+        self._keeps_acknowledge = self._frozen = False
+        self._acknowledge(why)
+
+    def _end_program(self) -> None:
+        self._timer.stop()
+        if self._motion.moving:
+            self._motion.brake()
+        self._program, self._runtime = "", Runtime.STOPPED
+        self._moves = self._keeps_acknowledge = self._frozen = False
+
+    def _life_ran_out(self) -> None:
+        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        with self._lock:
+            self._run()  # a motion that has ended meanwhile needs no sign any more
+            if self._timer.ran_out and self._moves:
+                self._brake(Error.LOST)
+
+    # -- faults -------------------------------------------------------------------------------
+
+    def _strike_on_request(self) -> None:
+        if self._faults.take("robot.mode_t1") is not None:
+            self.remote = False
+            self._end_program()
+        if self._faults.take("robot.deselected") is not None:
+            self._end_program()
+        if self._faults.take("robot.restarted") is not None:
+            self._end_program()
+            self._mode, self._session = Mode.BOOTING, 0
+
+    def _strike_by_motion(self) -> None:
+        """Let a moving robot get further, and the faults of one happen."""
+        take = partial(self._faults.take, moving=self._motion.seen_moving)
+        if take("robot.vanish") is not None:
+            raise Vanished
+        if take("robot.e_stop") is not None:
+            self._end_program()
+            self._mode, self.safety = Mode.POWER_OFF, Safety.ROBOT_EMERGENCY_STOP
+        if take("robot.stopmess") is not None:
+            self._motion.brake()
+            self._timer.stop()
+            self.safety, self._runtime = Safety.PROTECTIVE_STOP, Runtime.PAUSED
+        if take("robot.override_zero") is not None:
+            self.slide(0.0)
+        if not self._time.followed:
+            self._motion.poll()
 
 
 class Package(IntEnum):

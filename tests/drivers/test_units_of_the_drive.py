@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from drivers.canopen.rail import CanopenRail
-from fakes.canopen.rail_drive import RailDrive
+from fakes.canopen.rail_server import RailDrive
 from hilcell.clock import WallClock
 from tests.drivers.rail_bed import figure, refusal
 from tests.fakes.rail_bench import served

@@ -12,7 +12,7 @@ import pytest
 from drivers.leica.emscon import Command, Layout, Value, encode
 from fakes.faults import Faults
 from fakes.host import truth_of
-from fakes.leica.emscon_device import EmsconDevice
+from fakes.leica.emscon_server import EmsconDevice
 from fakes.simulator import Control, PaperCell
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
@@ -72,21 +72,21 @@ def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
         encode(Command.SET_UNITS, Layout.UNITS.pack(*Value.MILLIMETRES)),
         encode(Command.GO_POSITION, Layout.POSITION.pack(*at, 1)),
     ):
-        answer = device.handle(packet)
-        if answer.later is not None:
-            answer = answer.later.finish()
-    assert len(answer.packets[0]) == 16  # found: status OK comes first
-    assert answer.packets[0][-4:] == struct.pack("<I", 0)
+        *_, answer = device.handle(packet)
+    assert isinstance(answer, bytes)
+    assert len(answer) == 16 + 12  # found: status OK comes first
+    assert answer[12:16] == struct.pack("<I", 0)
     if when == "before the start":
         plant.seat("F2")
-        answer = device.handle(encode(Command.START_MEASUREMENT))
+        (answer,) = device.handle(encode(Command.START_MEASUREMENT))
     else:
-        started = device.handle(encode(Command.START_MEASUREMENT))
-        assert started.later is not None
+        steps = device.handle(encode(Command.START_MEASUREMENT))
+        assert [type(next(steps)), type(next(steps))] == [bytes, float]
         plant.seat("F2")
-        answer = started.later.finish()
-    assert answer.packets[-1][-4:] == struct.pack("<I", 10004)  # not ready
-    assert answer.later is None
+        answer = next(steps)
+        assert next(steps, None) is None
+    assert isinstance(answer, bytes)
+    assert answer[-4:] == struct.pack("<I", 10004)  # not ready
 
 
 def test_the_control_channel_seats_it() -> None:

@@ -394,7 +394,7 @@ def test_segmented_download(text: str) -> None:
         reply = sdo.answer(bytes([command]) + piece.ljust(7, b"\0"))
         assert reply is not None
         assert reply[0] == 0x20 | (number & 1) << 4
-    assert objects.upload(0x2003, 0) == data
+    assert objects.entry(0x2003, 0).upload() == data
 
 
 def test_announced_length_must_be_kept() -> None:

@@ -21,8 +21,7 @@ from CESAPI.packet import (
 )
 
 from fakes.faults import Faults
-from fakes.leica.emscon_device import EmsconDevice
-from fakes.leica.emscon_server import EmsconServer
+from fakes.leica.emscon_server import EmsconDevice, EmsconServer
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.leica.emscon_device import EmsconDevice, SampleStream
-from fakes.leica.emscon_server import EmsconServer
+from fakes.leica.emscon_server import EmsconDevice, EmsconServer, SampleStream
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell

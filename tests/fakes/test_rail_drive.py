@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from fakes.canopen.rail_drive import Command, RailDrive, State
+from fakes.canopen.rail_server import Command, RailDrive, State
 from fakes.faults import Faults
 from fakes.truth.rail_truth import RailState, RailTruth
 from tests.fakes.rail_bench import (
@@ -64,7 +64,7 @@ def alone(state: State = State.SWITCH_ON_DISABLED) -> tuple[RailDrive, StillRail
 
 
 def obey(drive: RailDrive, word: int) -> None:
-    drive.dictionary.download(0x6040, 0, word.to_bytes(2, "little"))
+    drive.dictionary.entry(0x6040, 0).download(word.to_bytes(2, "little"))
     drive.written()
 
 
@@ -138,7 +138,7 @@ def test_brake_closes_on_leaving_operation_enabled(word: int) -> None:
 def in_motion(**objects: int) -> tuple[RailDrive, StillRail]:
     """Return a drive under way to 5 mm; ``objects`` such as ``x605A`` are set before."""
     drive, rail = alone(State.SWITCHED_ON)
-    drive.dictionary.download(0x6060, 0, b"\x01")
+    drive.dictionary.entry(0x6060, 0).download(b"\x01")
     for name, value in objects.items():
         drive.dictionary.set(int(name[1:], 16), 0, value)
     drive.dictionary.set(0x607A, 0, 5000)
@@ -182,7 +182,7 @@ def test_no_way_back_from_a_quick_stop_that_ends_disabled() -> None:
 def test_a_halt_starts_nothing(words: tuple[int, ...]) -> None:
     """A set-point during it is not taken."""
     drive, rail = alone(State.SWITCHED_ON)
-    drive.dictionary.download(0x6060, 0, b"\x01")
+    drive.dictionary.entry(0x6060, 0).download(b"\x01")
     for word in words:
         obey(drive, word)
     assert rail.calls == ["brake open"]

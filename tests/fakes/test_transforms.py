@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fakes.truth.controller_arm import controller_arm
-from fakes.truth.machine import chain_of_cell, machine_of
+from fakes.truth.machine import chain_of_cell, controller_arm, machine_of
 from fakes.truth.transforms import Chain, components, frame, inverse, rotation, rotation_vector
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from fakes.canopen import rail_drive
+from fakes.canopen import rail_server
 from fakes.kuka.controller import KrlController
 from fakes.leica.emscon_packets import wide
 from fakes.strips import wire
@@ -45,11 +45,11 @@ def machines(folder: Path, speed: float) -> Iterator[list[str]]:
     cell = folder / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
     with pytest.MonkeyPatch.context() as plates:
-        for module in (rail_drive, wire):
+        for module in (rail_server, wire):
             plates.setattr(module, "IDENTITY", replace(module.IDENTITY, name="of the plant"))
         plates.setattr(KrlController, "_identity", lambda self: f'"{self._arm.model}"')
         plates.setattr(
-            "fakes.leica.emscon_device.wide", lambda text: wide(text.replace(" (simulated)", ""))
+            "fakes.leica.emscon_server.wide", lambda text: wide(text.replace(" (simulated)", ""))
         )
         with simulation(speed) as simulated:
             where = simulated.addresses

@@ -24,8 +24,7 @@ from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
-from fakes.universal_robots.controller import UrController
-from fakes.universal_robots.server import UrServer
+from fakes.universal_robots.server import UrController, UrServer
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock

@@ -19,7 +19,7 @@ import numpy as np
 from fakes.faults import Vanished
 from fakes.site import Site
 from fakes.time import LifeTimer
-from fakes.truth.controller_arm import controller_arm, flicker
+from fakes.truth.machine import controller_arm, flicker
 from fakes.truth.plant import strike
 from fakes.wires import HOST, Listener, Segments
 from hilcell.ports import Array
