@@ -43,6 +43,18 @@ class Patience:
         return not self._left_s > 0
 
 
+def looks(limit_s: float, look_s: float = LOOK_S) -> Iterator[bool]:
+    """Yield before each look at a device, until it has kept silent for ``limit_s``.
+
+    True marks the last look, which is made after the time was up.
+    """
+    patience = Patience(limit_s, look_s)
+    yield False
+    while not patience.over():
+        yield False
+    yield True
+
+
 class Supervision:
     """Sees to it that a moving device is looked at; ``look`` belongs into every wait."""
 

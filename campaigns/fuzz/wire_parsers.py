@@ -19,7 +19,7 @@ from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.files import read_program
-from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState, unlike
+from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState
 from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
@@ -103,7 +103,7 @@ def packages(data: bytes) -> None:
         for kind, payload in read.feed(piece):
             if kind == rtde.Kind.OUTPUTS:
                 recipe = rtde.Recipe.from_answer(OUTPUTS, payload)
-                if unlike(recipe):
+                if recipe.unlike():
                     return
             elif kind == rtde.Kind.INPUTS:
                 rtde.Recipe.from_answer(INPUTS, payload).lacking("IN_USE")

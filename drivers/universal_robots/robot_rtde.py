@@ -12,6 +12,7 @@ import secrets
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from typing import Annotated, Self
 
@@ -28,18 +29,9 @@ from drivers.motion_limits import (
     planned_s,
     stopped_short,
 )
-from drivers.supervision import LIFE_S, Patience, Supervision, go_on, on_failure
+from drivers.supervision import LIFE_S, Patience, Supervision, go_on, looks, on_failure
 from drivers.universal_robots.dashboard import Dashboard
-from drivers.universal_robots.health import (
-    LOST,
-    STOPPED,
-    Runtime,
-    frame_text,
-    problem,
-    refused_motion,
-    runtime_text,
-)
-from drivers.universal_robots.rtde import Order, UrLink, UrState
+from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
 from drivers.wires.tcp import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
@@ -59,6 +51,13 @@ STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement, or a brake of a sweep, to standstill
 LOOK_S = 0.5  # one look counts for this long, at most
 DWELL_S = 0.05  # of the packages that tell standstill
+LOST, STOPPED = 8, 9  # errors of the script
+ERRORS = {
+    1: ("HC-B20", "unknown command"),
+    2: ("HC-B20", "target outside the safety limits"),
+    LOST: ("HC-B43", "the PC's sign of life was late, and the robot has braked by itself"),
+    STOPPED: ("HC-B21", "stopped"),
+}
 
 
 class UrRtdeRobot:
@@ -72,6 +71,7 @@ class UrRtdeRobot:
     PROGRESS_S = 0.2  # between two looks at the progress of a motion
     COUNT_S = 1.0  # the script's counter stands no longer
     AXIS_TOLERANCE_RAD = 2e-4
+    STILL_RAD_S = 2e-3  # of a motion that was braked
     PROGRESS_DEG = 0.01
     TOOL_MM, TOOL_RAD = 1e-3, 1e-5
 
@@ -116,7 +116,7 @@ class UrRtdeRobot:
             identity = self._identify()
             self._check_remote()
             self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
-            if unwell := problem(self._link.next(), moving=False):
+            if unwell := self._link.next().problem(moving=False):
                 raise unwell
             self._end_former_script()
             self._start_script()
@@ -213,18 +213,18 @@ class UrRtdeRobot:
             return
         if self._ours_plays(before):
             self._panel().ask("stop")
-        patience, over = Patience(self.ENDED_S, LOOK_S), False
-        while (state := link.fresh()).runtime_state != Runtime.STOPPED or not stands([state]):
-            if over:
-                raise ROBOT.refused(
-                    "HC-B25",
-                    "connect",
-                    f"runtime_state is {runtime_text(state)}, {self.ENDED_S:.0f} s after stop",
-                    wanted=f"{Runtime.STOPPED} (stopped), at rest",
-                    act="stop the program at the panel",
-                )
-            over = patience.over()
-        self._started = False
+        for _ in looks(self.ENDED_S, LOOK_S):
+            state = link.fresh()
+            if state.runtime_state == Runtime.STOPPED and stands([state]):
+                self._started = False
+                return
+        raise ROBOT.refused(
+            "HC-B25",
+            "connect",
+            f"{state.runtime}, {self.ENDED_S:.0f} s after stop",
+            wanted=f"{Runtime.STOPPED} (stopped), at rest",
+            act="stop the program at the panel",
+        )
 
     def _ours_plays(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
@@ -232,20 +232,19 @@ class UrRtdeRobot:
         Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
         `DeviceRefused` for another program.
         """
-        link, patience, over = self.link(), Patience(self.BRAKED_S, LOOK_S), False
-        while (state := link.fresh()).count == before.count:
+        for _ in looks(self.BRAKED_S, LOOK_S):
+            state = self.link().fresh()
+            if state.count != before.count:
+                return True
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
-            if over:
-                raise ROBOT.refused(
-                    "HC-B67",
-                    "connect",
-                    f"runtime_state is {runtime_text(state)}, and it is no script of hilcell",
-                    wanted=f"{Runtime.STOPPED} (stopped)",
-                    act="stop the program at the panel",
-                )
-            over = patience.over()
-        return True
+        raise ROBOT.refused(
+            "HC-B67",
+            "connect",
+            f"{state.runtime}, and it is no script of hilcell",
+            wanted=f"{Runtime.STOPPED} (stopped)",
+            act="stop the program at the panel",
+        )
 
     def _start_script(self) -> None:
         """Send the script; return when it has said that it runs."""
@@ -257,16 +256,14 @@ class UrRtdeRobot:
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
-            patience, over = Patience(self.STARTED_S, LOOK_S), False
-            while True:
+            for _ in looks(self.STARTED_S, LOOK_S):
                 state = link.fresh()
                 if state.session == self._session and state.acknowledged == 0:
                     break
                 line.receive(65536, Patience(0.0))  # states that nobody needs
-                if over:
-                    self._check_remote()
-                    raise self._script_ended(state, f"no word of it within {self.STARTED_S:.0f} s")
-                over = patience.over()
+            else:
+                self._check_remote()
+                raise self._script_ended(state, f"no word of it within {self.STARTED_S:.0f} s")
         finally:
             line.close()
         self._count, self._counted_s = state.count, state.by_s
@@ -291,7 +288,7 @@ class UrRtdeRobot:
         if self._stopped:
             raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
         self._open_panels()
-        self.look([self.link().next()])
+        self.look(self.link().next())
         number = self._order.sequence % UrLink.MAX_NUMBER + 1
         self._order = Order(number, target_rad, speed_rad_s)
         self._under_way, self._ended_s = True, None
@@ -315,21 +312,20 @@ class UrRtdeRobot:
         for state in states:
             if state.acknowledged == number and state.error != 0:
                 self._clock.check()  # the run's own stop brakes by the script as well
-                self._look_at(state, but_script=True)
-                raise refused_motion(state.error)
-            self._look_at(state)
+                self._check_health(state)
+                code, words = ERRORS.get(state.error, ("HC-B20", "unknown"))
+                found, act = f"error {state.error} of the script: {words}", "see the panel, resume"
+                raise ROBOT.failed(code, "move", found, act=act, error=state.error)
+            self.look(state)
         return states[-1].acknowledged == number
 
-    def look(self, states: Sequence[UrState]) -> None:
-        """Raise `DeviceError` where a state forbids to go on."""
-        for state in states:
-            self._look_at(state)
-
-    def _look_at(self, state: UrState, *, but_script: bool = False) -> None:
-        if unwell := problem(state, moving=self._under_way):
+    def _check_health(self, state: UrState) -> None:
+        if unwell := state.problem(moving=self._under_way):
             raise unwell
-        if but_script:
-            return
+
+    def look(self, state: UrState) -> None:
+        """Raise `DeviceError` where a state forbids to go on."""
+        self._check_health(state)
         if state.runtime_state != Runtime.PLAYING or state.session != self._session:
             raise self._script_ended(state, "")
         if state.count != self._count:
@@ -348,10 +344,10 @@ class UrRtdeRobot:
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
-        patience, over = Patience(REST_S, LOOK_S), False
-        while True:
+        for _ in looks(REST_S, LOOK_S):
             began_s, states = self._clock.pc_s(), self._dwell()
-            self.look(states)
+            for state in states:
+                self.look(state)
             last = states[-1]
             arrived = np.abs(last.joints_rad - target_rad) <= self.AXIS_TOLERANCE_RAD
             if bool(np.all(arrived)) and stands(states):
@@ -360,9 +356,6 @@ class UrRtdeRobot:
                 self._under_way, self._rest_rad = False, target_rad
                 self._ended_s = began_s
                 return self._reading(last, still=True)
-            if over:
-                break
-            over = patience.over()
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
         tolerance = f"{joints_text(target_deg)} +-{np.degrees(self.AXIS_TOLERANCE_RAD):.3f}"
         raise stopped_short(joints_text(axes_deg), tolerance, axes_deg, target_deg)
@@ -373,18 +366,19 @@ class UrRtdeRobot:
         first = link.next()
         self._clock.wait(DWELL_S)
         self._asked_s = self._clock.pc_s()
-        last, patience, over = link.fresh(), Patience(self.CLOCK_S, LOOK_S), False
-        while not last.timestamp_s > first.timestamp_s:  # several packages may have been under way
-            if over:
-                raise ROBOT.failed(
-                    "HC-B26",
-                    "read",
-                    f"the controller's time stands at {last.timestamp_s:.3f} s",
-                    wanted=f"a later time within {self.CLOCK_S:g} s",
-                    act="restart the controller; resume",
-                )
-            over, last = patience.over(), link.next()
-        return [first, *(each for each in link.following(first.by_s) if each.by_s <= last.by_s)]
+        last = link.fresh()
+        for _ in looks(self.CLOCK_S, LOOK_S):
+            if last.timestamp_s > first.timestamp_s:
+                dwell = (each for each in link.following(first.by_s) if each.by_s <= last.by_s)
+                return [first, *dwell]
+            last = link.next()  # several packages may have been under way
+        raise ROBOT.failed(
+            "HC-B26",
+            "read",
+            f"the controller's time stands at {last.timestamp_s:.3f} s",
+            wanted=f"a later time within {self.CLOCK_S:g} s",
+            act="restart the controller; resume",
+        )
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
@@ -405,13 +399,27 @@ class UrRtdeRobot:
         """Look at no motion any longer: it has ended, or is braked."""
         self._watch.end()
 
-    def brake(self, *, wanted: bool) -> None:
-        """Brake by the script, or take the brake back."""
-        self._order = replace(self._order, stop=Order.BRAKE if wanted else Order.GO)
+    def brake(self, number: int) -> None:
+        """Brake a motion by the script; return at standstill, also while a stop is on."""
+        begun_s = time.monotonic()
+        self._order = replace(self._order, stop=Order.BRAKE)
         self.live()
-
-    def braked(self, state: UrState) -> None:
-        """Take note that a motion was braked, and where."""
+        for _ in looks(REST_S):
+            state = self.link().fresh(patiently=True)
+            done = state.acknowledged == number and state.error in (STOPPED, LOST)
+            ended = state.runtime_state != Runtime.PLAYING or done
+            if ended and bool(np.all(np.abs(state.speeds_rad_s) <= self.STILL_RAD_S)):
+                break
+            self.live()
+        else:
+            raise ROBOT.failed(
+                "HC-B71",
+                "sweep",
+                f"not at rest {time.monotonic() - begun_s:.1f} s after the brake",
+                wanted=f"at rest within {REST_S:g} s",
+            )
+        self._order = replace(self._order, stop=Order.GO)
+        self.live()
         self._under_way, self._rest_rad = False, state.joints_rad
 
     # -- wires --------------------------------------------------------------------------------
@@ -423,7 +431,7 @@ class UrRtdeRobot:
         except DeviceRefused as error:
             return error
         if not found:
-            found = f"runtime_state is {runtime_text(state)}"
+            found = state.runtime
             if state.runtime_state == Runtime.PLAYING:
                 found = "another script of hilcell has taken the robot"
         return ROBOT.failed("HC-B66", "move", found, wanted="the script that hilcell sent")
@@ -466,6 +474,12 @@ def script_text(session: int) -> bytes:
     return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
 
 
+def frame_text(values: Array) -> str:
+    """Return a frame's values (6,), mm and rad, in words."""
+    names = ("X", "Y", "Z", "RX", "RY", "RZ")
+    return ", ".join(f"{n} {v:.3f}" for n, v in zip(names, values, strict=True))
+
+
 def stands(states: Sequence[UrState]) -> bool:
     """Whether no joint moves, by speed and by spread."""
     joints_rad = np.array([state.joints_rad for state in states])
@@ -483,7 +497,6 @@ class UrSweep:
 
     SLOWEST_RAD_S = 1e-4
     PROGRESS_DEG = 0.002
-    STILL_RAD_S = 2e-3
     POLL_S = 0.05  # while the end is waited for
     SAME_SPEED = 1e-3
 
@@ -507,16 +520,13 @@ class UrSweep:
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad, self._wanted_rad_s = axis, end_rad, speed_rad_s
-        self._target_rad = np.zeros(6)
-        self._fraction = 1.0
         self._number, self._under_way = 0, False
-        self._limits = MotionLimits(0.0, STALL_S, self.PROGRESS_DEG)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
         robot = self._robot
         state = robot.link().fresh()
-        robot.look([state])
+        robot.look(state)
         self._fraction = state.speed_fraction
         self.speed_rad_s = self._wanted_rad_s * self._fraction
         self._target_rad = robot.stands_at().copy()
@@ -531,7 +541,7 @@ class UrSweep:
         if not self._under_way:
             return
         try:
-            self._brake()
+            self._robot.brake(self._number)
         except DeviceError as failure:
             if error is None:
                 raise
@@ -579,47 +589,20 @@ class UrSweep:
                 wanted_fraction=self._fraction,
             )
 
-    def _brake(self) -> None:
-        """Brake, and return at standstill; also while a stop is on."""
-        robot, link = self._robot, self._robot.link()
-        robot.brake(wanted=True)
-        patience, over, begun_s = Patience(REST_S), False, time.monotonic()
-        while True:
-            state = link.fresh(patiently=True)
-            done = state.acknowledged == self._number and state.error in (STOPPED, LOST)
-            ended = state.runtime_state != Runtime.PLAYING or done
-            if ended and bool(np.all(np.abs(state.speeds_rad_s) <= self.STILL_RAD_S)):
-                break
-            if over:
-                raise ROBOT.failed(
-                    "HC-B71",
-                    "sweep",
-                    f"not at rest {time.monotonic() - begun_s:.1f} s after the brake",
-                    wanted=f"at rest within {REST_S:g} s",
-                )
-            over = patience.over()
-            robot.live()
-        robot.brake(wanted=False)
-        robot.braked(state)
-
 
 def stop_by_all_wires(link: UrLink | None, panel: Dashboard | None, session: int) -> None:
     """Send the stop over each wire that there is; raises `DeviceError` where none takes it."""
-    taken, failure = False, None
-    if panel is not None:
-        try:
-            panel.send("stop")
-            taken = True
-        except DeviceError as error:
-            failure = error
+    stops = [partial(panel.send, "stop")] if panel is not None else []
     if link is not None:
+        stops.append(partial(link.end_script, session))
+    failures = list[DeviceError]()
+    for stop in stops:
         try:
-            link.end_script(session)
-            taken = True
+            stop()
         except DeviceError as error:
-            failure = failure or error
-    if failure is not None and not taken:
-        raise failure
+            failures.append(error)
+    if failures and len(failures) == len(stops):
+        raise failures[0]
 
 
 class Release:
@@ -643,11 +626,11 @@ class Release:
 
     def leave_at_rest(self) -> None:
         """Return when no program plays and the joints stand; raises `DeviceError`."""
-        link, patience, over = self._link, Patience(self.RELEASE_S, LOOK_S), False
+        link = self._link
         if link is None:
             self._stop()
             raise self._unconfirmed("no connection by RTDE")
-        while True:
+        for _ in looks(self.RELEASE_S, LOOK_S):
             self._stop()
             try:
                 first = link.fresh(patiently=True)
@@ -661,15 +644,13 @@ class Release:
             # At rest no joint moves while the controller's time goes on.
             if ended and stands(states) and last.timestamp_s > first.timestamp_s:
                 return
-            if over:
-                fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
-                where = joints_text(np.degrees(last.joints_rad))
-                raise self._unconfirmed(
-                    f"runtime_state is {runtime_text(last)}, {fastest_deg_s:.2f} deg/s at {where}, "
-                    f"{last.timestamp_s:.3f} s by the controller's clock"
-                )
-            over = patience.over()
             self._hear(Patience(0.0))
+        fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
+        where = joints_text(np.degrees(last.joints_rad))
+        raise self._unconfirmed(
+            f"{last.runtime}, {fastest_deg_s:.2f} deg/s at {where}, "
+            f"{last.timestamp_s:.3f} s by the controller's clock"
+        )
 
     def _stop(self) -> None:
         now_s = time.monotonic()

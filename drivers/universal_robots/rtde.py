@@ -25,29 +25,27 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from itertools import takewhile
+from itertools import islice, takewhile
 from typing import Self
 
 import numpy as np
 
 from drivers.device_errors import ROBOT
-from drivers.supervision import Patience, go_on, on_failure
+from drivers.motion_limits import unwell
+from drivers.supervision import Patience, go_on, looks, on_failure
 from drivers.wires.tcp import TcpLink
-from hilcell.geometry.frames import from_rotvec
+from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.ports import Array, DeviceError
 
 VERSION = 2  # of the protocol
-FORMATS = {
+FORMATS = {  # of the types that fields used here may have
     "BOOL": "?",
     "UINT8": "B",
     "INT32": "i",
     "UINT32": "I",
     "UINT64": "Q",
     "DOUBLE": "d",
-    "VECTOR3D": "3d",
     "VECTOR6D": "6d",
-    "VECTOR6INT32": "6i",
-    "VECTOR6UINT32": "6I",
 }
 _HEAD = struct.Struct(">HB")
 
@@ -100,38 +98,42 @@ class Recipe:
         """Return the fields with this type: ``NOT_FOUND`` or ``IN_USE``."""
         return [name for name, each in zip(self.names, self.types, strict=True) if each == why]
 
+    def unlike(self) -> list[str]:
+        """Return the fields whose type is none of which they can be read, with their types."""
+        fields = zip(self.names, self.types, strict=True)
+        return [
+            f"{name} ({kind})"
+            for name, kind in fields
+            if kind not in FORMATS or (kind == "VECTOR6D") != (name in _SIX)
+        ]
+
     def decode(self, payload: bytes) -> dict[str, Numbers]:
         """Return the numbers of a data package by field; raises `RtdeError`, also for NaN."""
-        layout, places = self._layout
+        layout = self._layout
         if len(payload) != layout.size or payload[0] != self.number:
             raise RtdeError(
                 f"a data package of {len(payload)} bytes by recipe {payload[:1].hex() or 'none'} "
                 f"came, expected {layout.size} bytes by recipe {self.number:02x}"
             )
         flat = layout.unpack(payload)
-        found = {name: flat[place] for name, place in places.items()}
+        numbers = iter(flat[1:])
+        sizes = zip(self.names, self.types, strict=True)
+        found = {
+            name: tuple(islice(numbers, 6 if kind == "VECTOR6D" else 1)) for name, kind in sizes
+        }
         if not math.isfinite(sum(flat)):
-            for name, numbers in found.items():
-                if not all(map(math.isfinite, numbers)):
-                    raise RtdeError(f"{name} is {', '.join(map(str, numbers))}")
+            for name, each in found.items():
+                if not all(map(math.isfinite, each)):
+                    raise RtdeError(f"{name} is {', '.join(map(str, each))}")
         return found
 
     def encode(self, values: Mapping[str, Numbers]) -> bytes:
         flat = [number for name in self.names for number in values[name]]
-        return encode(Kind.DATA, self._layout[0].pack(self.number, *flat))
+        return encode(Kind.DATA, self._layout.pack(self.number, *flat))
 
     @cached_property
-    def _layout(self) -> tuple[struct.Struct, dict[str, slice]]:
-        """Return the layout of a data package, and the place of each field among its values."""
-        unknown = [each for each in self.types if each not in FORMATS]
-        if unknown:
-            raise RtdeError(f"fields of type {', '.join(unknown)}")
-        places, place = dict[str, slice](), 1
-        for name, each in zip(self.names, self.types, strict=True):
-            count = int(FORMATS[each][:-1] or 1)
-            places[name] = slice(place, place + count)
-            place += count
-        return struct.Struct(">B" + "".join(FORMATS[each] for each in self.types)), places
+    def _layout(self) -> struct.Struct:
+        return struct.Struct(">B" + "".join(FORMATS[each] for each in self.types))
 
 
 class Packages:
@@ -169,20 +171,50 @@ OUTPUTS = (
     "safety_status",
     "runtime_state",
     "target_speed_fraction",
-    "output_int_register_24",
-    "output_int_register_25",
-    "output_int_register_26",
-    "output_int_register_27",
+    *(f"output_int_register_{n}" for n in range(24, 28)),
     *_TOOL,
     ECHO,
 )
 INPUTS = (
-    "input_int_register_24",
-    "input_int_register_25",
-    "input_int_register_26",
-    "input_int_register_27",
+    *(f"input_int_register_{n}" for n in range(24, 28)),
     *(f"input_double_register_{n}" for n in range(24, 31)),  # the joints, and the speed
 )
+
+
+RUNNING, NORMAL = 7, 1  # with which work may go on
+ROBOT_MODES = {
+    -1: "no controller",
+    0: "disconnected",
+    1: "confirm safety",
+    2: "booting",
+    3: "power off",
+    4: "power on",
+    5: "idle, brakes closed",
+    6: "backdrive",
+    8: "updating firmware",
+}
+# Status, its words, its alarm.
+SAFETY: dict[int, tuple[str, str]] = {
+    2: ("reduced", "HC-B61"),
+    3: ("protective stop", "HC-B62"),
+    4: ("recovery", "HC-B65"),
+    5: ("safeguard stop", "HC-B11"),
+    6: ("system emergency stop", "HC-B10"),
+    7: ("robot emergency stop", "HC-B10"),
+    8: ("violation", "HC-B63"),
+    9: ("fault", "HC-B64"),
+}
+
+
+class Runtime(IntEnum):
+    """States of the program, whichever plays."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,10 +267,33 @@ class UrState:
     @property
     def pose(self) -> Array:
         """Return the pose of the TCP (4, 4) in mm."""
-        T = np.eye(4)
-        T[:3, :3] = from_rotvec(self.tcp[3:])
-        T[:3, 3] = self.tcp[:3] * 1000.0
-        return T
+        return matrix(from_rotvec(self.tcp[3:]), self.tcp[:3] * 1000.0)
+
+    def problem(self, *, moving: bool) -> DeviceError | None:
+        """Return the error of a state that forbids to go on; ``moving`` makes it a fault.
+
+        Causes come before their consequences: a protective stop ends the script as well.
+        """
+        number = self.safety_status
+        if number != NORMAL:
+            words, code = SAFETY.get(number, ("unknown", "HC-B65"))
+            wanted = f"{NORMAL} (normal)"
+            return unwell(code, "safety_status", f"{number} ({words})", wanted, moving=moving)
+        number = self.robot_mode
+        if number != RUNNING:
+            found = f"{number} ({ROBOT_MODES.get(number, 'unknown')})"
+            return unwell("HC-B13", "robot_mode", found, f"{RUNNING} (running)", moving=moving)
+        share = self.speed_fraction
+        if not share > 0.0:
+            found = f"{share:g}"
+            return unwell("HC-B16", "target_speed_fraction", found, "above 0", moving=moving)
+        return None
+
+    @property
+    def runtime(self) -> str:
+        """Return the state of the program in words."""
+        known = {each.value: each.name.lower() for each in Runtime}
+        return f"runtime_state is {self.runtime_state} ({known.get(self.runtime_state, 'unknown')})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,16 +314,6 @@ class Order:
         integers = (self.sequence, self.command, life, self.stop)
         floats = (*self.target_rad.tolist(), self.speed_rad_s)
         return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}
-
-
-def unlike(recipe: Recipe) -> list[str]:
-    """Return the outputs whose type is none of which a state can be read, with their types."""
-    fields = zip(recipe.names, recipe.types, strict=True)
-    return [
-        f"{name} ({kind})"
-        for name, kind in fields
-        if FORMATS.get(kind) not in (("6d",) if name in _SIX else tuple("?BiIQd"))
-    ]
 
 
 class UrLink:
@@ -301,7 +346,7 @@ class UrLink:
         # The register keeps the last number of the connection before.
         self._question = secrets.randbelow(self.MAX_NUMBER) + 1
         with on_failure(self._link.close):
-            self.version = self._set_up()
+            self._set_up()
         self._thread.start()
 
     def fresh(self, *, patiently: bool = False) -> UrState:
@@ -313,15 +358,13 @@ class UrLink:
         seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
-        patience, over = Patience(self.ANSWER_S), False
-        while True:
+        for _ in looks(self.ANSWER_S):
             newest = self.following(seen_s, patiently=patiently)[-1]
             if newest.echo == self._question:
                 return newest
-            if over:
-                found = f"no package after question {self._question} within {self.ANSWER_S:.0f} s"
-                raise self._link.broken("receive", f"{found}: {ECHO} is {newest.echo}")
-            over, seen_s = patience.over(), newest.by_s
+            seen_s = newest.by_s
+        found = f"no package after question {self._question} within {self.ANSWER_S:.0f} s"
+        raise self._link.broken("receive", f"{found}: {ECHO} is {newest.echo}")
 
     def next(self) -> UrState:
         """Return a state that arrived after this call began; raises `DeviceError`."""
@@ -334,22 +377,19 @@ class UrLink:
 
     def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
         """Wait for states fetched after a time (monotonic); return all of these."""
-        patience = Patience(self.SILENT_S)
-        while True:
+        for last in looks(self.SILENT_S):
             if not patiently:
                 self._check()
-            over = patience.over()
             with self._fetching:
                 found = self._since(by_s)
                 if not found and self._failure is None:
-                    self._fetch(0.0 if over else self.LOOK_S)
+                    self._fetch(0.0 if last else self.LOOK_S)
                     found = self._since(by_s)
             if found:
                 return found
             if self._failure is not None:
                 raise self._failure
-            if over:
-                raise self._link.broken("receive", f"no package for {self.SILENT_S:.1f} s")
+        raise self._link.broken("receive", f"no package for {self.SILENT_S:.1f} s")
 
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
@@ -379,7 +419,7 @@ class UrLink:
 
     # -- setting up ---------------------------------------------------------------------------
 
-    def _set_up(self) -> str:
+    def _set_up(self) -> None:
         if not self._accepts(Kind.VERSION, struct.pack(">H", VERSION)):
             raise self._unsupported(f"version {VERSION} of RTDE is refused")
         version = self._ask(Kind.CONTROLLER_VERSION, encode(Kind.CONTROLLER_VERSION))
@@ -387,13 +427,10 @@ class UrLink:
             found = f"a controller version of {len(version)} bytes, expected 16"
             raise self._no_rtde(Kind.CONTROLLER_VERSION, found)
         self._outputs = self._recipe(Kind.OUTPUTS, OUTPUTS, struct.pack(">d", self._rate_hz))
-        if found := ", ".join(unlike(self._outputs)):
-            raise self._unsupported(f"unexpected type of {found}")
         self._inputs = self._recipe(Kind.INPUTS, INPUTS)
         self._echo = self._recipe(Kind.INPUTS, (ECHO,))
         if not self._accepts(Kind.START):
             raise self._unsupported("the exchange is not started")
-        return ".".join(map(str, struct.unpack(">4I", version)))
 
     def _accepts(self, kind: Kind, payload: bytes = b"") -> bool:
         answer = self._ask(kind, encode(kind, payload))
@@ -413,26 +450,25 @@ class UrLink:
             raise ROBOT.refused(
                 "HC-B68", "connect", f"another client writes {', '.join(held)}", wanted="no other"
             )
+        if unlike := recipe.unlike():
+            raise self._unsupported(f"unexpected type of {', '.join(unlike)}")
         return recipe
 
     def _ask(self, kind: Kind, request: bytes) -> bytes:
         """Return the payload of the answer of the same type."""
         self._link.send(request, kind.name.lower())
-        patience, over = Patience(self.ANSWER_S), False
-        while True:
-            while self._arrived:
-                found, payload = self._arrived.popleft()
-                if found == kind:
-                    return payload
-            if over:
-                raise self._no_rtde(kind, f"no answer within {self.ANSWER_S:.0f} s")
+        for last in looks(self.ANSWER_S):
             self._check()
-            over = patience.over()
-            data = self._link.receive(self.SIZE, Patience(0.0 if over else self.LOOK_S))
+            data = self._link.receive(self.SIZE, Patience(0.0 if last else self.LOOK_S))
             try:
                 self._arrived.extend(self._packages.feed(data))
             except RtdeError as error:
                 raise self._no_rtde(kind, str(error)) from error
+            while self._arrived:
+                found, payload = self._arrived.popleft()
+                if found == kind:
+                    return payload
+        raise self._no_rtde(kind, f"no answer within {self.ANSWER_S:.0f} s")
 
     def _unsupported(self, found: str) -> DeviceError:
         return ROBOT.refused("HC-B69", "connect", found, wanted=self.POLYSCOPE)

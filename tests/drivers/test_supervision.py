@@ -6,7 +6,7 @@ import pytest
 
 from drivers import supervision
 from drivers.device_errors import RAIL, ROBOT
-from drivers.supervision import LATE_S, Patience, Supervision
+from drivers.supervision import LATE_S, Patience, Supervision, looks
 from hilcell.ports import DeviceError
 from tests.clocks import DrivenClock
 
@@ -34,6 +34,14 @@ def time(monkeypatch: pytest.MonkeyPatch) -> Time:
 
 def test_a_pc_that_looks_often_waits_as_long_as_it_says(time: Time) -> None:
     assert time.looks(Patience(2.0), every_s=0.02) in (100, 101)
+
+
+def test_one_more_look_is_made_after_the_time_was_up(time: Time) -> None:
+    seen = list[bool]()
+    for last in looks(1.0, look_s=0.4):
+        seen.append(last)
+        time.now_s += 10.0
+    assert seen == [False, False, False, True]
 
 
 @pytest.mark.parametrize("gap_s", [0.2, 2.0, 60.0])

@@ -17,9 +17,8 @@ import pytest
 
 from drivers.universal_robots import dashboard
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
-from drivers.universal_robots.health import STOPPED, Runtime
-from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
-from drivers.universal_robots.rtde import UrLink, UrState
+from drivers.universal_robots.robot_rtde import STOPPED, UrRtdeRobot, script_text
+from drivers.universal_robots.rtde import Runtime, UrLink, UrState
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
