@@ -20,7 +20,6 @@ from hilcell.conformance.kit import promises_of
 from hilcell.conformance.trial import (
     SIMULATED_ONLY,
     Bench,
-    BenchClock,
     NeedsPerson,
     Outcome,
     Promise,
@@ -49,7 +48,8 @@ class GuardedBench(Bench):
     """The run's device of one port."""
 
     def __init__(self, session: CellSession, port: Port) -> None:
-        super().__init__(session.cell, port, BenchClock(session.clock.check, session.clock))
+        super().__init__(session.cell, port, outer=session.clock.check)
+        self.clock.inner = session.clock
         self._session = session
 
     def connected(self) -> GuardedRail | GuardedRobot | GuardedTracker:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -22,52 +23,63 @@ TRAVEL_S = 17.0  # of the cell
 MANY = 30  # readings of a measurement that takes seconds
 
 
-class Acts(Protocol):
-    """Readings are the port's own."""
+class Acts(ABC):
+    """Readings are the port's own; one that is connected is ready, at a speed that suits."""
 
     tolerance: float  # of `off`
     unit: str
     lasting: str  # `travel` in words
-    absent: str  # why there is no device; "" where there is one
+    absent = ""  # why there is no device; "" where there is one
 
-    def ready(self, device: Driver) -> None:
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+
+    def ready(self, device: Driver) -> None:  # noqa: B027 - most are ready
         """Make a connected device ready to visit places."""
 
     def ask(self, device: Driver) -> Reading:
         """Return a reading, by one question."""
+        return device.read()
 
+    @abstractmethod
     def visit(self, device: Driver, place: int) -> Reading:
         """Go to a place; return the reading there."""
 
+    @abstractmethod
     def refused(self, device: Driver, value: float) -> object:
         """Go to a place that is ``value``, which is no number."""
 
+    @abstractmethod
     def travel(self, device: Driver) -> object:
         """Do what takes seconds."""
 
     def short(self, reading: Reading) -> bool:
-        """Whether a device stands before the end of `travel`."""
+        """Whether a device stands before the end of `travel`; a measurement leads nowhere."""
+        return True
 
     def slowly(self) -> dict[str, object]:
         """Return the driver's options by which `travel` takes long, however fast the device is."""
+        return {}
 
+    @abstractmethod
     def off(self, reading: Reading, place: int) -> float:
         """Return how far a reading is from a place."""
 
+    @abstractmethod
     def apart(self, one: Reading, other: Reading) -> float:
         """Return how far two readings are from each other, as a share of what one place allows."""
 
 
-class _RailActs:
+class _RailActs(Acts):
     """Two places of the slide, near the first station; one and the same where there is no rail."""
 
     tolerance, unit = 0.1, "mm"
     lasting = "a motion to the end of the travel"
 
     def __init__(self, cell: Cell) -> None:
-        self.cell = cell
+        super().__init__(cell)
         first_mm = cell.station[0].rail_mm
-        self.absent, self.places_mm = "", (first_mm, first_mm + STEP_MM)
+        self.places_mm = (first_mm, first_mm + STEP_MM)
         if not cell.has_rail:
             self.absent = "the cell has no rail: no device answers, and nothing moves"
             self.places_mm = (first_mm, first_mm)
@@ -78,9 +90,6 @@ class _RailActs:
         apart_mm = abs(reading.position_mm - reading.strip_mm)
         if not apart_mm <= self.cell.rail.slip_limit_mm:
             device.home()
-
-    def ask(self, device: Rail) -> RailReading:
-        return device.read()
 
     def visit(self, device: Rail, place: int) -> RailReading:
         device.move_to(self.places_mm[place])
@@ -111,27 +120,21 @@ class _RailActs:
         return max(drive_mm, abs(one.strip_mm - other.strip_mm)) / stands_mm
 
 
-class _RobotActs:
+class _RobotActs(Acts):
     """The safe pose, and all axes a step up from it."""
 
-    tolerance, unit, absent = 0.01, "deg", ""
+    tolerance, unit = 0.01, "deg"
     SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
     lasting = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
 
     def __init__(self, cell: Cell) -> None:
-        self.cell = cell
+        super().__init__(cell)
         safe_deg = np.array(cell.robot.safe_deg)
         self.places_deg = (safe_deg, safe_deg + STEP_DEG)
         axis = cell.robot.joint[0]
         inwards = 1.0 if 2.0 * safe_deg[0] <= axis.min_deg + axis.max_deg else -1.0
         way_deg = TRAVEL_S * axis.speed_deg_s * self.SLOW_PERCENT / 100.0
         self.far_deg = safe_deg + inwards * way_deg * np.eye(6)[0]
-
-    def ready(self, device: Robot) -> None:
-        """Do nothing: connected is ready."""
-
-    def ask(self, device: Robot) -> RobotReading:
-        return device.read()
 
     def visit(self, device: Robot, place: int) -> RobotReading:
         return device.move_to(np.radians(self.places_deg[place]), SPEED_PERCENT)
@@ -148,10 +151,6 @@ class _RobotActs:
     def short(self, reading: RobotReading) -> bool:
         return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG
 
-    def slowly(self) -> dict[str, object]:
-        """Return nothing: a motion states its speed."""
-        return {}
-
     def off(self, reading: RobotReading, place: int) -> float:
         """Return it in deg, of the worst axis."""
         return worst_deg(reading.joints_rad, np.radians(self.places_deg[place]))
@@ -161,20 +160,18 @@ class _RobotActs:
         return worst_deg(one.joints_rad, other.joints_rad) / stands_deg
 
 
-class TrackerActs:
+class TrackerActs(Acts):
     """The first two nests on the floor."""
 
-    unit, absent = "mm", ""
+    unit = "mm"
     lasting = f"a measurement of {MANY} readings"
 
     def __init__(self, cell: Cell) -> None:
-        self.cell, self.reflector = cell, cell.tracker.reflector
+        super().__init__(cell)
+        self.reflector = cell.tracker.reflector
         self.tolerance = cell.tracker.find_radius_mm
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
         self.near_mm: Array = apply(inverse(cell.tracker.pose.matrix()), nests_mm)
-
-    def ready(self, device: Tracker) -> None:
-        """Do nothing: connected is ready."""
 
     def ask(self, device: Tracker) -> TrackerReading:
         """Measure the first nest."""
@@ -191,14 +188,6 @@ class TrackerActs:
 
     def travel(self, device: Tracker) -> TrackerReading:
         return device.measure(self.near_mm[0], self.reflector, MANY)
-
-    def short(self, reading: TrackerReading) -> bool:
-        """Return that a measurement leads nowhere."""
-        return True
-
-    def slowly(self) -> dict[str, object]:
-        """Return nothing: it measures at its own speed."""
-        return {}
 
     def off(self, reading: TrackerReading, place: int) -> float:
         """Return it in mm, of the nominal nest."""

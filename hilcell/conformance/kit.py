@@ -16,7 +16,7 @@ import numpy as np
 
 from hilcell.cell.devices import TABLES
 from hilcell.cell.file import Cell, load_cell
-from hilcell.conformance import connecting, wire_faults
+from hilcell.conformance import every_port
 from hilcell.conformance.acts import (
     PORTS,
     SPEED_PERCENT,
@@ -350,7 +350,7 @@ def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]
     )
 
 
-PROMISES = (*connecting.PROMISES, *OWN, *wire_faults.PROMISES)
+PROMISES = (*every_port.PROMISES, *OWN, *every_port.FAILING)
 PORT_OF: dict[str, Port] = {
     group: port for port in PORTS for table, group in TABLES if table == port
 }

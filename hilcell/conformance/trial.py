@@ -19,12 +19,12 @@ from typing import Literal
 
 import msgspec
 
-from hilcell.cell.devices import TABLES, driver_options, load_entry, start_simulation
+from hilcell.cell.devices import TABLES, driver_options, rides_on_robot, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.conformance.acts import ACTS, PORTS, Driver, Port, Reading
 from hilcell.conformance.wire import Wires
 from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
-from hilcell.ports import Clock, Identity, RidesOnRobot, SimulatedCell
+from hilcell.ports import Clock, Identity, SimulatedCell
 from hilcell.typed import Json
 
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
@@ -35,16 +35,28 @@ GROUPS = dict(TABLES)
 Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and its options
 
 
-class Broken(HilcellError):
+class Finding(HilcellError):
+    """Why a promise is not simply held; the text says it in full."""
+
+    verdict: Verdict
+
+
+class Broken(Finding):
     """The driver does not keep the promise."""
 
+    verdict = "broken"
 
-class NeedsPerson(HilcellError):
+
+class NeedsPerson(Finding):
     """Nobody is there to do, or to agree to, what the promise needs."""
 
+    verdict = "needs a person"
 
-class NotApplicable(HilcellError):
-    """The promise is none of this driver's; the text says why."""
+
+class NotApplicable(Finding):
+    """The promise is none of this driver's."""
+
+    verdict = "not applicable"
 
 
 def need(holds: bool, why: str) -> None:
@@ -97,9 +109,10 @@ class Riding:
 class BenchClock:
     """The simulated cell's clock, also after that was started again."""
 
-    def __init__(self, outer: Callable[[], None], inner: Clock | None = None) -> None:
+    def __init__(self, outer: Callable[[], None]) -> None:
         self.stop = threading.Event()
-        self.outer, self.inner = outer, inner
+        self.outer = outer
+        self.inner: Clock | None = None  # while the cell lives
 
     def now_s(self) -> float:
         return self._clock().now_s()
@@ -125,41 +138,80 @@ class BenchClock:
 
 
 class Bench:
-    """One driver on trial; this one has no device of its own, so that none of it can fail."""
+    """One driver and its simulated device, started when the first promise asks for it.
 
-    def __init__(self, cell: Cell, port: Port, clock: BenchClock) -> None:
-        self.cell, self.clock = cell, clock
+    ``kind`` is tried in place of the class that the cell's driver names; ``outer`` is the check of
+    the run that uses the bench. Nothing is simulated on the bench of a real cell.
+    """
+
+    PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
+
+    def __init__(
+        self,
+        cell: Cell,
+        port: Port,
+        *,
+        kind: type[Driver] | None = None,
+        paced: bool = False,
+        outer: Callable[[], None] = lambda: None,
+    ) -> None:
+        if cell.simulation is not None:  # no cell that runs already
+            alone = msgspec.structs.replace(cell.simulation, address="")
+            cell = msgspec.structs.replace(cell, simulation=alone)
+        self.cell, self.clock, self.kind = cell, BenchClock(outer), kind
         self.port: Port = port
         self.acts = ACTS[port](cell)
+        self._speed = self.PACE if paced else math.inf
+        self._simulated: SimulatedCell | None = None
+        self._wires = Wires({})
+        self._built: list[Driver] = []
 
     @property
     def wires(self) -> Wires:
-        raise NotApplicable(SIMULATED_ONLY)
+        self.present()
+        self._start()
+        if not self._wires.all:
+            raise NotApplicable("no option of the driver says where its wire leads")
+        return self._wires
 
     def present(self) -> None:
         """Raise `NotApplicable` where the driver has no device."""
         if self.acts.absent:
             raise NotApplicable(self.acts.absent)
 
-    def settings(self) -> Settings:
-        """Return the driver's class and its options."""
-        raise NotApplicable(SIMULATED_ONLY)
-
-    def carrier(self) -> Settings | None:
-        """Return those of the robot whose external axis the rail is; None for any other driver."""
-        raise NotApplicable(SIMULATED_ONLY)
+    def settings(self) -> list[Settings]:
+        """Return those of the driver, then of the robot whose external axis its rail is."""
+        self._start()
+        found = [
+            driver_options(self.cell, table, GROUPS[table], self._wires.options[table])
+            for table in self._tables
+        ]
+        kind, options = found[0]
+        return [(self.kind or kind, options), *found[1:]]
 
     def build(self, **changed: object) -> Driver:
         """Return a driver that is not connected, with ``changed`` options."""
-        raise NotApplicable(f"{SIMULATED_ONLY} ({', '.join(changed)})")
+        (kind, options), *carrier = self.settings()
+        built = kind(msgspec.structs.replace(options, **changed), self.clock)
+        for of_robot, robot_options in carrier:
+            built = Riding(built, of_robot(robot_options, self.clock))
+        self._built.append(built)
+        return built
 
     def connected(self) -> Driver:
         """Return a driver that is connected, and ready to be used."""
-        raise NotApplicable(SIMULATED_ONLY)
+        device = self.build()
+        device.connect()
+        self.acts.ready(device)
+        return device
 
     def replace_device(self) -> None:
         """End the device without a word, and have another in its place."""
-        raise NotApplicable(SIMULATED_ONLY)
+        wires = self.wires
+        wires.refuse()
+        self._end_simulation()
+        self._start()
+        wires.admit()
 
     def rest(self, duration_s: float) -> None:
         """Let real time pass, until the run is stopped."""
@@ -189,119 +241,39 @@ class Bench:
 
     def tidy(self) -> None:
         """Close what a promise has left open, and mend the wires."""
-
-
-class SimulatedBench(Bench):
-    """A driver and its simulated device, started when the first promise asks for it.
-
-    ``kind`` is tried in place of the class that the cell's driver names; ``outer`` is the check of
-    the run that uses the bench.
-    """
-
-    PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
-
-    def __init__(
-        self,
-        cell: Cell,
-        port: Port,
-        *,
-        kind: type[Driver] | None = None,
-        paced: bool = False,
-        outer: Callable[[], None] = lambda: None,
-    ) -> None:
-        if cell.simulation is None:
-            raise NotApplicable("the cell is real: nothing simulates its devices")
-        alone = msgspec.structs.replace(cell.simulation, address="")
-        super().__init__(msgspec.structs.replace(cell, simulation=alone), port, BenchClock(outer))
-        self.kind = kind
-        self._speed = self.PACE if paced else math.inf
-        self._simulated: SimulatedCell | None = None
-        self._wires: Wires | None = None
-        self._built: list[Driver] = []
-
-    @property
-    def wires(self) -> Wires:
-        self.present()
-        self._start()
-        if self._wires is None or not self._wires.all:
-            raise NotApplicable("no option of the driver says where its wire leads")
-        return self._wires
-
-    def settings(self) -> Settings:
-        kind, options = self._settings(self.port)
-        return self.kind or kind, options
-
-    def carrier(self) -> Settings | None:
-        """Return those of the robot whose external axis the rail is; None for any other driver."""
-        return self._settings("robot") if self._rides else None
-
-    def build(self, **changed: object) -> Driver:
-        """Return a driver that is not connected, with ``changed`` options."""
-        kind, options = self.settings()
-        built = kind(msgspec.structs.replace(options, **changed), self.clock)
-        if carrier := self.carrier():
-            of_robot, robot_options = carrier
-            built = Riding(built, of_robot(robot_options, self.clock))
-        self._built.append(built)
-        return built
-
-    def connected(self) -> Driver:
-        device = self.build()
-        device.connect()
-        self.acts.ready(device)
-        return device
-
-    def replace_device(self) -> None:
-        wires = self.wires
-        wires.refuse()
-        self._end_simulation()
-        self._start()
-        wires.admit()
-
-    def tidy(self) -> None:
         self.clock.stop.clear()
-        if self._wires is not None:
-            self._wires.straight()
+        self._wires.straight()
         for device in self._built:
             with suppress(Exception):  # of a driver on trial, whose promise is judged already
                 device.close()
-        if self._built and self._wires is not None:
+        if self._built:
             self._wires.drop()  # what is under way holds a connection open
         self._built.clear()
 
     def close(self) -> None:
         self.tidy()
-        if self._wires is not None:
-            self._wires.close()
+        self._wires.close()
         self._end_simulation()
 
     def _start(self) -> None:
         if self._simulated is not None:
             return
-        simulated = start_simulation(self.cell, seed=1, speed=self._speed)
-        if simulated is None:
-            raise NotApplicable("nothing simulates the device")
-        self._simulated = simulated
-        self.clock.inner = simulated.clock(self.clock.stop)
+        self._simulated = start_simulation(self.cell, seed=1, speed=self._speed)
+        if self._simulated is None:
+            raise NotApplicable(SIMULATED_ONLY)
+        self.clock.inner = self._simulated.clock(self.clock.stop)
         stated: dict[str, dict[str, object]] = {}
-        for table in (self.port, "robot") if self._rides else (self.port,):
-            _, options = driver_options(self.cell, table, GROUPS[table], simulated.options[table])
+        for table in self._tables:
+            listens = self._simulated.options[table]
+            _, options = driver_options(self.cell, table, GROUPS[table], listens)
             stated[table] = msgspec.to_builtins(options)
-        if self._wires is None:
-            self._wires = Wires(stated)
-        else:
-            self._wires.lead_to(stated)
+        self._wires.lead_to(stated)
 
     @property
-    def _rides(self) -> bool:
-        """Whether the driver's wire is, in part, the robot's."""
-        driver = str(getattr(self.cell, self.port).driver)
-        return issubclass(load_entry(GROUPS[self.port], driver), RidesOnRobot)
-
-    def _settings(self, port: str) -> Settings:
-        self._start()
-        through = {} if self._wires is None else self._wires.options[port]
-        return driver_options(self.cell, port, GROUPS[port], through)
+    def _tables(self) -> list[str]:
+        """Return that of the driver; and the robot's, if the rail's wire is in part the robot's."""
+        rides = self.port == "rail" and rides_on_robot(self.cell)
+        return [self.port, "robot"] if rides else [self.port]
 
     def _end_simulation(self) -> None:
         simulated, self._simulated = self._simulated, None
@@ -363,12 +335,8 @@ def judge(promise: Promise, bench: Bench) -> Outcome:
     why = ""
     try:
         promise.check(bench)
-    except NotApplicable as error:
-        verdict, why = "not applicable", str(error)
-    except NeedsPerson as error:
-        verdict, why = "needs a person", str(error)
-    except Broken as error:
-        verdict, why = "broken", str(error)
+    except Finding as error:
+        verdict, why = error.verdict, str(error)
     except Stopped as error:
         bench.clock.outer()
         verdict, why = "broken", f"Stopped: {error}"
@@ -390,10 +358,10 @@ class Trial:
         kind: type[Driver] | None = None,
         outer: Callable[[], None] = lambda: None,
     ) -> None:
-        self._bench = partial(SimulatedBench, cell, port, outer=outer)
+        self._bench = partial(Bench, cell, port, outer=outer)
         self._kind = kind
         self._in_turn = {paced: self._bench(kind=kind, paced=paced) for paced in (False, True)}
-        self._beside: list[SimulatedBench] = []
+        self._beside: list[Bench] = []
         self._judged: dict[str, Future[Outcome]] = {}
 
     def __enter__(self) -> Trial:

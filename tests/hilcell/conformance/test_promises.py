@@ -19,10 +19,10 @@ import pytest
 
 from drivers.supervision import LIFE_S
 from hilcell.cell.file import load_cell
-from hilcell.conformance import trial, wire_faults
+from hilcell.conformance import every_port, trial
 from hilcell.conformance.acts import PORTS, Port
 from hilcell.conformance.kit import PROMISES, driver_cell, promises_of, renewed
-from hilcell.conformance.trial import Bench, BenchClock, Broken, Outcome, Promise, Trial
+from hilcell.conformance.trial import Bench, Broken, Outcome, Promise, Trial
 from hilcell.errors import Stopped
 from hilcell.ports import RobotReading
 from tests.hilcell.conformance.broken_drivers import BROKEN, LateByTag
@@ -83,7 +83,7 @@ def test_the_page_lists_the_promises() -> None:
 
 @pytest.mark.parametrize("turned_deg", [0.003, -0.003, math.nan])
 def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
-    bench = Bench(load_cell("paper"), "robot", BenchClock(lambda: None))
+    bench = Bench(load_cell("paper"), "robot")
     one = RobotReading(np.zeros(6), np.eye(4), still=True, taken_s=0.0)
     other = replace(one, joints_rad=np.radians([0.0, 0.0, turned_deg, 0.0, 0.0, 0.0]))
     bench.rested(one, one, "it moves")
@@ -122,8 +122,8 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
-    monkeypatch.setattr(trial.SimulatedBench, "PACE", 1.5 * trial.SimulatedBench.PACE)
-    monkeypatch.setattr(wire_faults, "GONE_S", LIFE_S + 0.5)
+    monkeypatch.setattr(trial.Bench, "PACE", 1.5 * trial.Bench.PACE)
+    monkeypatch.setattr(every_port, "GONE_S", LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 
