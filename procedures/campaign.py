@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, arm_from_joints
 from hilcell.fit.methods import FitResult, fitted, methods_table
 from hilcell.fit.placement import FitError, place
-from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
+from hilcell.fit.robot_file import Measurements, Robot, read_measurements
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId
@@ -57,7 +57,7 @@ class Campaign:
     def _check_robot(cell: Cell, rows: Measurements) -> None:
         """Raise `FitError` for poses that were measured on another robot."""
         try:
-            place(robot_of(cell).arm(), rows)
+            place(robot_of(cell).arm, rows)
         except FitError as error:
             assert cell.campaign is not None  # noqa: S101 - it names the rows
             raise FitError(
@@ -93,10 +93,9 @@ def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
     return [(pose, list(numbers)) for pose, numbers in visits]
 
 
-def robot_of(cell: Cell) -> RobotModel:
+def robot_of(cell: Cell) -> Robot:
     """Return the cell's nominal robot; where its reflectors sit, the fit finds out."""
-    rows = [typed(joint, Row, from_attributes=True) for joint in cell.robot.joint]
-    return RobotModel(name=cell.robot.name, convention="standard-dh", joint=rows)
+    return Robot(cell.robot.name, arm_from_joints(cell.robot.joint, np.eye(4)))
 
 
 def measured(log: Log) -> Measurements:

@@ -112,7 +112,7 @@ def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict
         check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
     if args.dh_out:
         check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
-    found = rigid_arm(robot.arm(), fit)
+    found = rigid_arm(robot.arm, fit)
     if args.urdf_out:
         remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(found.figures)]
         write_urdf(Path(args.urdf_out), robot, found, remarks, inputs=inputs)

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
@@ -54,7 +54,12 @@ class StatedTool(NamedTuple):
 
 
 class Program(Protocol):
-    """A robot program that was read: its targets, and its files with other positions."""
+    """A robot program that was read: its targets, and its files with other positions.
+
+    A format inherits from it what its language does not state.
+    """
+
+    in_root: bool = False  # whether targets stand in the robot's root {B}, else in {W}
 
     @property
     def names(self) -> list[str]:
@@ -69,26 +74,11 @@ class Program(Protocol):
         """Return the suffixes, in lower case, of the files that may make one program."""
 
     @property
-    def needs_arm(self) -> str:
-        """Return what of the joints `check_joints` would check, as a plural; may be empty."""
-
-    @property
     def remarks(self) -> Sequence[str]:
         """Return the comments in the files, where a stamp may be."""
 
-    @property
-    def strokes(self) -> Sequence[Stroke]:
-        """Return the relative motions in the files, each from every target it may start at."""
-
-    @property
-    def base(self) -> StatedBase | None:
-        """Return the base that the program sets by numbers; None where it sets none so."""
-
     def values(self) -> Array:
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
-
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
 
     def with_positions(self, positions: Array, remark: str = "") -> Mapping[str, bytes]:
         """Return the files by name, with other x, y, z (N, 3), or with a, b, c besides (N, 6).
@@ -96,63 +86,50 @@ class Program(Protocol):
         A remark that is not empty stands as a comment in each; nothing else differs.
         """
 
+    @property
+    def strokes(self) -> Sequence[Stroke]:
+        """Return the relative motions in the files, each from every target it may start at."""
+        return ()
 
-@runtime_checkable
-class NamesModule(Protocol):
-    """A program whose text states its name; other formats need no such method."""
-
-    def misnamed(self, stem: str) -> Sequence[str]:
-        """Return notes where a controller would not take its files under this stem."""
-
-
-@runtime_checkable
-class SetsTool(Protocol):
-    """A program that may set its tool; those of other formats have that of the list."""
+    @property
+    def base(self) -> StatedBase | None:
+        """Return the base that the program sets by numbers; None where it sets none so."""
+        return None
 
     @property
     def tool(self) -> StatedTool | None:
         """Return the tool that the program sets; None where it sets none."""
+        return None
 
     def reflector_number(self, options: Json) -> int | None:
         """Return the controller's number of the reflector's tool, by the options of the robot."""
-
-
-@runtime_checkable
-class StatesPosture(Protocol):
-    """A program whose targets may state the arm's posture; those of other formats do not."""
-
-    def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
-        """Return those with place and status; open bits are the ``expected`` ones."""
-
-
-@runtime_checkable
-class StatesSlide(Protocol):
-    """A program that may move the slide, an external axis of the robot."""
+        return None
 
     @property
     def slide(self) -> tuple[str, float] | None:
-        """Return the first target that does, and where the slide is then, mm; all are alike."""
+        """Return the first target that moves the slide, an external axis of the robot, and where
+        it is then, mm; all are alike.
+        """
+        return None
 
+    def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
+        """Return the targets whose posture is stated, with place and status; open bits are the
+        ``expected`` ones.
+        """
+        return ()
 
-@runtime_checkable
-class InRoot(Protocol):
-    """A program whose targets stand in the robot's root {B}; those of other formats in {W}."""
+    @property
+    def needs_arm(self) -> str:
+        """Return what of the joints `check_joints` would check, as a plural; may be empty."""
+        return ""
 
-    in_root: bool
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+        """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
+        return
 
-
-def setting_tool(program: object) -> SetsTool | None:
-    """Return the program where its format tells the tool that it sets."""
-    return program if isinstance(program, SetsTool) else None
-
-
-def statuses_of(program: object, expected: int) -> Sequence[tuple[str, int]]:
-    """Return the targets whose posture a program states; open bits are the ``expected`` ones."""
-    return program.statuses(expected) if isinstance(program, StatesPosture) else ()
-
-
-def stands_in_root(program: object) -> bool:
-    return isinstance(program, InRoot) and program.in_root
+    def misnamed(self, stem: str) -> Sequence[str]:
+        """Return notes where a controller would not take its files under this stem."""
+        return ()
 
 
 def load_program(path: Path) -> Program | None:
@@ -172,11 +149,9 @@ def suffixes() -> list[str]:
 
 def notes_of(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
     """Return a program's notes, the base that it needs, and what is wrong with its files' names."""
-    base = "" if stands_in_root(program) else f", its base must be {frame}"
-    names = list[str]()
-    if isinstance(program, NamesModule):
-        stems = dict.fromkeys(path.stem for path in (source, *written))
-        names = [note for stem in stems for note in program.misnamed(stem)]
+    base = "" if program.in_root else f", its base must be {frame}"
+    stems = dict.fromkeys(path.stem for path in (source, *written))
+    names = [note for stem in stems for note in program.misnamed(stem)]
     return [*program.notes, f"its targets were taken in {frame}{base}", *names]
 
 

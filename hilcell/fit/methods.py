@@ -326,7 +326,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     Raises `FitError`.
     """
     start_s = time.perf_counter()
-    arm = robot.arm()
+    arm = robot.arm
     _refuse_few_poses(train)
     placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
     order = _order(train)

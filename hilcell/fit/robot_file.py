@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -28,27 +28,20 @@ Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 
 
-class Robot(Protocol):
-    """A robot's nominal kinematics, from whatever file."""
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot's nominal kinematics, from whatever file.
 
-    @property
-    def name(self) -> str:
-        """Return the robot's name."""
+    ``arm`` has its tool point on the flange behind the sixth row, ``base`` (4, 4) is where it
+    stands in the robot's root frame, ``tool`` (4, 4) on the flange the frame that targets are meant
+    for. The joints' limits (2, 6) are infinite where none are stated.
+    """
 
-    @property
-    def base(self) -> Array:
-        """Return the arm's base in the robot's root frame (4, 4)."""
-
-    @property
-    def tool(self) -> Array:
-        """Return the tool frame that targets are meant for, on the flange (4, 4)."""
-
-    @property
-    def limits_rad(self) -> Array:
-        """Return the joints' limits (2, 6), infinite where none are stated."""
-
-    def arm(self) -> Arm:
-        """Return the arm, its tool point on the flange behind the sixth row."""
+    name: str
+    arm: Arm
+    base: Array = field(default_factory=lambda: np.eye(4))
+    tool: Array = field(default_factory=lambda: np.eye(4))
+    limits_rad: Array = field(default_factory=lambda: np.array([[-np.inf] * 6, [np.inf] * 6]))
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -62,7 +55,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A robot's nominal kinematics."""
+    """The table of ``robot.toml``; targets are meant for the flange."""
 
     name: str
     convention: Literal["standard-dh"]
@@ -75,25 +68,9 @@ class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             if not row.sign:
                 raise ValueError(f"joint {number}: sign must be 1 or -1")
 
-    @property
-    def base(self) -> Array:
-        """Return the identity: the first row begins in the root frame."""
-        return np.eye(4)
-
-    @property
-    def tool(self) -> Array:
-        """Return the identity: targets are meant for the flange."""
-        return np.eye(4)
-
-    @property
-    def limits_rad(self) -> Array:
-        """Return no limits."""
-        return np.array([[-np.inf] * 6, [np.inf] * 6])
-
-    def arm(self) -> Arm:
-        """Return the arm, its tool point on the flange."""
+    def robot(self) -> Robot:
         joints = [Joint(**msgspec.structs.asdict(row)) for row in self.joint]
-        return arm_from_joints(joints, np.eye(4))
+        return Robot(self.name, arm_from_joints(joints, np.eye(4)))
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -150,7 +127,7 @@ class Measurements:
         )
 
 
-def read_robot(path: Path) -> RobotModel:
+def read_robot(path: Path) -> Robot:
     """Read ``robot.toml``; raises `SettingsError` naming all problems at once."""
     try:
         values = tomllib.loads(read_text(path))
@@ -158,7 +135,7 @@ def read_robot(path: Path) -> RobotModel:
         raise SettingsError(str(path), [f"not valid TOML: {error}"]) from error
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(str(path), error) from error
-    return convert(values, _File, str(path)).robot
+    return convert(values, _File, str(path)).robot.robot()
 
 
 def read_measurements(path: Path) -> Measurements:

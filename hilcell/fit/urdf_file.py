@@ -18,7 +18,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Self
 from xml.parsers import expat
@@ -29,6 +28,7 @@ import numpy as np
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.clean import clean
 from hilcell.compensation.targets import numbers
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import cross_matrix, inverse, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 from hilcell.geometry.statistics import lengths_mm
@@ -98,14 +98,13 @@ class JointText:
 
 @dataclass(slots=True)
 class UrdfText:
-    """The bytes of a URDF, the robot's name, where its tag ends, its links and joints."""
+    """The bytes of a URDF, the robot's name, where its tag ends, its joints."""
 
     SPACE = re.compile(rb"\s*")
 
     content: bytes
     name: str = ""
     tag_end: int = 0
-    links: list[str] = field(default_factory=list)
     joints: list[JointText] = field(default_factory=list)
 
     def with_origins(
@@ -149,14 +148,8 @@ def read_urdf_text(content: bytes) -> UrdfText:
     if b"\0" in content:
         raise NotUrdf("has NUL bytes: not XML, or saved as UTF-16; save it as UTF-8")
     reader = _Reader(content)
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = reader.refuse_doctype
-    parser.StartElementHandler = lambda name, found: reader.start(
-        name, found, parser.CurrentByteIndex
-    )
-    parser.EndElementHandler = reader.end
     try:
-        parser.Parse(content, True)
+        reader.parser.Parse(content, True)
     except NotUrdf:
         raise
     except expat.ExpatError as error:
@@ -172,47 +165,34 @@ class _Reader:
     TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
 
     def __init__(self, content: bytes) -> None:
-        self.found = UrdfText(content)
-        self._depth = 0
-        self._joint: JointText | None = None
+        self.found, self.parser = UrdfText(content), expat.ParserCreate()
+        self._open = list[str]()  # the elements around, the outermost first
+        self.parser.StartDoctypeDeclHandler = self._refuse_doctype
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = lambda _: self._open.pop()
 
-    def start(self, name: str, attributes: dict[str, str], at: int) -> None:
-        self._depth += 1
-        parts = ("origin", "parent", "child", "axis", "limit", "mimic")
-        if self._depth == 1:
-            self._root(name, attributes, at)
-        elif self._depth == 2:
-            self._joint = None
-            if name == "link":
-                self.found.links.append(attributes.get("name", ""))
-            elif name == "joint":
-                self._joint = JointText(
-                    attributes.get("name", ""), attributes.get("type", ""), self._end(at)
-                )
-                self.found.joints.append(self._joint)
-        elif self._depth == 3 and self._joint is not None and name in parts:
-            self._part(self._joint, name, attributes, at)
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self._open.append(name)
+        at = self.parser.CurrentByteIndex
+        tag = at, _matched(self.TAG, self.found.content, at)
+        match self._open:
+            case ["robot"]:
+                self.found.name, self.found.tag_end = attributes.get("name", ""), tag[1]
+            case [_]:
+                raise NotUrdf(f"is no URDF: its root is <{name}>, expected <robot>")
+            case [_, "joint"]:
+                words = attributes.get("name", ""), attributes.get("type", "")
+                self.found.joints.append(JointText(*words, tag[1]))
+            case [_, "joint", "origin" | "parent" | "child" | "axis" | "limit" | "mimic"]:
+                joint = self.found.joints[-1]
+                if name in joint.parts:
+                    raise NotUrdf(f"joint {joint.name} has <{name}> twice")
+                joint.parts[name] = attributes
+                joint.origin = tag if name == "origin" else joint.origin
 
-    def end(self, name: str) -> None:
-        self._depth -= 1
-
-    def refuse_doctype(self, name: str, *rest: object) -> None:
+    @staticmethod
+    def _refuse_doctype(name: str, *rest: object) -> None:
         raise NotUrdf(f"has a document type, <!DOCTYPE {name}; entities are refused")
-
-    def _root(self, name: str, attributes: dict[str, str], at: int) -> None:
-        if name != "robot":
-            raise NotUrdf(f"is no URDF: its root is <{name}>, expected <robot>")
-        self.found.name, self.found.tag_end = attributes.get("name", ""), self._end(at)
-
-    def _part(self, joint: JointText, name: str, attributes: dict[str, str], at: int) -> None:
-        if name in joint.parts:
-            raise NotUrdf(f"joint {joint.name} has <{name}> twice")
-        joint.parts[name] = attributes
-        if name == "origin":
-            joint.origin = (at, self._end(at))
-
-    def _end(self, at: int) -> int:
-        return _matched(self.TAG, self.found.content, at)
 
 
 def _matched(pattern: re.Pattern[bytes], content: bytes, at: int) -> int:
@@ -232,39 +212,16 @@ LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengt
 TURNS = ("revolute", "continuous")
 
 
-@dataclass(frozen=True, eq=False)
-class Urdf:
-    """A URDF and its arm: the chain from ``root`` to ``tip``, limits (2, 6), inf where none."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Urdf(Robot):
+    """A robot in a URDF, by the chain from ``root`` to ``tip``, for which targets are meant."""
 
-    path: Path
     root: str
     tip: str
     chain: Chain
-    limits_rad: Array
     text: UrdfText = field(repr=False)
     joints: Sequence[JointText] = field(repr=False)  # from root to tip, fixed ones too
     steps: Array = field(repr=False)  # their origins (J, 4, 4), mm
-
-    @property
-    def name(self) -> str:
-        return clean(self.text.name)
-
-    @cached_property
-    def rows(self) -> tuple[Array, Arm]:
-        """Return the base in the root link (4, 4), and the arm with the tip link as its tool."""
-        return self.chain.arm()
-
-    def arm(self) -> Arm:
-        return replace(self.rows[1], tool=np.eye(4))
-
-    @property
-    def base(self) -> Array:
-        return self.rows[0]
-
-    @property
-    def tool(self) -> Array:
-        """Return the tip link on the flange (4, 4)."""
-        return self.rows[1].tool
 
     def left_at_tip(self, chain: Chain) -> Array:
         """Return the frame (4, 4) of a chain's tip in the tip link of the file that it is put into.
@@ -322,9 +279,19 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
             f"{LEAST_REACH_M:g} to {MOST_REACH_M:g} m: lengths in a URDF are metres"
         )
         raise SettingsError(str(path), [problem])
-    limits = np.array([numbered[n][2] for n in turning]).T
+    base, arm = chain.arm()
     return Urdf(
-        path, joints[0].end("parent"), joints[-1].end("child"), chain, limits, text, joints, steps
+        clean(text.name),
+        replace(arm, tool=np.eye(4)),
+        base,
+        arm.tool,
+        np.array([numbered[n][2] for n in turning]).T,
+        root=joints[0].end("parent"),
+        tip=joints[-1].end("child"),
+        chain=chain,
+        text=text,
+        joints=joints,
+        steps=steps,
     )
 
 

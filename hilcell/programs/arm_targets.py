@@ -24,7 +24,7 @@ from hilcell.cell.settings import SettingsError, read_file
 from hilcell.clean import counted
 from hilcell.compensation.choice import NOMINAL
 from hilcell.compensation.model import Prediction
-from hilcell.compensation.programs import Program, load_program, statuses_of
+from hilcell.compensation.programs import Program, load_program
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import HEADER, read_named_rows, target_rows
 from hilcell.fit.methods import UNDETERMINED_MM, Fitted, Method
@@ -74,7 +74,7 @@ class ArmTargets(TargetFiles):
             raise FitError(f"no target is corrected: {fit.result['reason']}")
         method = fit.methods[chosen]
         controller = Controller.of(robot, method, train, tool)
-        arm = with_tool_point(replace(robot.arm(), tool=robot.tool), controller.tool_mm)
+        arm = with_tool_point(replace(robot.arm, tool=robot.tool), controller.tool_mm)
         known = np.unique(train.joints_rad, axis=0)
         known = known[:: len(known) // most_known + 1]
         reach = Reach(arm, robot.base, known, robot.limits_rad)
@@ -150,13 +150,13 @@ class ArmTargets(TargetFiles):
             problems.append(f"{program.base.where}: the base set there is not {ROOT}")
         if problems:
             raise SettingsError(str(source), problems)
-        if statuses_of(program, 0):
+        if program.statuses(0):
             try:
                 status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
             except ReachError as error:
                 say(f"{source.name}: the postures of its targets were not checked: {error}")
             else:
-                stated = statuses_of(program, status)
+                stated = program.statuses(status)
                 check_posture(
                     status, [each for each in stated if each[1] & POSTURE_BITS not in others]
                 )
@@ -346,7 +346,7 @@ class Controller:
     def of(cls, robot: Robot, method: Method, train: Measurements, target: str) -> Self:
         """Return the controller that a method's predictions at the training rows fit best."""
         smr_mm = np.array([method.smr_mm[each] for each in train.target])
-        nominal_mm = apply_each(forward(robot.arm(), train.joints_rad), smr_mm)
+        nominal_mm = apply_each(forward(robot.arm, train.joints_rad), smr_mm)
         try:
             base = rigid_fit(nominal_mm, method.predict(train)[0]).T
         except FrameError:  # on one line: its turn about the line is the method's
@@ -369,7 +369,7 @@ class Controller:
         labels, nowhere = list(map(str, range(count))), np.full((count, 3), np.nan)
         rows = Measurements(labels, [self.target] * count, joints_rad, nowhere)
         seen_mm, covariance_mm2 = method.predict(rows)
-        nominal_mm = apply_each(forward(self.robot.arm(), joints_rad), self.smr_mm)
+        nominal_mm = apply_each(forward(self.robot.arm, joints_rad), self.smr_mm)
         R = inverse(self.root)[:3, :3]
         error_mm = (seen_mm - apply(self.base, nominal_mm)) @ R.T
         return Prediction(error_mm, R @ covariance_mm2 @ R.T)

@@ -23,13 +23,9 @@ from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
     Program,
     StatedBase,
-    StatesSlide,
     Stroke,
     load_program,
     notes_of,
-    setting_tool,
-    stands_in_root,
-    statuses_of,
     suffixes,
     write_program,
 )
@@ -133,7 +129,8 @@ class StationTargets(TargetFiles):
             check_links(released.calibration, source.name)
         known_station = station in released.calibration.stations
         root = None
-        if stands_in_root(program) and known_station:
+        in_root = program is not None and program.in_root
+        if in_root and known_station:
             root = released.calibration.base(station)
         if program is None:
             names, listed = cls._listed(source, say)
@@ -157,15 +154,14 @@ class StationTargets(TargetFiles):
         if root is not None:  # as the program has them, which another station's correction reads
             points.append((listed[:, :3], stated[:, :3]))
         remarks = list(cls._where(known, tip))
-        setting = setting_tool(program)
-        if cell is not None and setting is not None and setting.tool is None:
+        if cell is not None and program is not None and program.tool is None:
             note = f"{source.name}: it sets no tool: taken to run with that of {tip.name}"
             remarks.insert(0, note)
         return cls(
             source,
             program,
             targets,
-            f"{{B}}, the robot's base, at {station}" if stands_in_root(program) else "{W}",
+            f"{{B}}, the robot's base, at {station}" if in_root else "{W}",
             stated if released.calibration.orients else stated[:, :3],
             HEADER,
             list(target_rows(names, stated)),
@@ -234,13 +230,12 @@ class StationTargets(TargetFiles):
     @staticmethod
     def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
         """Return the tip: of a program's tool, else the named; raises `SettingsError`."""
-        setting = setting_tool(program)
-        if cell is None or setting is None:
+        if cell is None or program is None:
             return tip_named(cell, name)
-        number = setting.reflector_number(cell.robot.options)
-        if setting.tool is None:
+        number = program.reflector_number(cell.robot.options)
+        if program.tool is None:
             return tip_named(cell, name, number)
-        return tip_of_program(cell, name, setting.tool, number, source.name)
+        return tip_of_program(cell, name, program.tool, number, source.name)
 
     @staticmethod
     def _check_program(
@@ -274,15 +269,13 @@ class StationTargets(TargetFiles):
                 f"{missed.along_mm:.3f} mm along (its depth), by the model every {STEP_MM:g} mm; "
                 f"allowed: {limits.source}"
             )
-        setting = setting_tool(program)
-        if cell is None and setting is not None and setting.tool is not None:
-            say(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
+        if cell is None and program.tool is not None:
+            say(f"{name}: its tool ({program.tool.text}) was not checked; --cell CELL does")
         if cell is not None:
             status = cell.robot.status
-            check_posture(status, statuses_of(program, status))
+            check_posture(status, program.statuses(status))
             if rides_on_robot(cell):
-                slide = program.slide if isinstance(program, StatesSlide) else None
-                StationTargets._check_slide(cell.station_named(station), slide)
+                StationTargets._check_slide(cell.station_named(station), program.slide)
             T_W_B = released.calibration.base(station)
             program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
         elif program.needs_arm:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from drivers.kuka.krl import POSE
 from drivers.kuka.program_krl.data import statements
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below, plain
+from hilcell.compensation import programs
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
@@ -58,7 +59,7 @@ class Kept(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
+class Program(programs.Program):
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
     ``strokes`` start at one of the targets, ``base`` is the one whose place the program states,

@@ -15,10 +15,9 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,9 +35,9 @@ from drivers.program_text import (
 )
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
-from hilcell.compensation.programs import StatedTool, Stroke
+from hilcell.compensation import programs
+from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import from_rotvec, matrix, poses_from_zyx, to_rotvec, zyx_from_pose
-from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array, HilcellError
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -141,8 +140,10 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
+class Program(programs.Program):
     """The text of a file, its targets in the order of their first motion, and remarks on them.
+
+    Whole turns do not matter: the controller moves to the nearest joints.
 
     ``tcp`` is the pose that the program sets, in m and rad, if it sets one.
     """
@@ -152,14 +153,8 @@ class Program:
     targets: list[Target]
     notes: list[str]
     tcp: Target | None = None
-    in_root: bool = True
-    base: None = None
+    in_root = True
     suffixes = (SUFFIX,)
-
-    @property
-    def strokes(self) -> list[Stroke]:
-        """Return none: relative motions are refused."""
-        return []
 
     @property
     def names(self) -> list[str]:
@@ -180,17 +175,6 @@ class Program:
         return StatedTool(
             f"{self.file} line {self.tcp.line}", f"set_tcp(p[{numbers}])", None, frame
         )
-
-    @property
-    def needs_arm(self) -> str:
-        """Return nothing: whole turns do not matter, the controller moves to the nearest joints."""
-        return ""
-
-    def reflector_number(self, options: Mapping[str, Any]) -> None:
-        """Return none: a TCP has no number."""
-
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Do nothing, as `needs_arm` says."""
 
     @property
     def remarks(self) -> list[str]:

@@ -228,11 +228,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.cell.settings import SettingsError
+from hilcell.compensation import programs
 from hilcell.errors import HilcellError
 
 
 @dataclass
-class Program:
+class Program(programs.Program):
     """A pose a line: NAME X Y Z A B C."""
 
     file: str
@@ -241,8 +242,6 @@ class Program:
     notes = ("comments are left",)
     needs_arm = "wrists"
     remarks = ()
-    strokes = ()
-    base = None
 
     @property
     def names(self):

@@ -43,7 +43,7 @@ NOISE_MM = 0.01
 
 def reached_mm(joints_rad: Array, target: str) -> Array:
     """Where a robot with errors has its reflector (N, 3), in the tracker's frame."""
-    rng, arm = np.random.default_rng(7), IRB120.arm()
+    rng, arm = np.random.default_rng(7), IRB120.arm
     true = replace(
         arm,
         a_mm=arm.a_mm + rng.normal(0, 0.4, 6),
@@ -119,14 +119,14 @@ def test_corrected_poses_bring_the_tool_to_its_targets(
     targets, out, bounds = tmp_path / "t.csv", tmp_path / "c.csv", tmp_path / "b.csv"
     joints = drawn(2, len(NAMES))
     still = np.zeros(6)
-    flange = inverse(chain_forward(urdf.chain, still)) @ forward(IRB120.arm(), still)
+    flange = inverse(chain_forward(urdf.chain, still)) @ forward(IRB120.arm, still)
     about = matrix(np.eye(3), apply(flange, SMR_MM["SMR2"][None])[0])
     poses = chain_forward(urdf.chain, joints) @ about
     write_targets(targets, NAMES, zyx_from_pose(poses))
     done = fit(folder, "--correct", targets, "--tool", "SMR2", "-o", out, "--bounds", bounds)
     found = json.loads(done.stdout)["corrected"]
     assert (found["targets"], found["tool"]) == (12, "SMR2")
-    arm = replace(urdf.arm(), tool=urdf.tool @ tool_of(found))
+    arm = replace(urdf.arm, tool=urdf.tool @ tool_of(found))
     missed = {}
     for name, path in (("before", targets), ("after", out)):
         read = read_targets if path == targets else read_corrected

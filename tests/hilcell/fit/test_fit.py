@@ -21,6 +21,7 @@ from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import (
     HEADER,
     Measurements,
+    Robot,
     RobotModel,
     Row,
     read_measurements,
@@ -66,7 +67,7 @@ IRB120 = RobotModel(
         Row(a_mm=0, alpha_deg=-90, d_mm=0, offset_deg=0),
         Row(a_mm=0, alpha_deg=0, d_mm=72, offset_deg=180),
     ],
-)
+).robot()
 T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)
 SMR_MM = {"SMR1": [0.2, -0.8, 120.5], "SMR2": [75.2, 90.6, 213.4], "SMR3": [150.7, -1.3, 121.7]}
 
@@ -75,7 +76,7 @@ SMR_MM = {"SMR1": [0.2, -0.8, 120.5], "SMR2": [75.2, 90.6, 213.4], "SMR3": [150.
 class Pair:
     """A robot, rows to learn from, rows to judge by, and the figures that must be met."""
 
-    robot: RobotModel
+    robot: Robot
     train: Measurements
     test: Measurements
     wanted: dict[str, Figures]
@@ -84,7 +85,7 @@ class Pair:
 def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
     """Rows of a robot with errors of about 1 mm, and 0.02 mm of noise."""
     rng, crooked = np.random.default_rng(seed), np.random.default_rng(99)
-    nominal = IRB120.arm()
+    nominal = IRB120.arm
     true = replace(
         nominal,
         a_mm=nominal.a_mm + error * crooked.normal(0, 0.2, 6),
@@ -101,9 +102,9 @@ def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> M
     return Measurements(labels, names, joints, apply(T_L_B, at_mm) + noise)
 
 
-def peer(robot: RobotModel, train: Measurements, test: Measurements) -> dict[str, Figures]:
+def peer(robot: Robot, train: Measurements, test: Measurements) -> dict[str, Figures]:
     """The figures by scipy's optimizer and plain loops."""
-    arm, names = robot.arm(), sorted(set(train.target))
+    arm, names = robot.arm, sorted(set(train.target))
 
     def predict(x: np.ndarray, rows: Measurements) -> np.ndarray:
         R, out = Rotation.from_rotvec(x[3:6]), []
@@ -179,7 +180,7 @@ def test_without_test_rows_cross_validation_judges(names: Names) -> None:
 
 def test_base_and_reflectors_of_an_exact_robot_are_found() -> None:
     rows = measured(3, 30, list(SMR_MM), error=0.0)
-    placement = place(IRB120.arm(), rows)
+    placement = place(IRB120.arm, rows)
     np.testing.assert_allclose(placement.T_L_B, T_L_B, atol=1e-6)
     for name, smr in placement.smr_mm.items():
         np.testing.assert_allclose(smr, SMR_MM[name], atol=1e-6)
@@ -188,7 +189,7 @@ def test_base_and_reflectors_of_an_exact_robot_are_found() -> None:
 def test_one_bad_row_does_not_move_the_base() -> None:
     rows = measured(3, 30, list(SMR_MM), error=0.0)
     rows.xyz_mm[7] += 50.0
-    placement = place(IRB120.arm(), rows)
+    placement = place(IRB120.arm, rows)
     np.testing.assert_allclose(placement.T_L_B[:3, 3], T_L_B[:3, 3], atol=0.2)
 
 
@@ -196,13 +197,13 @@ def test_a_repeated_row_is_left_out_with_its_pose() -> None:
     rows = measured(3, 40, ["SMR1"], error=0.0)
     rows.xyz_mm[10] += [0.0, 0.0, 5.0]
     twice = rows.at(np.repeat(np.arange(len(rows)), 2))
-    miss = np.linalg.norm(cross_validate(IRB120.arm(), twice)["idw"], axis=1)
+    miss = np.linalg.norm(cross_validate(IRB120.arm, twice)["idw"], axis=1)
     np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
 
 
 def test_a_reflector_learns_from_its_own_rows_only() -> None:
     rows, test = measured(1, 40, ["SMR1", "SMR2"]), measured(2, 40, ["SMR1", "SMR2"])
-    placement = place(IRB120.arm(), rows)
+    placement = place(IRB120.arm, rows)
     of_smr2 = np.array(rows.target) == "SMR2"
     spoilt = replace(rows, xyz_mm=rows.xyz_mm + 5.0 * of_smr2[:, None])
     before_mm, after_mm = (
@@ -229,7 +230,7 @@ def test_an_unknown_target_is_refused() -> None:
 
 def test_too_few_rows_to_place_the_robot_are_refused() -> None:
     with pytest.raises(FitError, match="2 rows"):
-        place(IRB120.arm(), measured(1, 2, ["SMR1"]))
+        place(IRB120.arm, measured(1, 2, ["SMR1"]))
 
 
 @pytest.mark.parametrize("poses", [1, 4, 9])
@@ -355,7 +356,7 @@ def measured_at(joints: np.ndarray, rows: Measurements) -> Measurements:
     """The crooked robot of `measured` at other joints."""
     source = measured(1, len(rows), ["SMR1"], error=0.0)
     crooked = np.random.default_rng(99)
-    nominal = IRB120.arm()
+    nominal = IRB120.arm
     true = replace(
         nominal,
         a_mm=nominal.a_mm + crooked.normal(0, 0.2, 6),
@@ -382,7 +383,7 @@ def test_joints_that_never_move_widen_the_bounds_where_they_do() -> None:
 
 def turned_alike(seed: int, poses: int, turned_deg: float = 20.0) -> np.ndarray:
     """Joints at places that differ and one orientation."""
-    rng, arm = np.random.default_rng(seed), IRB120.arm()
+    rng, arm = np.random.default_rng(seed), IRB120.arm
     targets = np.tile(pose_from_zyx(350.0, 0.0, 400.0, turned_deg, 150.0, 10.0), (poses, 1, 1))
     targets[:, :3, 3] += rng.uniform(-80.0, 80.0, (poses, 3))
     return inverse_kinematics(arm, targets, 2)

@@ -35,7 +35,7 @@ def problems_of(read: Callable[[Path], object], path: Path) -> str:
 
 
 def test_robot_is_read(written: Write) -> None:
-    arm = read_robot(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm()
+    arm = read_robot(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm
     np.testing.assert_array_equal(arm.a_mm, 6 * [10.0])
     np.testing.assert_array_equal(arm.d_mm, 6 * [20.5])
     np.testing.assert_allclose(arm.alpha_rad, 6 * [-np.pi / 2])

@@ -7,19 +7,19 @@ base. A motion by other means, or to other places than the program states, is re
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, source_text
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
-from hilcell.compensation.programs import StatedTool, Stroke
+from hilcell.compensation import programs
+from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import matrix, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 from hilcell_meca500.euler import angles, rotations
 
@@ -50,16 +50,15 @@ class Command(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
-    """Satisfies `hilcell.compensation.programs.Program`."""
+class Program(programs.Program):
+    """Targets stand in {B}; relative motions are refused, and turns of joints do not matter."""
 
     file: str
     text: str = field(repr=False)
     targets: list[Command]
     trf: Command | None
     notes: list[str]
-    in_root: bool = True  # targets stand in {B}, not in {W}
-    base: None = None
+    in_root = True
     suffixes = (SUFFIX,)
 
     @property
@@ -71,11 +70,6 @@ class Program:
     def remarks(self) -> list[str]:
         """Return the comments of the file: a stamp may be among them."""
         return [match.group() for match in _COMMENT.finditer(self.text)]
-
-    @property
-    def strokes(self) -> list[Stroke]:
-        """Return none: relative motions are refused."""
-        return []
 
     def values(self) -> Array:
         """Return the targets (N, 6): X, Y, Z in mm, Z-Y-X angles A, B, C in deg."""
@@ -91,17 +85,6 @@ class Program:
         T = matrix(rotations(numbers[3:]), numbers[:3])
         words = ", ".join(each.text for each in self.trf.numbers)
         return StatedTool(f"{self.file} line {self.trf.line}", f"SetTrf({words})", None, T)
-
-    @property
-    def needs_arm(self) -> str:
-        """Return nothing: turns of the joints do not matter here."""
-        return ""
-
-    def reflector_number(self, options: Mapping[str, Any]) -> None:
-        """Return none: tools have no numbers."""
-
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Do nothing, as `needs_arm` says."""
 
     def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
         """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6)."""

@@ -23,7 +23,7 @@ from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
-from hilcell.compensation.programs import load_program, setting_tool
+from hilcell.compensation.programs import load_program
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram, writer_of
 from hilcell.geometry.kinematics import forward
@@ -177,18 +177,15 @@ def test_only_the_targets_of_a_program_change(tmp_path: Path) -> None:
     assert found[1:5] == PROGRAM.splitlines()[:4]
     assert found[5] == "MovePose(1730.0000, 400.0000, 900.0000, 0.0000, 75.0000, 0.0000)   // above"
     assert found[6] == "MoveLin(1780.0000, 400.00001, 900.0000, 10.0000, 75.0000, -20.0000)"
-    setting = setting_tool(program)
-    assert setting is not None
-    assert setting.tool is not None
-    assert setting.tool.where == "panel.MXPROG line 3"
-    assert tip_of_program(CELL, "", setting.tool, None, source.name).name == "reflector"
+    assert program.tool is not None
+    assert program.tool.where == "panel.MXPROG line 3"
+    assert tip_of_program(CELL, "", program.tool, None, source.name).name == "reflector"
     (tmp_path / "other.mxprog").write_text(PROGRAM.replace("98", "97"))
     other = load_program(tmp_path / "other.mxprog")
-    setting = setting_tool(other)
-    assert setting is not None
-    assert setting.tool is not None
+    assert other is not None
+    assert other.tool is not None
     with pytest.raises(SettingsError, match="line 3"):
-        tip_of_program(CELL, "", setting.tool, None, source.name)
+        tip_of_program(CELL, "", other.tool, None, source.name)
 
 
 @pytest.mark.parametrize(
