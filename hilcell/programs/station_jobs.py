@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import Self
 
@@ -103,6 +103,31 @@ class StationJob:
             yield each[:, :3] - moved_mm, each[:, :3]
 
     @property
+    def named(self) -> str:
+        """Return what is chosen on the controller: the program, or the list where there is none."""
+        return next((Path(name).stem for name in self.program), self.file)
+
+    @property
+    def largest_mm(self) -> float | None:
+        """Return the largest bound, None where none can be stated."""
+        return max(self.targets.bounds95_mm or [], default=None)
+
+    def holes(self, *, bounds: bool, turns: bool) -> Table:
+        """Return its holes for the sheet, in order: nominal places in {W}, and what is known."""
+        nominal_mm, targets = self.plan.poses[:, :3], self.targets
+        moved_mm = lengths_mm(targets.command[:, :3] - nominal_mm)
+        columns = [
+            Column("hole", self.plan.holes.__getitem__),
+            *(Column(axis, nominal_mm[:, n].item, "mm", ".2f") for n, axis in enumerate("xyz")),
+            Column("corrected by", moved_mm.item, "mm", ".3f"),
+        ]
+        if bounds and targets.bounds95_mm is not None:
+            columns.append(Column("95 % bound", targets.bounds95_mm.__getitem__, "mm", ".3f"))
+        if turns and targets.turns_deg is not None:
+            columns.append(Column("95 % bound", targets.turns_deg.item, "°", ".4f"))
+        return Table(columns, range(len(nominal_mm)))
+
+    @property
     def facts(self) -> dict[str, object]:
         """Return its part of the summary; bounds are None where none can be stated."""
         bounds_mm, turns_deg = self.targets.bounds95_mm, self.targets.turns_deg
@@ -119,7 +144,7 @@ class StationJob:
             "travel_mm": self.plan.travel_mm,
             "standoff_mm": self.standoff_mm,
             "bound95_median_mm": None if bounds_mm is None else float(np.median(bounds_mm)),
-            "bound95_max_mm": None if bounds_mm is None else max(bounds_mm),
+            "bound95_max_mm": self.largest_mm,
             **turned,
         }
 
@@ -258,7 +283,7 @@ class StationJobs:
                 each.plan.station.name,
                 each.plan.station.rail_mm,
                 len(each.plan.holes),
-                max(each.targets.bounds95_mm or [], default=None),
+                each.largest_mm,
                 each.file,
                 " ".join(each.program),
             )
@@ -296,7 +321,7 @@ class StationJobs:
                 "digits and underscores in the first 24 characters"
             )
         summary = msgspec.json.format(msgspec.json.encode(self.summary), indent=1) + b"\n"
-        files += [(SUMMARY, summary), (SHEET, sheet_html(self.sheet()).encode())]
+        files += [(SUMMARY, summary), (SHEET, self.sheet().encode())]
         self._make(folder)
         write_together(
             {folder / name: content for name, content in files},
@@ -320,25 +345,39 @@ class StationJobs:
             *released.notes(),
         ]
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> str:
+        """Return the drilling sheet; a bound is on it where every station states one."""
         made = self.released.calibration.provenance
         count, places = sum(len(each.plan.holes) for each in self.stations), len(self.stations)
         bounds = [each.targets.bounds for each in self.stations]
-        return Sheet(
+        no_bounds = next((each.reason for each in bounds if isinstance(each, NoBound)), "")
+        within_mm = self.cell.rail.strip_tolerance_mm
+        turns = all(each.targets.turns_deg is not None for each in self.stations)
+        page = environment("hilcell.programs").get_template("sheet.html.j2")
+        return page.render(
+            version=__version__,
             title=f"Drilling sheet: {counted(count, 'hole')} at {counted(places, 'station')}",
             simulated=made.simulated,
             has_rail=self.cell.has_rail,
             facts=self._facts(),
             checks=self._checks(),
-            stations=[self._sheet_of(each) for each in self.stations],
-            no_bounds=next((each.reason for each in bounds if isinstance(each, NoBound)), ""),
+            jobs=[
+                (
+                    each,
+                    each.holes(bounds=not no_bounds, turns=turns),
+                    f"{each.plan.station.strip_mm:.2f} ± {within_mm:.2f}",
+                )
+                for each in self.stations
+            ],
+            no_bounds=no_bounds,
+            has_turns=turns,
             warnings=[
                 *(note for note in self.released.notes() if "SIMULATED" not in note),
                 *self.unknown_drill,
                 *bounded(self.twins),
             ],
             invalid=[f"air outside of {self._air}", f"the time after {self._until}", *INVALID],
-            footer=f"calibration {made.latest}, holes {self.source.name}",
+            footer=css_text(f"calibration {made.latest}, holes {self.source.name}"),
         )
 
     def _facts(self) -> list[tuple[str, str]]:
@@ -418,27 +457,6 @@ class StationJobs:
         except OverflowError:
             return "any day"
 
-    def _sheet_of(self, job: StationJob) -> SheetStation:
-        nominal, nothing = job.plan.poses[:, :3], [None] * len(job.plan.holes)
-        turns_deg = job.targets.turns_deg
-        columns = (
-            job.plan.holes,
-            nominal.tolist(),
-            lengths_mm(job.targets.command[:, :3] - nominal).tolist(),
-            job.targets.bounds95_mm or nothing,
-            nothing if turns_deg is None else turns_deg.tolist(),
-        )
-        holes = [
-            SheetHole(name, (x, y, z), moved_mm, bound_mm, turn_deg)
-            for name, (x, y, z), moved_mm, bound_mm, turn_deg in zip(*columns, strict=True)
-        ]
-        station = job.plan.station
-        return SheetStation(
-            station.name, station.rail_mm, station.strip_mm, self.cell.rail.strip_tolerance_mm,
-            next((Path(name).stem for name in job.program), job.file), [*job.program, job.file],
-            holes, job.stroke,
-        )  # fmt: skip
-
     @staticmethod
     def _make(folder: Path) -> None:
         """Make a folder, or take an empty one: another job's files would be taken for these."""
@@ -454,97 +472,9 @@ class StationJobs:
             raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
 
 
-@dataclass(frozen=True, slots=True)
-class SheetHole:
-    """A hole: nominal place (mm, {W}), its correction, 95 % bounds of place and turn, or None."""
-
-    name: str
-    place_mm: tuple[float, float, float]
-    correction_mm: float
-    bound95_mm: float | None
-    turn95_deg: float | None = None
-
-
-HOLES: tuple[Column[SheetHole], ...] = (
-    Column("hole", attrgetter("name")),
-    Column("x", lambda hole: hole.place_mm[0], "mm", ".2f"),
-    Column("y", lambda hole: hole.place_mm[1], "mm", ".2f"),
-    Column("z", lambda hole: hole.place_mm[2], "mm", ".2f"),
-    Column("corrected by", attrgetter("correction_mm"), "mm", ".3f"),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class SheetStation:
-    """A station: where the slide is held, by the strip, and the holes there in order of visit.
-
-    ``program`` is what is chosen on the controller, or the list where there is none; ``remark``
-    says in words what comes on top of the bounds.
-    """
-
-    name: str
-    rail_mm: float
-    strip_mm: float
-    strip_tolerance_mm: float
-    program: str
-    files: Sequence[str]
-    holes: Sequence[SheetHole]
-    remark: str = ""
-
-    @property
-    def largest_mm(self) -> float | None:
-        """Return the largest bound, None where none can be stated."""
-        bounds = [hole.bound95_mm for hole in self.holes]
-        stated = [bound for bound in bounds if bound is not None]
-        return max(stated) if stated and len(stated) == len(bounds) else None
-
-
-@dataclass(frozen=True, slots=True)
-class Sheet:
-    """The content of the sheet; ``facts``, ``checks`` and ``invalid`` are words for it, in order.
-
-    ``no_bounds`` says why no bounds are stated, "" where they are. ``footer`` stands on each page
-    in print.
-    """
-
-    title: str
-    simulated: bool
-    has_rail: bool
-    facts: Sequence[tuple[str, str]]
-    checks: Sequence[str]
-    stations: Sequence[SheetStation]
-    no_bounds: str
-    warnings: Sequence[str]
-    invalid: Sequence[str]
-    footer: str = ""
-
-    BOUND = Column[SheetHole]("95 % bound", attrgetter("bound95_mm"), "mm", ".3f")
-
-    TURN = Column[SheetHole]("95 % bound", attrgetter("turn95_deg"), "°", ".4f")
-
-    @property
-    def has_turns(self) -> bool:
-        """Return whether every hole has a bound of its orientation."""
-        return all(hole.turn95_deg is not None for each in self.stations for hole in each.holes)
-
-    def holes(self, station: SheetStation) -> Table:
-        """Return the table of a station, without bounds that nobody states."""
-        columns = [
-            *HOLES,
-            *([] if self.no_bounds else [self.BOUND]),
-            *([self.TURN] if self.has_turns else []),
-        ]
-        return Table(columns, station.holes)
-
-    @property
-    def footer_css(self) -> str:
-        """Return the footer as the inside of a CSS string: no character acts there."""
-        return "".join(
-            each if each.isascii() and each.isalnum() else f"\\{ord(each):06x}"
-            for each in harmless(self.footer)
-        )
-
-
-def sheet_html(sheet: Sheet) -> str:
-    page = environment("hilcell.programs").get_template("sheet.html.j2")
-    return page.render(sheet=sheet, version=__version__)
+def css_text(text: str) -> str:
+    """Return words as the inside of a CSS string: no character acts there."""
+    return "".join(
+        each if each.isascii() and each.isalnum() else f"\\{ord(each):06x}"
+        for each in harmless(text)
+    )
