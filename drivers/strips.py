@@ -7,20 +7,21 @@ missing magnet does, and a reading that needs it raises `StripLost`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import astuple
+from functools import reduce
+from operator import or_
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen import cia, rail_setup
+from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, open_bus
-from drivers.canopen.cia import NMT, NodeCommand
-from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.process_image import Inbox, strip_mapping, strip_values
-from drivers.canopen.rail_setup import Expected
-from drivers.canopen.sdo import open_channel
+from drivers.canopen.cia import NodeObject
+from drivers.canopen.nodes import Expected, Node, doubts_sensor, start_nodes
+from drivers.canopen.process_image import Inbox, Pdo, Transmission
+from drivers.canopen.sdo import ABSENT, Aborted
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.device_errors import STRIP
 from drivers.supervision import Patience, on_failure
@@ -35,7 +36,7 @@ LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
 
 CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more
 Positive = Annotated[float, Meta(gt=0)]
-Node = Annotated[int, Meta(ge=1, le=127)]
+NodeNumber = Annotated[int, Meta(ge=1, le=127)]
 U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
@@ -48,7 +49,7 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     serial: U32 = 0  # of the sensor; 0: any
     interface: Interface = "slcan"  # from here on: of a CAN bus
     bitrate: int = 500_000
-    node: Node = 6
+    node: NodeNumber = 6
     vendor: U32 = 0x484
     product: U32 = 0x406
 
@@ -165,6 +166,78 @@ class SerialStrip:
         return clean(text)
 
 
+class StripNode(Node):
+    """A strip sensor by CiA 406, on the drive's bus or on one of its own."""
+
+    def __init__(self, link: CanLink, options: StripOptions, check: Callable[[], None]) -> None:
+        o, objects = options, (cia.StripObject.POSITION, cia.StripObject.ALARMS)
+        expected = Expected("strip", o.node, cia.STRIP_PROFILE, o.vendor, o.product, o.serial)
+        super().__init__(link, expected, check, in_pdo=cia.SENSOR_ERRORS)
+        self.pdo = Pdo(0x1800, 0x180 + o.node, Transmission.EVERY_SYNC, objects, "<iH")
+        self._counts_per_mm = o.counts_per_mm
+        self._speaks = True  # it has alarms of its own
+
+    def identify(self, address: str) -> Identity:
+        """Wait for the sensor and compare it, and its step, with the cell file."""
+        identity = super().identify(address)
+        self._check_step()
+        return identity
+
+    def _check_step(self) -> None:
+        """Refuse a strip whose step, where it tells one, is not that of the cell file."""
+        wanted_nm = cia.step_nm(self._counts_per_mm)
+        for found_nm, where in (
+            (self._step(), "6005h"),
+            (self.sdo.read_if_present(cia.StripObject.POSITION_STEP), "6501h"),
+        ):
+            if found_nm is not None and found_nm != wanted_nm:
+                raise STRIP.refused(
+                    "HC-S07",
+                    "connect",
+                    f"strip step ({where}) is {found_nm} nm",
+                    wanted=f"{wanted_nm} nm",
+                    step_nm=found_nm,
+                    wanted_nm=wanted_nm,
+                )
+
+    def _step(self) -> int | None:
+        """Return 6005h: sub-index 1 of an array, or the plain value."""
+        step = self.sdo.read_if_present(cia.StripObject.MEASURING_STEP, 1)
+        if step is not None:
+            return step
+        try:
+            return int.from_bytes(self.sdo.read_bytes(cia.StripObject.MEASURING_STEP, 0), "little")
+        except Aborted as error:
+            if error.abort_code not in ABSENT:
+                raise
+            return None
+
+    def map(self, inbox: Inbox) -> None:
+        """Configure its PDO, for ``inbox``: without the alarms where it has no 6503h.
+
+        Then, or where 6503h never has a position error (6504h), its emergencies have them; one
+        that was sent before is still in the error register.
+        """
+        self.pdo, whole = self.pdo.configure_most(self.sdo), self.pdo
+        inbox.expect(self.pdo)
+        supported = self.sdo.read_if_present(cia.StripObject.SUPPORTED_ALARMS)
+        silent = supported is not None and not supported & cia.POSITION_ERROR
+        self._speaks = not silent and self.pdo is whole
+        self.sensor_fails = not self._speaks and doubts_sensor(
+            self.sdo.read(NodeObject.ERROR_REGISTER)
+        )
+
+    def values(self, values: Mapping[int, tuple[int, ...]]) -> tuple[int, int]:
+        """Return counts and alarms of a SYNC, of which ``values`` came by identifier.
+
+        Where 6503h is absent or says none, emergencies are the alarms.
+        """
+        counts, *alarms = values[self.pdo.cob_id]
+        if not self._speaks and self.sensor_fails:
+            alarms.append(cia.POSITION_ERROR)
+        return counts, reduce(or_, alarms, 0)
+
+
 class CanopenStrip:
     """A sensor by CiA 406, on a CAN bus that is not the drive's.
 
@@ -176,9 +249,8 @@ class CanopenStrip:
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
-        self._pdo = strip_mapping(options.node)
         self._link: CanLink | None = None
-        self._watch: NodeWatch | None = None
+        self._node: StripNode | None = None
         self._inbox: Inbox | None = None
         self._statistics = LinkStatistics()
 
@@ -193,14 +265,14 @@ class CanopenStrip:
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC that is sent now."""
-        inbox, watch = STRIP.connected(self._inbox), STRIP.connected(self._watch)
+        inbox, node = STRIP.connected(self._inbox), STRIP.connected(self._node)
 
         def look() -> None:
             check()
-            watch.check("strip")
+            node.check("strip")
 
         look()
-        return strip_values(inbox.refresh(look)[0][self._pdo.cob_id], watch)
+        return node.values(inbox.refresh(look)[0])
 
     def alarm_text(self, alarms: int) -> str:
         """Return the bits of 6503h in words."""
@@ -212,35 +284,23 @@ class CanopenStrip:
 
     def close(self) -> None:
         link, self._link = self._link, None
-        self._watch = self._inbox = None
+        self._node = self._inbox = None
         if link is not None:
             self._statistics = link.statistics()
             link.close()
 
     def _set_up(self, link: CanLink) -> Identity:
-        options, check = self._options, self._clock.check
-        sdo = open_channel(link, options.node, "strip.eds", check)
-        watch = NodeWatch(link, options.node, in_pdo=cia.SENSOR_ERRORS)
-        inbox = Inbox(link, (self._pdo,), self.SYNCS)
-        expected = Expected(
-            "strip",
-            options.node,
-            cia.STRIP_PROFILE,
-            options.vendor,
-            options.product,
-            options.serial,
-        )
-        device_type = rail_setup.find_node(link, sdo, expected, check)
-        identity = rail_setup.identify(sdo, expected, device_type, options.channel)
-        rail_setup.check_strip_step(sdo, options.counts_per_mm)
-        watch.begin_set_up()
-        link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, options.node)))
-        rail_setup.set_heartbeat(sdo, options.bitrate)
-        inbox.expect(rail_setup.map_strip(sdo, self._pdo, watch))
-        rail_setup.start_nodes(link, (watch,), check)
-        watch.check("connect")
-        watch.arm()
-        self._watch, self._inbox = watch, inbox
+        options = self._options
+        node = StripNode(link, options, self._clock.check)
+        inbox = Inbox(link, (node.pdo,), self.SYNCS)
+        identity = node.identify(options.channel)
+        node.begin_set_up()
+        node.set_heartbeat(options.bitrate)
+        node.map(inbox)
+        start_nodes(link, (node,), self._clock.check)
+        node.check("connect")
+        node.arm()
+        self._node, self._inbox = node, inbox
         return identity
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from campaigns.faults.cell import ThreadedCell
 from campaigns.faults.phases import Event
-from drivers.canopen import drive, rail_setup
+from drivers.canopen import drive, nodes
 from drivers.kuka import robot as kuka_robot
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.errors import HilcellError
@@ -32,7 +32,7 @@ QUICK = {
 
 
 SHORT: tuple[tuple[object, str, float], ...] = (
-    (rail_setup, "FIND_S", 0.5),
+    (nodes, "FIND_S", 0.5),
     (drive.Drive, "STALL_S", 1.0),
     (kuka_robot, "STALL_S", 1.0),
     (kuka_robot, "REST_S", 1.0),

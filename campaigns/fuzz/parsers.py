@@ -22,7 +22,7 @@ from campaigns.fuzz.wire_parsers import WIRE_PARSERS
 from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import NodeState
-from drivers.canopen.node_watch import NodeWatch
+from drivers.canopen.nodes import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.kuka import krl, robot_c3

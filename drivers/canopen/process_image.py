@@ -14,16 +14,13 @@ from __future__ import annotations
 import math
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import reduce
-from operator import or_
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import Control, Object, State
-from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL
 from drivers.standstill import Poll
@@ -45,22 +42,24 @@ class Transmission(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
-    """One PDO: its parameter objects, identifier, transmission type and mapped objects."""
+class Pdo:
+    """One PDO; its mapping (16xxh or 1Axxh) stands 200h above its ``parameters``."""
 
     DISABLED, NO_RTR = 1 << 31, 1 << 30
 
-    communication: int  # 14xxh or 18xxh
-    mapping: int  # 16xxh or 1Axxh
+    parameters: int  # 14xxh or 18xxh
     cob_id: int
     transmission: int
-    entries: tuple[tuple[int, int], ...]  # object, bits
-    layout: struct.Struct
+    objects: tuple[int, ...]
+    layout: str  # of their values, as `struct` knows it
 
-    def shorter(self) -> Mapping:
+    def values(self, data: bytes | bytearray) -> tuple[int, ...]:
+        """Return the objects' values; raises `struct.error` for a truncated frame."""
+        return struct.unpack(self.layout, data)
+
+    def shorter(self) -> Pdo:
         """Return the same PDO without its last object."""
-        layout = struct.Struct(self.layout.format[:-1])
-        return replace(self, entries=self.entries[:-1], layout=layout)
+        return replace(self, objects=self.objects[:-1], layout=self.layout[:-1])
 
     def configure(self, sdo: SdoChannel) -> None:
         """Write it in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
@@ -69,8 +68,7 @@ class Mapping:
         remote frames) stays as found: devices that know none refuse to have it cleared. Raises
         `Unsupported`.
         """
-        what = f"PDO of {self._objects} with identifier {self.cob_id:03X}h"
-        parameters = self.communication
+        what, parameters = f"{self._what} with identifier {self.cob_id:03X}h", self.parameters
         try:
             held = sdo.read(parameters, 1)
         except Aborted as refusal:
@@ -89,7 +87,7 @@ class Mapping:
         if fixed is None:
             sdo.require(parameters, 1, cob_id, what)
 
-    def configure_most(self, sdo: SdoChannel) -> Mapping:
+    def configure_most(self, sdo: SdoChannel) -> Pdo:
         """Configure it, or the `shorter` one of a device that does not support it; return which."""
         try:
             self.configure(sdo)
@@ -101,43 +99,44 @@ class Mapping:
 
     def _map(self, sdo: SdoChannel) -> None:
         """Write the mapped objects; a device that refuses may have the same already."""
-        coded = [index << 16 | bits for index, bits in self.entries]
-        try:
-            sdo.write(self.mapping, 0, 0)
-            for sub, value in enumerate(coded, start=1):
-                sdo.write(self.mapping, sub, value)
-            sdo.write(self.mapping, 0, len(coded))
-        except Aborted as refusal:
-            same = sdo.read(self.mapping, 0) == len(coded) and all(
-                sdo.read(self.mapping, sub) == value for sub, value in enumerate(coded, start=1)
+        mapping, count = self.parameters + 0x200, len(self.objects)
+        coded = [
+            (sub, index << 16 | 8 * struct.calcsize(f"<{kind}"))
+            for sub, index, kind in zip(
+                range(1, count + 1), self.objects, self.layout[1:], strict=True
             )
+        ]
+        try:
+            for sub, value in ((0, 0), *coded, (0, count)):
+                sdo.write(mapping, sub, value)
+        except Aborted as refusal:
+            same = all(sdo.read(mapping, sub) == value for sub, value in ((0, count), *coded))
             if not same:
-                what = f"{self.mapping:04X}h (PDO of {self._objects})"
-                raise Unsupported(refusal, what) from refusal
+                raise Unsupported(refusal, f"{mapping:04X}h ({self._what})") from refusal
 
     @property
-    def _objects(self) -> str:
-        return " and ".join(f"{index:04X}h" for index, _ in self.entries)
+    def _what(self) -> str:
+        return "PDO of " + " and ".join(f"{index:04X}h" for index in self.objects)
 
 
 class Inbox:
     """The last values of some TPDOs, and how often and when each came."""
 
-    def __init__(self, link: CanLink, pdos: tuple[Mapping, ...], syncs: int = SYNCS) -> None:
+    def __init__(self, link: CanLink, pdos: Iterable[Pdo], syncs: int = SYNCS) -> None:
         self._link, self._syncs = link, syncs
         self._changed = threading.Condition()
-        self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
+        self._pdos = {pdo.cob_id: pdo for pdo in pdos}
         self._values: dict[int, tuple[int, ...]] = {}
-        self._count = dict.fromkeys(self._layouts, 0)
-        self._owed = dict.fromkeys(self._layouts, 0)  # SYNCs without an answer so far
-        self._arrived_s = dict.fromkeys(self._layouts, 0.0)
+        self._count = dict.fromkeys(self._pdos, 0)
+        self._owed = dict.fromkeys(self._pdos, 0)  # SYNCs without an answer so far
+        self._arrived_s = dict.fromkeys(self._pdos, 0.0)
         self._heard_s = 0.0  # of link time
-        for cob_id in self._layouts:
+        for cob_id in self._pdos:
             link.subscribe(cob_id, self._on_pdo)
 
-    def expect(self, pdo: Mapping) -> None:
+    def expect(self, pdo: Pdo) -> None:
         """Take a PDO of this inbox as it is mapped in this device."""
-        self._layouts[pdo.cob_id] = pdo.layout
+        self._pdos[pdo.cob_id] = pdo
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
         """Send SYNC; return all values by identifier and since when the oldest may be true.
@@ -202,7 +201,7 @@ class Inbox:
                 self._changed.wait(POLL_S)
 
     def _on_pdo(self, cob_id: int, data: bytearray, _at_s: float) -> None:
-        values = self._layouts[cob_id].unpack(data)  # a truncated frame is no reading
+        values = self._pdos[cob_id].values(data)  # a truncated frame is no reading
         with self._changed:
             self._values[cob_id] = values
             self._count[cob_id] += 1
@@ -255,72 +254,48 @@ class ProcessImage:
         self,
         link: CanLink,
         drive_node: int,
-        strip_node: int,
-        other_strip: Callable[[Callable[[], None]], tuple[int, int]] | None = None,
-        strip_watch: NodeWatch | None = None,
+        read_strip: Callable[[Mapping[int, tuple[int, ...]], Callable[[], None]], tuple[int, int]],
+        strip: Pdo | None = None,
     ) -> None:
-        """``other_strip`` returns counts and alarms of a strip that is not on this bus.
+        """``read_strip`` returns the strip's counts and alarms, of a SYNC's values by identifier.
 
-        ``strip_watch`` knows the alarms of a strip on it that has no object for them.
+        ``strip`` is its PDO on this bus; without one it is asked, with a check for each wait.
         """
-        self._link = link
+        self._link, self._read_strip = link, read_strip
         self._lock = threading.Lock()
         self._stopped = False
         self._target = 0
         self._taken_s = -math.inf
-        self.status = Mapping(
-            0x1800,
-            0x1A00,
-            0x180 + drive_node,
-            Transmission.EVERY_SYNC,
-            ((Object.STATUSWORD, 16), (Object.POSITION_ACTUAL, 32)),
-            struct.Struct("<Hi"),
-        )
-        self.motion = Mapping(
-            0x1801,
-            0x1A01,
-            0x280 + drive_node,
-            Transmission.EVERY_SYNC,
-            ((Object.VELOCITY_ACTUAL, 32), (Object.MODE_DISPLAY, 8)),
-            struct.Struct("<ib"),
-        )
-        self.command = Mapping(
-            0x1400,
-            0x1600,
-            0x200 + drive_node,
-            Transmission.ON_EVENT,
-            ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32)),
-            struct.Struct("<Hi"),
-        )
-        self.strip = strip_mapping(strip_node)
-        self._other_strip, self._strip_watch = other_strip, strip_watch
-        pdos = (self.status, self.motion)
-        self._inbox = Inbox(link, pdos if other_strip else (*pdos, self.strip))
+        status = (Object.STATUSWORD, Object.POSITION_ACTUAL)
+        motion = (Object.VELOCITY_ACTUAL, Object.MODE_DISPLAY)
+        command = (Object.CONTROLWORD, Object.TARGET_POSITION)
+        self.status = Pdo(0x1800, 0x180 + drive_node, Transmission.EVERY_SYNC, status, "<Hi")
+        self.motion = Pdo(0x1801, 0x280 + drive_node, Transmission.EVERY_SYNC, motion, "<ib")
+        self.command = Pdo(0x1400, 0x200 + drive_node, Transmission.ON_EVENT, command, "<Hi")
+        self.inbox = Inbox(link, [self.status, self.motion, *([strip] if strip else [])])
+
+    def configure(self, sdo: SdoChannel) -> None:
+        """Map the drive's PDOs; it may have none for 6061h."""
+        self.status.configure(sdo)
+        self.motion = self.motion.configure_most(sdo)
+        self.inbox.expect(self.motion)
+        self.command.configure(sdo)
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:
         """Return the values of drive and strip at a SYNC sent now."""
-        values, taken_s = self._inbox.refresh(check)
+        values, taken_s = self.inbox.refresh(check)
         statusword, position = values[self.status.cob_id]
         velocity, mode, *_ = *values[self.motion.cob_id], NO_MODE
-        if self._other_strip is None:
-            strip, alarms = strip_values(values[self.strip.cob_id], self._strip_watch)
-        else:
-            strip, alarms = self._other_strip(check)
+        strip, alarms = self._read_strip(values, check)
         self._taken_s = taken_s
         return Snapshot.of(
             statusword, position, velocity, strip=strip, alarms=alarms, taken_s=taken_s, mode=mode
         )
 
-    def take(self, pdo: Mapping) -> None:
-        """Take a PDO that may lack an object, as the device has mapped it."""
-        if pdo.cob_id == self.motion.cob_id:
-            self.motion = pdo
-        self._inbox.expect(pdo)
-
     @property
     def shows_mode(self) -> bool:
         """Whether the mode is part of it; it is `NO_MODE` where 6061h cannot be mapped."""
-        return len(self.motion.entries) > 1
+        return len(self.motion.objects) > 1
 
     def control(self, controlword: int, target: int | None = None) -> None:
         """Send a control word, with the target position in counts where it matters.
@@ -366,24 +341,5 @@ class ProcessImage:
         return self._stopped
 
     def _send(self, controlword: int) -> None:
-        self._link.send(self.command.cob_id, self.command.layout.pack(controlword, self._target))
-
-
-def strip_mapping(node: int) -> Mapping:
-    """Return TPDO1 of a strip sensor: its counts and alarms."""
-    return Mapping(
-        0x1800,
-        0x1A00,
-        0x180 + node,
-        Transmission.EVERY_SYNC,
-        ((cia.StripObject.POSITION, 32), (cia.StripObject.ALARMS, 16)),
-        struct.Struct("<iH"),
-    )
-
-
-def strip_values(values: tuple[int, ...], watch: NodeWatch | None) -> tuple[int, int]:
-    """Return counts and alarms; where 6503h is absent or says none, emergencies are the alarms."""
-    counts, *alarms = values
-    if watch is not None and watch.speaks_for_sensor:
-        alarms.append(cia.POSITION_ERROR if watch.sensor_fails else 0)
-    return counts, reduce(or_, alarms, 0)
+        data = struct.pack(self.command.layout, controlword, self._target)
+        self._link.send(self.command.cob_id, data)

@@ -16,14 +16,20 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen import cia, rail_setup
+from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
-from drivers.canopen.cia import NMT, Control, NodeCommand, NodeObject, NodeState, Object, State
+from drivers.canopen.cia import Control, NodeCommand, NodeObject, NodeState, Object, State
 from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
-from drivers.canopen.node_watch import NodeWatch
+from drivers.canopen.nodes import (
+    HOMING_SLOW_MM_S,
+    Expected,
+    Node,
+    homing_s,
+    set_up_drive,
+    start_nodes,
+)
 from drivers.canopen.process_image import ProcessImage, Snapshot
-from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.device_errors import RAIL
@@ -31,9 +37,10 @@ from drivers.standstill import READINGS, Rest, Standstill, Windows, check_travel
 from drivers.strips import (
     U32,
     CountsPerMm,
-    Node,
+    NodeNumber,
     Positive,
     StripFeed,
+    StripNode,
     StripOptions,
     strip_of,
     summed,
@@ -61,9 +68,9 @@ class CanopenRail:
         acceleration_mm_s2: Positive
         interface: Interface = "slcan"
         bitrate: int = 500_000
-        drive_node: Node = 5
-        strip_node: Node = 6
-        heartbeat_node: Node = 127
+        drive_node: NodeNumber = 5
+        strip_node: NodeNumber = 6
+        heartbeat_node: NodeNumber = 127
         counts_per_mm: Positive = 1000.0
         strip_counts_per_mm: CountsPerMm = 100.0
         drive_vendor: U32 = 0x484
@@ -100,10 +107,42 @@ class CanopenRail:
         self._drive: Drive | None = None
         self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._held_by_sdo = 0
-        self._watches: tuple[NodeWatch, ...] = ()
+        self._nodes: tuple[Node, ...] = ()
         self._feed: StripFeed | None = None  # of a strip that is not on the bus
         if options.strip is not None:
             self._feed = StripFeed(strip_of(options.strip, clock))
+        self._strip = options.strip or StripOptions(
+            driver="canopen",
+            channel=options.channel,
+            counts_per_mm=options.strip_counts_per_mm,
+            serial=options.strip_serial,
+            interface=options.interface,
+            bitrate=options.bitrate,
+            node=options.strip_node,
+            vendor=options.strip_vendor,
+            product=options.strip_product,
+        )
+        scale, of_strip = options.counts_per_mm, self._strip.counts_per_mm
+        self._limits = Limits(
+            counts_per_mm=scale,
+            strip_counts_per_mm=of_strip,
+            strip_at_sync=options.strip is None,
+            lowest=round((options.travel_min_mm - SLACK_MM) * scale),
+            highest=round((options.travel_max_mm + SLACK_MM) * scale),
+            speed=options.speed_mm_s * scale,
+            acceleration=options.acceleration_mm_s2 * scale,
+            homing_s=homing_s(
+                travel_mm=options.travel_max_mm - options.travel_min_mm,
+                speed_mm_s=min(options.speed_mm_s, options.homing_mm_s),
+            ),
+            window=max(1, round(self.WINDOW_MM * scale)),
+            windows=Windows(
+                speed=max(1.0, options.standstill_speed_mm_s * scale),
+                spread=max(2, round(options.standstill_window_mm * scale)),
+                strip_spread=strip_spread(of_strip),
+                dwell_s=options.standstill_dwell_s,
+            ),
+        )
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -120,7 +159,7 @@ class CanopenRail:
         ramp has ended behind the edge.
         """
         options, drive = self._options, self._used()
-        past_mm = rail_setup.HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
+        past_mm = HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
         self._move(lambda: drive.home(round((self.WINDOW_MM + past_mm) * options.counts_per_mm)))
 
     def move_to(self, position_mm: float) -> None:
@@ -161,34 +200,41 @@ class CanopenRail:
     # -- connecting ---------------------------------------------------------------------------
 
     def _set_up(self, link: CanLink) -> list[Identity]:
-        options = self._options
-        check = self._clock.check
-        drive_sdo = open_channel(link, options.drive_node, "drive.eds", check)
-        strip_sdo, of_strip, feed = None, None, self._feed
-        self._watches = (NodeWatch(link, options.drive_node),)
+        o, check, feed = self._options, self._clock.check, self._feed
+        expected = Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
+                            o.drive_serial)  # fmt: skip
+        drive_node = Node(link, expected, check)
+        strip: StripNode | None = None
+        self._nodes = (drive_node,)
         if feed is None:
-            strip_sdo = open_channel(link, options.strip_node, "strip.eds", check)
-            of_strip = NodeWatch(link, options.strip_node, in_pdo=cia.SENSOR_ERRORS)
-            self._watches = (*self._watches, of_strip)
-        nodes = (options.drive_node, options.strip_node)
-        image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
+            strip = StripNode(link, self._strip, check)
+            self._nodes = (drive_node, strip)
+            image = ProcessImage(
+                link, o.drive_node, lambda values, _: strip.values(values), strip.pdo
+            )
+        else:
+            image = ProcessImage(link, o.drive_node, lambda _, check: feed.poll(check))
         supervision = Supervision(RAIL, "HC-R39", self._clock, self.LATE_S)
-        identities = self._identify(link, drive_sdo, strip_sdo)
+        identities = [node.identify(o.channel) for node in self._nodes]
         if feed is not None:
             identities.append(feed.connect())
-        for watch in self._watches:
-            watch.begin_set_up()
         try:
-            self._configure(link, drive_sdo, strip_sdo, image, supervision)
+            self._configure(link, drive_node, strip, image, supervision)
         except DeviceError:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
-        limits = self._limits()
-        text = cia.alarm_text if feed is None else feed.alarm_text
-        drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision, text)
+        drive = Drive(
+            image,
+            drive_node.sdo,
+            self._clock,
+            self._limits,
+            self._check_nodes,
+            supervision,
+            cia.alarm_text if feed is None else feed.alarm_text,
+        )
         drive.reset_fault()
-        for watch in self._watches:
-            watch.arm()
+        for node in self._nodes:
+            node.arm()
         drive.disable("connect")
         self._image, self._drive, self._held_by_sdo = image, drive, 0
         return identities
@@ -196,88 +242,26 @@ class CanopenRail:
     def _configure(
         self,
         link: CanLink,
-        drive_sdo: SdoChannel,
-        strip_sdo: SdoChannel | None,
+        drive: Node,
+        strip: StripNode | None,
         image: ProcessImage,
         supervision: Supervision,
     ) -> None:
         """Set both nodes up and start them; raises `DeviceError`."""
         options = self._options
-        for watch in self._watches:
-            link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, watch.node)))
+        for node in self._nodes:
+            node.begin_set_up()
         period_s = heartbeat_period_s(options.bitrate)
         link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
-        rail_setup.set_heartbeat(drive_sdo, options.bitrate)
-        rail_setup.apply(
-            drive_sdo,
-            rail_setup.drive_settings(
-                pc_node=options.heartbeat_node,
-                counts_per_mm=options.counts_per_mm,
-                speed_mm_s=options.speed_mm_s,
-                acceleration_mm_s2=options.acceleration_mm_s2,
-                homing_mm_s=options.homing_mm_s,
-            ),
-        )
-        limits = self._limits()
-        rail_setup.set_quick_stop(drive_sdo, round(limits.acceleration))
-        windows = rail_setup.window_settings(
-            arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
-        )
-        rail_setup.apply(drive_sdo, windows)
-        if strip_sdo is not None:
-            rail_setup.set_heartbeat(strip_sdo, options.bitrate)
-        image.status.configure(drive_sdo)
-        image.take(image.motion.configure_most(drive_sdo))
-        image.command.configure(drive_sdo)
-        if strip_sdo is not None:
-            image.take(rail_setup.map_strip(strip_sdo, image.strip, self._watches[-1]))
-        rail_setup.start_nodes(link, self._watches, self._clock.check)
+        drive.set_heartbeat(options.bitrate)
+        set_up_drive(drive.sdo, self._limits, options.heartbeat_node, options.homing_mm_s)
+        if strip is not None:
+            strip.set_heartbeat(options.bitrate)
+        image.configure(drive.sdo)
+        if strip is not None:
+            strip.map(image.inbox)
+        start_nodes(link, self._nodes, self._clock.check)
         self._check_nodes("connect")
-
-    def _identify(
-        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel | None
-    ) -> list[Identity]:
-        o = self._options
-        found = []
-        for sdo, expected in (
-            (drive_sdo, Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
-                                 o.drive_serial)),
-            (strip_sdo, Expected("strip", o.strip_node, cia.STRIP_PROFILE, o.strip_vendor,
-                                 o.strip_product, o.strip_serial)),
-        ):  # fmt: skip
-            if sdo is None:
-                continue  # it is not on this bus
-            device_type = rail_setup.find_node(link, sdo, expected, self._clock.check)
-            found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
-        if strip_sdo is not None:
-            rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
-        return found
-
-    def _limits(self) -> Limits:
-        options, scale = self._options, self._options.counts_per_mm
-        of_strip = options.strip_counts_per_mm
-        if options.strip is not None:
-            of_strip = options.strip.counts_per_mm
-        return Limits(
-            counts_per_mm=scale,
-            strip_counts_per_mm=of_strip,
-            strip_at_sync=options.strip is None,
-            lowest=round((options.travel_min_mm - SLACK_MM) * scale),
-            highest=round((options.travel_max_mm + SLACK_MM) * scale),
-            speed=options.speed_mm_s * scale,
-            acceleration=options.acceleration_mm_s2 * scale,
-            homing_s=rail_setup.homing_s(
-                travel_mm=options.travel_max_mm - options.travel_min_mm,
-                speed_mm_s=min(options.speed_mm_s, options.homing_mm_s),
-            ),
-            window=max(1, round(self.WINDOW_MM * scale)),
-            windows=Windows(
-                speed=max(1.0, options.standstill_speed_mm_s * scale),
-                spread=max(2, round(options.standstill_window_mm * scale)),
-                strip_spread=strip_spread(of_strip),
-                dwell_s=options.standstill_dwell_s,
-            ),
-        )
 
     def _mend_strip(self) -> None:
         if self._feed is not None:
@@ -286,8 +270,8 @@ class CanopenRail:
     # -- helpers ------------------------------------------------------------------------------
 
     def _check_nodes(self, operation: str) -> None:
-        for watch in self._watches:
-            watch.check(operation)
+        for node in self._nodes:
+            node.check(operation)
 
     def _used(self) -> Drive:
         return RAIL.connected(self._drive)
@@ -307,8 +291,8 @@ class CanopenRail:
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         sdo = open_channel(link, self._options.drive_node, "drive.eds", go_on)
-        watch, rest = self._watches[0], self._used().standing.rest
-        release = Release(link, image, sdo, self._limits().windows, watch=watch, rest=rest)
+        node, rest = self._nodes[0], self._used().standing.rest
+        release = Release(link, image, sdo, self._limits.windows, node=node, rest=rest)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
@@ -318,7 +302,7 @@ class CanopenRail:
     def _close_link(self) -> None:
         link, self._link = self._link, None
         self._image = self._drive = None
-        self._watches = ()
+        self._nodes = ()
         if self._feed is not None:
             self._feed.close()
         if link is not None:
@@ -352,15 +336,15 @@ class Release:
         sdo: SdoChannel,
         windows: Windows,
         *,
-        watch: NodeWatch,
+        node: Node,
         rest: Rest | None,
     ) -> None:
-        """``watch`` is that of the drive; ``rest`` is where its slide is known to stand."""
+        """``node`` is the drive; ``rest`` is where its slide is known to stand."""
         self._link, self._image, self._sdo = link, image, sdo
-        self._windows, self._watch, self._rest = windows, watch, rest
+        self._windows, self._node, self._rest = windows, node, rest
         self._standstill = Standstill(windows)
         self._unheard = 0  # looks at a drive that goes on, though it was asked to stop
-        self.by_sdo = watch.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
+        self.by_sdo = node.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
         self._began_s, self._looks = time.monotonic(), 0  # of asking this way
 
     def leave_held(self) -> None:
@@ -432,8 +416,8 @@ class Release:
     def _stop_by_all_ways(self) -> None:
         """Stop a drive that does not answer, or does not obey."""
         self._link.end_heartbeat()
-        if self._watch.state == NodeState.STOPPED:  # it serves no SDO there
-            self._link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, self._watch.node)))
+        if self._node.state == NodeState.STOPPED:  # it serves no SDO there
+            self._node.command(NodeCommand.ENTER_PRE_OPERATIONAL)
         self._sdo.post(Object.CONTROLWORD, 0, Control.QUICK_STOP)
 
     def _answer(self, patience: Patience) -> Snapshot:

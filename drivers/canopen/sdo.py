@@ -177,12 +177,16 @@ class SdoChannel:
             return None if held == value else refusal
         return None
 
-    def require(self, index: int, sub: int, value: int, what: str) -> None:
+    def require(
+        self, index: int, sub: int, value: int, what: str, *, optional: bool = False
+    ) -> None:
         """Write a setting that the device must take, and ``what`` it is for.
 
-        Raises `Unsupported` where it refuses, `DeviceError` where it does not keep it.
+        It may lack one that is ``optional``. Raises `Unsupported` where it refuses, `DeviceError`
+        where it does not keep it.
         """
-        if (refusal := self.offer(index, sub, value)) is not None:
+        refusal = self.offer(index, sub, value)
+        if refusal is not None and not (optional and refusal.abort_code in ABSENT):
             raise Unsupported(refusal, f"{_name(index, sub)} = {value} ({what})")
 
     def command(self, index: int, sub: int, value: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers import standstill, supervision
-from drivers.canopen import can_link, drive, rail_setup, sdo, slcan_bus
+from drivers.canopen import can_link, drive, nodes, sdo, slcan_bus
 from drivers.canopen import rail as canopen_rail
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import Clock, DeviceError
@@ -52,9 +52,9 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
     for module, name, value in (
         (drive.Drive, "STALL_S", 0.3),
         (standstill.Standing, "SETTLE_S", 0.3),
-        (rail_setup, "FIND_S", 0.5),
-        (rail_setup, "OPERATIONAL_S", 0.5),
-        (rail_setup, "START_PERIOD_S", 0.1),
+        (nodes, "FIND_S", 0.5),
+        (nodes, "OPERATIONAL_S", 0.5),
+        (nodes, "START_PERIOD_S", 0.1),
         (canopen_rail.Release, "RELEASE_S", 0.5),
         (sdo, "REPLY_S", 0.1),
         (sdo.SdoChannel, "LATE_S", 0.15),

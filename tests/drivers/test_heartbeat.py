@@ -15,7 +15,7 @@ import pytest
 
 from drivers.canopen import can_link
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
-from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS
+from drivers.canopen.nodes import PC_HEARTBEAT_LIMIT_MS
 from hilcell.run.engine import SWITCH_S
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer

@@ -5,7 +5,7 @@ from typing import cast
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen.rail_setup import Expected, identify
+from drivers.canopen.nodes import Expected, identify
 from drivers.canopen.sdo import Aborted, SdoChannel
 from hilcell.ports import says_simulated
 

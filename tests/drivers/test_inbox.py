@@ -11,11 +11,11 @@ import pytest
 
 from drivers.canopen import process_image
 from drivers.canopen.can_link import CanLink, LinkTime
-from drivers.canopen.process_image import REPLY_S, Inbox, Mapping, Transmission
+from drivers.canopen.process_image import REPLY_S, Inbox, Pdo, Transmission
 from drivers.supervision import go_on
 from tests.clocks import DrivenClock
 
-PDO = Mapping(0x1800, 0x1A00, 0x185, Transmission.EVERY_SYNC, ((0x6064, 32),), struct.Struct("<i"))
+PDO = Pdo(0x1800, 0x185, Transmission.EVERY_SYNC, (0x6064,), "<i")
 POLL_S = 0.02
 
 
@@ -42,7 +42,8 @@ class SlowLink:
         self.clock.wait(POLL_S)
         now_s = self.time.listened_s = self.time.emptied_s = self.clock.pc_s()
         while self._take is not None and self._answers and self._answers[0][0] <= now_s:
-            self._take(PDO.cob_id, bytearray(PDO.layout.pack(self._answers.popleft()[1])), now_s)
+            data = struct.pack(PDO.layout, self._answers.popleft()[1])
+            self._take(PDO.cob_id, bytearray(data), now_s)
 
 
 @pytest.fixture

@@ -1,21 +1,13 @@
 """The order in which CiA 301, 7.5.2.36 wants a PDO mapped: strict devices refuse any other."""
 
-import struct
 from typing import cast
 
 import pytest
 
-from drivers.canopen.process_image import Mapping, Transmission
+from drivers.canopen.process_image import Pdo, Transmission
 from drivers.canopen.sdo import SdoChannel
 
-PDO = Mapping(
-    0x1801,
-    0x1A01,
-    0x285,
-    Transmission.EVERY_SYNC,
-    ((0x606C, 32), (0x6061, 8)),
-    struct.Struct("<ib"),
-)
+PDO = Pdo(0x1801, 0x285, Transmission.EVERY_SYNC, (0x606C, 0x6061), "<ib")
 
 
 class Objects:
@@ -39,12 +31,12 @@ class Objects:
         self.write(index, sub, value)
 
 
-@pytest.mark.parametrize("kept", [0, Mapping.NO_RTR])
+@pytest.mark.parametrize("kept", [0, Pdo.NO_RTR])
 def test_a_pdo_is_off_while_it_is_mapped(kept: int) -> None:
     objects = Objects(kept | 0x123)
     PDO.configure(cast("SdoChannel", objects))
     assert objects.written == [
-        (0x1801, 1, Mapping.DISABLED | kept | 0x285),
+        (0x1801, 1, Pdo.DISABLED | kept | 0x285),
         (0x1A01, 0, 0),
         (0x1A01, 1, 0x606C0020),
         (0x1A01, 2, 0x60610008),

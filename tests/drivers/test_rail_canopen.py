@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.canopen import drive, node_watch
+from drivers.canopen import drive, nodes
 from drivers.canopen import rail as canopen_rail
 from drivers.canopen.process_image import SYNCS
 from drivers.canopen.rail import CanopenRail
@@ -139,7 +139,7 @@ def test_a_fault_in_motion_stops_and_is_named(
     cause, code = MOTION_FAULTS[name]
     if name in ("heartbeat", "nmt stop"):
         monkeypatch.setattr(drive.Drive, "STALL_S", 1e6)
-        monkeypatch.setattr(node_watch.NodeWatch, "HEARTBEAT_AGE_S", 0.2)
+        monkeypatch.setattr(nodes.NodeWatch, "HEARTBEAT_AGE_S", 0.2)
         peer.axis.frozen = True
 
     def strike() -> None:

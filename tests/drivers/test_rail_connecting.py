@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from drivers.canopen.rail import CanopenRail
-from drivers.canopen.rail_setup import drive_settings
 from drivers.strips import StripOptions
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import DeviceRefused, StripLost
@@ -222,7 +221,7 @@ def test_a_node_that_leaves_operational_later_is_never_started_again(
 ) -> None:
     peer.heard.clear()
     peer.nmt[DRIVE] = 0x7F
-    assert soon(lambda: rail._watches[0].state == 0x7F)
+    assert soon(lambda: rail._nodes[0].state == 0x7F)
     assert refusal(lambda: rail.move_to(600.0)).code == "HC-R03"
     assert peer.frames(0x000) == []
 
@@ -306,16 +305,10 @@ def test_a_slide_that_a_dead_engine_left_moving_is_braked_and_can_be_moved(
 
 @pytest.mark.parametrize(("homing_mm_s", "counts_s"), [(80.0, 80_000), (400.0, 250_000)])
 def test_a_drive_homes_as_fast_as_stated_and_never_above_its_speed(
-    homing_mm_s: float, counts_s: int
+    peer: CanPeer, time: RailTime, homing_mm_s: float, counts_s: int
 ) -> None:
-    settings = drive_settings(
-        pc_node=127,
-        counts_per_mm=1000.0,
-        speed_mm_s=250.0,
-        acceleration_mm_s2=200.0,
-        homing_mm_s=homing_mm_s,
-    )
-    assert settings[0x6099, 1] == counts_s
+    rail_for(peer, time, homing_mm_s=homing_mm_s).connect()
+    assert peer.objects[DRIVE][0x6099, 1] == u32(counts_s)
 
 
 @pytest.mark.parametrize(

@@ -290,13 +290,13 @@ def test_a_strip_without_alarms_in_its_pdo_has_them_in_its_emergencies(
     with connected(peer, time) as rail:
         works(rail)
         emergency(peer, SENSOR_FAULT, 0x21)
-        assert soon(lambda: rail._watches[-1].sensor_fails)
+        assert soon(lambda: rail._nodes[-1].sensor_fails)
         found = refusal(rail.settle)
         assert (type(found), found.fields["alarms"]) == (StripLost, 1)
         rail.move_to(800.0)  # no motion asks the strip
         emergency(peer, ERRORS_GONE, 0x21)  # another one is gone
         emergency(peer, ERRORS_GONE)
-        assert soon(lambda: not rail._watches[-1].sensor_fails)
+        assert soon(lambda: not rail._nodes[-1].sensor_fails)
         assert rail.settle().strip_mm == 800.0
 
 
@@ -331,7 +331,7 @@ def test_one_of_several_errors_that_is_gone_leaves_the_sensor_in_doubt(
     peer.unmappable.add(0x6503)
     with connected(peer, time) as rail:
         emergency(peer, SENSOR_FAULT, 0x81)
-        assert soon(lambda: rail._watches[-1].sensor_fails)
+        assert soon(lambda: rail._nodes[-1].sensor_fails)
         emergency(peer, ERRORS_GONE, 0x81)
         peer.settle()
         assert isinstance(refusal(rail.settle), StripLost)

@@ -163,7 +163,7 @@ def test_a_drive_whose_answers_are_late_is_stopped_before_they_come(
     runs(peer)
     falls_out(peer, time, ENABLED)
     peer.nmt[DRIVE] = nmt
-    assert soon(lambda: rail._watches[0].state == nmt)
+    assert soon(lambda: rail._nodes[0].state == nmt)
     peer.ignore |= {(0x6041, 0), (0x1018, 0)}
     time.silence(0.2)
     refusal(rail.close)

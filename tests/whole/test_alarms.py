@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from _pytest.mark import ParameterSet
 
-from drivers.canopen import drive, rail_setup
+from drivers.canopen import drive, nodes
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka import robot_eki
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
@@ -161,9 +161,9 @@ SURVIVED: Mapping[str, Mapping[str, tuple[int, object]]] = {
 }
 # Of a device that keeps silent, how long it is waited for in place of several seconds.
 WAITS_S: Mapping[str, tuple[object, str, float]] = {
-    "rail.bus_off": (rail_setup, "FIND_S", 0.5),
-    "rail.heartbeat_loss": (rail_setup, "OPERATIONAL_S", 1.0),
-    "rail.late_reply": (rail_setup, "FIND_S", 0.5),
+    "rail.bus_off": (nodes, "FIND_S", 0.5),
+    "rail.heartbeat_loss": (nodes, "OPERATIONAL_S", 1.0),
+    "rail.late_reply": (nodes, "FIND_S", 0.5),
     "rail.no_acknowledge": (drive.Drive, "STALL_S", 1.0),
     "robot.frozen": (kuka_robot, "STALL_S", 1.0),
     "robot.stops_short": (kuka_robot, "REST_S", 1.0),

@@ -30,7 +30,7 @@ def test_a_drive_that_missed_the_heartbeat_of_a_busy_pc_is_confirmed_held(
         rail.home()
         rail.move_to(300.0)
         assert rail.read().powered
-        link, (drive, strip) = rail._link, rail._watches
+        link, (drive, strip) = rail._link, rail._nodes
         assert link is not None
         busy = threading.Event()
         busy.set()

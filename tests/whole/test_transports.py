@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen import rail_setup
+from drivers.canopen import nodes
 from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
 from tests.whole.bench import command, end_of, sets, simulation
@@ -59,7 +59,7 @@ def test_a_run_reaches_drive_and_strip(
 def test_a_strip_whose_bus_falls_silent_is_named(
     tmp_path: Path, drive: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rail_setup, "FIND_S", 1.0)  # it is never heard
+    monkeypatch.setattr(nodes, "FIND_S", 1.0)  # it is never heard
     values = drive | OWN_BUS
     with simulation(values=values) as cell:
         cell.ask(do="fault", name="rail.strip_silent", value=True, count=0)
