@@ -20,12 +20,12 @@ from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
 from fakes.replay.recorded_wire import RecordedWire
 from fakes.time import PatientTime
-from hilcell.cell.devices import TABLES, driver_options, stand_ins
+from hilcell.cell.devices import TABLES, stand_ins, stated_options
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import RecordingEnded, Stopped
-from hilcell.wire.channel import addressed, can_interfaces, joined, wires_of
+from hilcell.wire.channel import addressed, can_interfaces, wires_of
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,
@@ -121,17 +121,14 @@ def _other_cell(cell: Cell, folder: Path, head: Head) -> list[str]:
 
 def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
     """Return, in words, the wires of a cell of which there is no recording."""
-    anywhere = stand_ins(cell)
-    for table, group in TABLES:
-        if table not in anywhere:
-            continue  # its driver is not installed, which the check of the cell states
-        _, options = driver_options(cell, table, group, anywhere[table])
-        stated = msgspec.to_builtins(options)
-        for channel in can_interfaces(stated):
+    anywhere = stand_ins(cell)  # but for drivers not installed: the check of the cell states that
+    stated = stated_options(cell, anywhere, anywhere)
+    for table, options in stated.items():
+        for channel in can_interfaces(options):
             yield f"{table}: {channel} is a CAN interface, of which no recording can be played"
-        for wire in wires_of(stated):
-            if (name := joined(table, wire)) not in found:
-                yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
+    for name in wires_of(stated):
+        if name not in found:
+            yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
 
 
 def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> Iterator[str]:
@@ -194,10 +191,9 @@ class RecordedCell:
     ) -> None:
         paths, pieces = read_run(cell, session)
         self._resumed = len(sessions(folder_of(cell))) > session
-        self.options: dict[str, dict[str, object]] = {}
         self.address = ""
         self._wires: list[RecordedWire] = []
-        self._time, channels = EventTime(), dict[str, dict[str, str]]()
+        self._time, channels = EventTime(), dict[str, str]()
         clock = pieces.pop(CLOCK)
         self._looks = RecordedLooks(self._time, *looks(clock))
         self._expect_end(paths, clock, pieces)
@@ -207,10 +203,12 @@ class RecordedCell:
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())
             self._wires.append(RecordedWire(found, dialect, self._time, str(paths[name])))
-            channels.setdefault(table, {})[wire] = self._wires[-1].channel
+            channels[name] = self._wires[-1].channel
         for each in self._wires:
             each.start()
-        self._address(cell, channels)
+        anywhere = stand_ins(cell)
+        recorded = {name.partition(".")[0] for name in channels}
+        self.options = addressed(stated_options(cell, anywhere, recorded), channels)
 
     def _expect_end(
         self, paths: Mapping[str, Path], clock: Sequence[Piece], wires: Recorded
@@ -225,13 +223,6 @@ class RecordedCell:
         for line, piece in enumerate(clock, 1):
             if piece.e == "stopped" and ended == exit_aborted:
                 self._time.stop_at(piece.t, f"{paths[CLOCK]}:{line}")
-
-    def _address(self, cell: Cell, channels: Mapping[str, Mapping[str, str]]) -> None:
-        anywhere = stand_ins(cell)
-        for table, group in TABLES:
-            if table in channels:
-                _, options = driver_options(cell, table, group, anywhere[table])
-                self.options[table] = addressed(msgspec.to_builtins(options), channels[table])
 
     @classmethod
     def check(cls, cell: Cell) -> None:

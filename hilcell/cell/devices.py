@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoints, entry_points
@@ -221,14 +221,24 @@ def driver_options(
     return kind, options
 
 
+def stated_options(
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]], tables: Container[str] = dict(TABLES)
+) -> dict[str, dict[str, object]]:
+    """Return the checked options of drivers as plain values; raises `SettingsError`."""
+    return {
+        table: msgspec.to_builtins(driver_options(cell, table, group, addresses.get(table, {}))[1])
+        for table, group in TABLES
+        if table in tables
+    }
+
+
 def device_places(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]]
 ) -> dict[str, list[str]]:
     """Return where the cell's devices are reached, in one spelling, and which are reached there."""
     found: dict[str, list[str]] = {}
-    for table, group in TABLES:
-        _, options = driver_options(cell, table, group, addresses.get(table, {}))
-        for place in places(msgspec.to_builtins(options)):
+    for table, options in stated_options(cell, addresses).items():
+        for place in places(options):
             found.setdefault(place, []).append(table)
     return found
 

@@ -19,7 +19,13 @@ from typing import Literal
 
 import msgspec
 
-from hilcell.cell.devices import TABLES, driver_options, rides_on_robot, start_simulation
+from hilcell.cell.devices import (
+    TABLES,
+    driver_options,
+    rides_on_robot,
+    start_simulation,
+    stated_options,
+)
 from hilcell.cell.file import Cell
 from hilcell.conformance.acts import ACTS, PORTS, Driver, Port, Reading
 from hilcell.conformance.wire import Wires
@@ -262,12 +268,7 @@ class Bench:
         if self._simulated is None:
             raise NotApplicable(SIMULATED_ONLY)
         self.clock.inner = self._simulated.clock(self.clock.stop)
-        stated: dict[str, dict[str, object]] = {}
-        for table in self._tables:
-            listens = self._simulated.options[table]
-            _, options = driver_options(self.cell, table, GROUPS[table], listens)
-            stated[table] = msgspec.to_builtins(options)
-        self._wires.lead_to(stated)
+        self._wires.lead_to(stated_options(self.cell, self._simulated.options, self._tables))
 
     @property
     def _tables(self) -> list[str]:

@@ -355,8 +355,8 @@ class Wires:
     """
 
     def __init__(self, stated: Mapping[str, Mapping[str, object]]) -> None:
-        self._wires: dict[tuple[str, str], Proxy | Line] = {}
-        self.options: dict[str, dict[str, object]] = {}
+        self._wires: dict[str, Proxy | Line] = {}
+        self.options: dict[str, dict[str, object]]
         self._asking, self._asked, self._hold_from = threading.Lock(), 0, math.inf
         self.lead_to(stated)
 
@@ -366,20 +366,17 @@ class Wires:
 
     def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
         """Lead to where the devices listen now."""
-        for table, options in stated.items():
-            channels: dict[str, str] = {}
-            for name, place in wires_of(options).items():
-                if (table, name) in self._wires:
-                    self._wires[table, name].lead_to(place)
-                elif isinstance(place, Socket):
-                    self._wires[table, name] = Proxy(place)
-                elif Path(place.path).is_char_device():
-                    self._wires[table, name] = Line(place)
-                else:
-                    continue
-                channels[name] = self._wires[table, name].channel
-                self._wires[table, name].asked = self._count
-            self.options[table] = {**options, **addressed(options, channels)}
+        for name, place in wires_of(stated).items():
+            if name in self._wires:
+                self._wires[name].lead_to(place)
+            elif isinstance(place, Socket):
+                self._wires[name] = Proxy(place)
+            elif Path(place.path).is_char_device():
+                self._wires[name] = Line(place)
+            else:
+                continue
+            self._wires[name].asked = self._count
+        self.options = addressed(stated, {name: e.channel for name, e in self._wires.items()})
 
     def set(self, mode: str, delay_s: float = 0.0) -> None:
         for each in self.all:

@@ -1,7 +1,8 @@
 """Where a device is reached: ``socket://HOST:PORT``, or a serial line as ``PATH[@BAUD]``.
 
 A wire has a name within its device: "" for ``channel``, or for ``host`` with ``port``; ``rtde`` for
-``rtde_port``; ``strip`` for that of a part with a table of its own.
+``rtde_port``; ``strip`` for that of a part with a table of its own. Within its cell the name begins
+with the device's: ``rail``, ``rail.strip``, ``robot.rtde``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from typing import Annotated
 from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
+
+from hilcell.typed import Json
 
 BAUD = 115_200
 PORT = "port"
@@ -64,12 +67,13 @@ def parse_channel(channel: str) -> Socket | SerialLine:
 
 
 def wires_of(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
-    """Return where a device's wires lead, by name; a CAN interface of the kernel is left out."""
+    """Return where wires lead, by name; a CAN interface of the kernel is left out."""
     found: dict[str, Socket | SerialLine] = {}
     host, channel = options.get("host"), options.get("channel")
     for key, value in options.items():
         if isinstance(value, Mapping):
-            found |= {joined(key, name): place for name, place in wires_of(value).items()}
+            for name, place in wires_of(value).items():
+                found[f"{key}.{name}".removesuffix(".")] = place
         elif isinstance(host, str) and isinstance(value, int) and _is_port(key):
             found[key.removesuffix(PORT).removesuffix("_")] = Socket(host, value)
     if isinstance(channel, str) and not is_can_interface(options):
@@ -77,13 +81,13 @@ def wires_of(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
     return found
 
 
-def addressed(options: Mapping[str, object], channels: Mapping[str, str]) -> dict[str, object]:
-    """Return the values of a driver's options with which its wires lead to ``channels``."""
-    found: dict[str, object] = {}
+def addressed(options: Mapping[str, object], channels: Mapping[str, str]) -> Json:
+    """Return options whose wires lead to ``channels``."""
+    found = dict(options)
     for name, channel in channels.items():
-        part, place = options.get(name), parse_channel(channel)
-        if isinstance(part, Mapping):
-            found[name] = {**part, **addressed(part, {"": channel})}
+        (key, _, rest), place = name.partition("."), parse_channel(channel)
+        if isinstance(part := found.get(key), Mapping):
+            found[key] = addressed(part, {rest: channel})
         elif "host" in options and isinstance(place, Socket):
             found |= {"host": place.host, f"{name}_{PORT}".lstrip("_"): place.port}
         else:
@@ -100,11 +104,6 @@ def can_interfaces(options: Mapping[str, object]) -> list[str]:
     """Return the CAN interfaces of the kernel that a device, or a part of it, is reached by."""
     parts = [part for part in options.values() if isinstance(part, Mapping)]
     return [str(part["channel"]) for part in (options, *parts) if is_can_interface(part)]
-
-
-def joined(*names: str) -> str:
-    """Return the name of a wire of a part, or among those of its cell."""
-    return ".".join(filter(None, names))
 
 
 def _is_port(key: str) -> bool:

@@ -11,11 +11,11 @@ from typing import IO, cast
 
 import msgspec
 
-from hilcell.cell.devices import TABLES, driver_options
+from hilcell.cell.devices import stated_options
 from hilcell.cell.file import Cell
 from hilcell.errors import HilcellError
 from hilcell.ports import Clock
-from hilcell.wire.channel import addressed, can_interfaces, joined, wires_of
+from hilcell.wire.channel import addressed, can_interfaces, wires_of
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,
@@ -40,16 +40,13 @@ class WireRecording:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
         folder, began_s = self._unused(folder), time.monotonic()
-        stated: dict[str, dict[str, object]] = {}
-        orders: list[WireOrder] = []
-        for table, group in TABLES:
-            _, options = driver_options(cell, table, group, addresses.get(table, {}))
-            stated[table] = msgspec.to_builtins(options)
-            for wire, place in wires_of(stated[table]).items():
-                name = joined(table, wire)
-                file = folder / f"{name}{SUFFIX}"
-                orders.append(WireOrder(name, str(file), began_s, place))
-            if cans := can_interfaces(stated[table]):
+        stated = stated_options(cell, addresses)
+        orders = [
+            WireOrder(name, str(folder / f"{name}{SUFFIX}"), began_s, place)
+            for name, place in wires_of(stated).items()
+        ]
+        for table, options in stated.items():
+            if cans := can_interfaces(options):
                 self.left_out[table] = "; ".join(
                     f"{channel} is a CAN interface: record it with `candump -l {channel}`"
                     for channel in cans
@@ -59,14 +56,7 @@ class WireRecording:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             start_new_session=True,
         )  # fmt: skip
-        channels: dict[str, dict[str, str]] = {table: {} for table in stated}
-        for name, channel in self._channels(orders).items():
-            table, _, wire = name.partition(".")
-            channels[table][wire] = channel
-        self.addresses = {
-            table: dict(addresses.get(table, {})) | addressed(stated[table], found)
-            for table, found in channels.items()
-        }
+        self.addresses: Addresses = addressed(stated, self._channels(orders))
         self._looks = (folder / f"{CLOCK}{SUFFIX}").open("ab")
         self._recorder = Recorder(self._looks, began_s)
         self._recorder.take(0, "run", msgspec.json.encode(head))
