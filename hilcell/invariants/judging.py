@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -21,26 +21,7 @@ from hilcell.geometry.statistics import coverage_factor
 from hilcell.journal.journal import FETCH, Record, StorageError
 from hilcell.journal.log import INTERRUPTED, PROOFS, other_assets
 from hilcell.journal.states import OVER, WAITING
-from hilcell.model.events import (
-    AlarmsAcknowledged,
-    Asset,
-    ChangesAccepted,
-    Closed,
-    Connected,
-    Event,
-    OtherEvent,
-    OutlierMeasuredAgain,
-    RetakeAsked,
-    SafeStopSent,
-    StationFoundHeld,
-    StationHeld,
-    StepBegun,
-    StreamRecorded,
-    TrackerMoved,
-    TrackerProven,
-    VisitedOnceMore,
-    WorldFramedAgain,
-)
+from hilcell.model import events
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, SEAT, Point, Readings
@@ -93,27 +74,31 @@ class Proof:
     def holds(self) -> bool:
         return not self.broken
 
+    def count(self, seq: int, holds: bool | None, what: str) -> None:
+        """Count one check; None is one that proves nothing."""
+        self.checked += holds is not None
+        if not holds:
+            (self.unproven if holds is None else self.broken).append(Break(seq, what))
+
 
 def judge(records: Iterable[Record]) -> dict[str, Proof]:
     """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
-    verdicts, scene = {name: Proof() for name in INVARIANTS}, Scene()
-    kinds = (_LifeRules, _Motions, _Measurements, _TrackerSetUps, _Identities)
-    rules: list[Rules] = [each(verdicts, scene) for each in kinds]
+    proofs, checker = {name: Proof() for name in INVARIANTS}, Checker()
     for record in records:
         try:
-            for each in rules:
-                each.take(record)
-            scene.take(record)
+            for invariant, holds, what in checker.checks(record):
+                proofs[invariant].count(record.seq, holds, what)
+            checker.take(record)
         except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
             raise StorageError(
                 f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}; "
                 f"{FETCH}",
                 code="HC-J02",
             ) from error
-    return verdicts
+    return proofs
 
 
-# -- the run as the records so far state it: rules look at it before a record is added ------------
+# -- the run as the records so far state it --------------------------------------------------------
 
 
 class _Station(msgspec.Struct, frozen=True):
@@ -163,6 +148,7 @@ class CellFacts(msgspec.Struct, frozen=True):
 class Scene:
     """``points`` are those that count, ``unproven`` those since the tracker's last proof."""
 
+    seq: int = 0
     cell: CellFacts = field(default_factory=CellFacts)  # as it was frozen
     time_factor: float = 1.0  # by which the PC's time is shorter than the cell's
     state: str = "idle"
@@ -181,42 +167,57 @@ class Scene:
     unproven: dict[str, int] = field(default_factory=dict)  # the session that added each
     verified: bool = False  # the tracker was proven, or {W} framed, in this session
     interrupted: bool = False  # nobody may have seen the tracker since its last proof
+    verdicts: dict[str, bool] = field(default_factory=dict)  # by key, whether they hold now
+    closings: list[events.Closed] = field(default_factory=list)  # of this session
+    reason: str = ""  # the first of this session's fault
+    over: bool = False  # this session; a resume that was refused ends once more
+    devices: list[events.Asset] = field(default_factory=list)  # that answered last
+    hilcell: str = ""  # that connected them
+    accepted: bool = False  # changes, since then
 
     @property
-    def ended(self) -> bool:
-        """Whether no session is under way."""
-        return self.state in ("idle", *OVER)
-
-    @property
-    def waits(self) -> bool:
-        """Whether the run waits for the operator."""
-        return self.state in WAITING
+    def stands(self) -> bool:
+        """Whether no session is under way, or the run waits for the operator."""
+        return self.state in ("idle", *OVER, *WAITING)
 
     def station(self, name: str) -> _Station | None:
         """Return a station of the cell."""
         return next((each for each in self.cell.station if each.name == name), None)
 
     def take(self, record: Record) -> None:
+        self.seq = record.seq
         match record.fact:
             case StateChanged(machine="run") as life:
                 self._take_state(life)
-            case Event() | OtherEvent() as event:
+            case events.Event() | events.OtherEvent() as event:
                 self._take_event(event)
-            case PlanRecord(cell=cell, speed=speed):
-                self.cell = typed(cell, CellFacts)
-                if self.cell.simulation is not None:
-                    self.time_factor = math.inf if speed is None else speed
+            case PlanRecord() as plan:
+                self._take_plan(plan)
             case Intended() as motion:
-                self.last, self.last_key = motion, record.key
-                if of_rail(motion):
-                    self.held, self.rail_moved = "", True
-                else:
-                    self.robot_moved = True
+                self._take_motion(record.key, motion)
             case Point() as point:
                 self._take_point(record.key, point)
             case Frame() if is_world(record.key):
                 self.framed.add(set_up_of(record.key))
                 self._prove()
+            case Verdict(holds=holds):
+                self.verdicts[record.key] = holds
+            case Ended() as end:
+                if end.state == "faulted" and not self.over:
+                    self.reason = self.reason or end.reason
+                self.over = True
+
+    def _take_plan(self, plan: PlanRecord) -> None:
+        self.cell = typed(plan.cell, CellFacts)
+        if self.cell.simulation is not None:
+            self.time_factor = math.inf if plan.speed is None else plan.speed
+
+    def _take_motion(self, key: str, motion: Intended) -> None:
+        self.last, self.last_key = motion, key
+        if of_rail(motion):
+            self.held, self.rail_moved = "", True
+        else:
+            self.robot_moved = True
 
     def _take_state(self, life: StateChanged) -> None:
         self.state = life.to
@@ -225,6 +226,9 @@ class Scene:
             self.session, self.verified = self.session + 1, False
             self.held, self.last, self.last_key = "", None, ""
             self.rail_moved = self.robot_moved = False
+            self.closings, self.reason, self.over = [], "", False
+        if life.to == "faulted":
+            self.reason = self.reason or life.reason
 
     def _take_point(self, key: str, point: Point) -> None:
         self.points[key] = point
@@ -234,21 +238,29 @@ class Scene:
         elif not is_proof(key):
             self.unproven[key] = self.session
 
-    def _take_event(self, event: Event | OtherEvent) -> None:
+    def _take_event(self, event: events.Event | events.OtherEvent) -> None:
+        self.accepted |= isinstance(event, events.ChangesAccepted)
         match event:
-            case StationHeld() | StationFoundHeld():
+            case events.StationHeld() | events.StationFoundHeld():
                 self.held = event.station
-            case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore():
+            case events.RetakeAsked() | events.OutlierMeasuredAgain() | events.VisitedOnceMore():
                 self.again.add(event.key)
-            case StreamRecorded():
+            case events.StreamRecorded():
                 self.unproven[event.key] = self.session
-            case TrackerProven():
+            case events.TrackerProven():
                 self._prove()
-            case TrackerMoved():
+            case events.TrackerMoved():
                 self.set_up = event.set_up
                 self._drop(event.invalid)
-            case WorldFramedAgain():
+            case events.WorldFramedAgain():
                 self._drop(event.invalid)
+            case events.SafeStopSent():
+                self.reason = self.reason or event.cause
+            case events.Closed():
+                self.closings.append(event)
+            case events.Connected():
+                self.devices, self.hilcell = event.devices, event.hilcell
+                self.accepted = False
 
     def _drop(self, keys: list[str]) -> None:
         for key in keys:
@@ -294,79 +306,81 @@ def nest_of(key: str) -> str:
 
 # -- the rules ------------------------------------------------------------------------------------
 
-
-class Rules:
-    """Judge each record by what the records before it say."""
-
-    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
-        self._verdicts, self._scene = verdicts, scene
-
-    def take(self, record: Record) -> None:
-        raise NotImplementedError
-
-    def _check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
-        """Count one check; ``what`` says what is wrong where it does not hold."""
-        verdict = self._verdicts[invariant]
-        verdict.checked += 1
-        if not holds:
-            verdict.broken.append(Break(record.seq, what))
+# The invariant, whether it holds, and what is wrong where it does not. None: a device cannot tell.
+Check: TypeAlias = tuple[str, bool | None, str]
 
 
-class _Motions(Rules):
-    """Judges motions by what was known when each was journalled: I1, I2, I5, I11, I14.
+class Checker(Scene):
+    """Judges each record by what the records before it say, which `take` adds."""
 
-    I9 for motions to what is acknowledged.
-    """
-
-    def take(self, record: Record) -> None:
+    def checks(self, record: Record) -> Iterator[Check]:
+        """Yield all that is judged of a record, before it is taken."""
+        yield "I8", record.seq == self.seq + 1, f"record {self.seq} came before"
         match record.fact:
             case Intended() as motion:
-                self._motion(record, motion)
-            case StationHeld(began=began) if began is not None:
-                self._young(record, "the motion before began", began.age_s)
-            case Point(readings=Readings(began=began)) if began is not None:
-                self._young(record, "the motion before began", began.age_s)
+                yield from self._motion(record.key, motion)
+            case Point() as point:
+                yield from self._point(record, point)
+            case Frame() as frame:
+                yield from self._frame(record.key, frame)
+            case StateChanged(machine="run") as life:
+                yield from self._life(life)
+            case Ended() as end:
+                yield from self._end(end)
+            case events.Event() as event:
+                yield from self._event(record.seq, event)
 
-    def _motion(self, record: Record, motion: Intended) -> None:
-        scene = self._scene
-        action = motion.action
-        allowed = not (scene.ended or scene.waits)
-        self._check("I5", record, allowed, f"{action} begun while {scene.state}")
-        found = f"{action} ordered by session {motion.session}, {scene.session} holds the run"
-        self._check("I11", record, motion.session == scene.session, found)
+    def _event(self, seq: int, event: events.Event) -> Iterator[Check]:
+        match event:
+            case events.StationHeld(began=events.ReadingTime(age_s=age_s)):
+                yield self._young("the motion before began", age_s)
+            case events.StreamRecorded(key=key):
+                yield from self._followed(key)
+            case events.StepBegun(name=name):
+                here = [key for key, session in self.unproven.items() if session == self.session]
+                yield from self._closed(f"step {name}", here)
+            case events.TrackerProven():
+                yield from self._proof()
+            case events.TrackerMoved(invalid=invalid):
+                kept = sorted(self.unproven.keys() - set(invalid))
+                yield "I10", not kept, f"kept {', '.join(kept)} of a tracker that had moved"
+            case events.Closed(took_s=took_s):
+                yield "I7", 0.0 <= took_s <= 15.0, f"the teardown took {took_s:.1f} s, at most 15 s"
+            case events.AlarmsAcknowledged(until=until):
+                unseen = f"alarms up to record {until} were acknowledged before it was written"
+                yield "I17", until < seq, unseen
+            case events.Connected() if self.devices:
+                yield self._identities(event)
+
+    # -- motions, by what was known when each was journalled ----------------------------------
+
+    def _motion(self, key: str, motion: Intended) -> Iterator[Check]:
+        action, seen = motion.action, motion.seen or NOT_SEEN
+        yield "I5", not self.stands, f"{action} begun while {self.state}"
+        found = f"{action} ordered by session {motion.session}, {self.session} holds the run"
+        yield "I11", motion.session == self.session, found
         if of_rail(motion):
-            self._rail(record, motion)
+            last = self.last
+            parked = last is None or of_rail(last) or last.action == "robot.park"
+            yield "I1", parked, f"{action}: the robot was not parked before"
+        elif key and key in self.points:
+            yield "I9", key in self.again, f"{key} is acknowledged, and is driven to again"
+        yield self._young(action, seen.age_s)
+        if of_rail(motion):
+            wrong = self._not_parked(seen)
+            yield "I1", not wrong, f"{action}: {wrong}"
         else:
-            self._robot(record, motion)
+            wrong = self._not_held(seen)
+            yield "I2", not wrong, f"{action} {key}: {wrong}"
 
-    def _rail(self, record: Record, motion: Intended) -> None:
-        last = self._scene.last
-        parked = last is None or of_rail(last) or last.action == "robot.park"
-        self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
-        seen = motion.seen or NOT_SEEN
-        self._young(record, motion.action, seen.age_s)
-        wrong = self._not_parked(seen)
-        self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
-
-    def _robot(self, record: Record, motion: Intended) -> None:
-        scene, key = self._scene, record.key
-        if key and key in scene.points:
-            asked = key in scene.again
-            self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
-        seen = motion.seen or NOT_SEEN
-        self._young(record, motion.action, seen.age_s)
-        wrong = self._not_held(seen)
-        self._check("I2", record, not wrong, f"{motion.action} {key}: {wrong}")
-
-    def _young(self, record: Record, motion: str, age_s: float) -> None:
-        limit_s = self._scene.cell.settle.reading_age_s
-        young = FUTURE_S <= age_s <= limit_s
+    def _young(self, motion: str, age_s: float) -> Check:
+        limit_s = self.cell.settle.reading_age_s
         what = f"{motion} by a reading {age_s:.3f} s old, at most {limit_s:g} s"
-        self._check("I14", record, young, what)
+        return "I14", FUTURE_S <= age_s <= limit_s, what
 
     def _not_parked(self, seen: SeenBefore) -> str:
         """Return why a reading does not say that the robot is parked and at rest, or ""."""
-        safe_deg = self._scene.cell.robot.safe_deg
+        safe_deg = self.cell.robot.safe_deg
         pairs = zip(seen.joints_deg, safe_deg, strict=False)
         off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
         if len(seen.joints_deg) != len(safe_deg) or not off_deg <= 0.1:
@@ -379,8 +393,8 @@ class _Motions(Rules):
             return "the slide was moving"
         if seen.powered is not False:
             return "the drive had power to move"
-        scene, found_mm = self._scene, math.nan if seen.strip_mm is None else seen.strip_mm
-        limit_mm, station = 2 * scene.cell.rail.strip_tolerance_mm, scene.station(scene.held)
+        found_mm = math.nan if seen.strip_mm is None else seen.strip_mm
+        limit_mm, station = 2 * self.cell.rail.strip_tolerance_mm, self.station(self.held)
         if station is not None and not abs(found_mm - station.strip_mm) <= limit_mm + 1e-9:
             wanted = f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm"
             return f"strip {found_mm:.2f} mm, the station {wanted}"
@@ -392,126 +406,147 @@ class _Motions(Rules):
         after = seen.ended_s is None or seen.taken_s >= seen.ended_s
         return "" if after else "the reading was taken before the motion had ended"
 
+    # -- points -------------------------------------------------------------------------------
 
-class _TrackerSetUps(Rules):
-    """Judges what was measured at which set-up, and when the tracker was proven."""
+    def _point(self, record: Record, point: Point) -> Iterator[Check]:
+        key, readings = record.key, point.readings
+        if readings is not None and readings.began is not None:
+            yield self._young("the motion before began", readings.began.age_s)
+        yield "I3", not self.stands, f"{key} measured while {self.state}"
+        yield "I8", key not in self.points or point.retaken, f"{key} counted twice"
+        found = f"{key} measured by session {point.session}, {self.session} holds the run"
+        yield "I11", point.session == self.session, found
+        yield from self._carries(record, point)
+        if point.station:
+            yield from self._at_station(key, point)
+        if readings is not None:
+            yield from self._times(key, readings)
+        if self.session > 1 and self.framed and not is_proof(key):
+            yield "I9", self.verified, f"{key} added before the tracker was verified"
+        what = f"{key} is of set-up {point.set_up}, the tracker at {self.set_up}"
+        yield "I15", point.set_up == self.set_up, what
+        if not is_proof(key):
+            yield from self._followed(key)
 
-    def take(self, record: Record) -> None:
-        scene = self._scene
-        match record.fact:
-            case Point() as point:
-                self._point(record, point)
-            case Frame() as frame:
-                self._frame(record, frame)
-            case StateChanged(machine="run", to="finished"):
-                self._closed(record, "the run's end", list(scene.unproven))
-            case StepBegun(name=name):
-                here = [key for key, session in scene.unproven.items() if session == scene.session]
-                self._closed(record, f"step {name}", here)
-            case StreamRecorded(key=key):
-                self._followed(record, key)
-            case TrackerProven():
-                self._proof(record)
-            case TrackerMoved(invalid=invalid):
-                kept = sorted(scene.unproven.keys() - set(invalid))
-                what = f"kept {', '.join(kept)} of a tracker that had moved"
-                self._check("I10", record, not kept, what)
+    def _carries(self, record: Record, point: Point) -> Iterator[Check]:
+        missing = [] if "temperature_c" in record.body else ["temperature_c"]  # null: not measured
+        missing += ["readings"] if point.readings is None else []
+        if point.station and point.commanded_deg and point.smr_mm is None:
+            missing.append("smr_mm")
+        yield "I4", not missing, f"{record.key} lacks {', '.join(missing)}"
+        if point.commanded_deg and point.group != "campaign":
+            last = self.last_key or "none"
+            here = pose_of(last) == pose_of(record.key)
+            yield "I4", here, f"{record.key}: the last motion: {last}"
 
-    def _point(self, record: Record, point: Point) -> None:
-        scene = self._scene
-        what = f"{record.key} is of set-up {point.set_up}, the tracker at {scene.set_up}"
-        self._check("I15", record, point.set_up == scene.set_up, what)
-        if not is_proof(record.key):
-            self._followed(record, record.key)
+    def _at_station(self, key: str, point: Point) -> Iterator[Check]:
+        name = point.station
+        what = f"{key}: {name} was not found held since the run resumed"
+        yield "I9" if self.session > 1 else "I2", self.held == name, what
+        station = self.station(name)
+        wanted_mm = math.nan if station is None else station.strip_mm
+        limit_mm = 2 * self.cell.rail.strip_tolerance_mm
+        strip_mm = math.nan if point.strip_mm is None else point.strip_mm
+        held = abs(strip_mm - wanted_mm) <= limit_mm + 1e-9
+        yield "I2", held, f"{key}: strip {strip_mm:.2f} mm at {name}"
 
-    def _followed(self, record: Record, key: str) -> None:
-        """Judge what is added: after a pause the tracker comes first."""
-        scene = self._scene
-        if self._mounted and scene.framed and scene.state != "checking":
-            what = f"{key} added before the tracker was proven after a pause"
-            self._check("I16", record, not scene.interrupted, what)
+    def _times(self, key: str, readings: Readings) -> Iterator[Check]:
+        taken_s, settle = readings.tracker.taken_s, self.cell.settle
+        axes = [("slide", readings.rail, self.rail_moved, settle.rail_s)]
+        if readings.robot is not None:
+            axes.append(("robot", readings.robot, self.robot_moved, settle.robot_s))
+        for name, reading, moved, rest_s in axes:
+            if moved:
+                rested_s = math.nan if reading.ended_s is None else taken_s - reading.ended_s
+                wanted_s = rest_s / self.time_factor
+                what = f"{rested_s:.3f} s after the {name}'s motion, expected {wanted_s:g} s"
+                yield "I3", rested_s >= wanted_s, f"{key}: {what}"
+                yield "I4", rested_s >= 0.0, f"{key}: older than the {name}'s motion"
+        yield "I14", readings.rail.taken_s >= taken_s, f"{key}: the rail was not read after it"
+        read = (readings.tracker, readings.rail, readings.robot)
+        ages = [each.age_s for each in read if each is not None]
+        known = all(FUTURE_S <= age_s < math.inf for age_s in ages)
+        yield "I14", known, f"{key}: readings {ages} s old"
 
-    def _closed(self, record: Record, before: str, unproven: list[str]) -> None:
-        """Judge the end of what was measured before a step, or before the end.
-
-        A step that an earlier session has begun goes on, and is proven first.
-        """
-        if self._mounted and self._scene.framed:
-            what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
-            self._check("I16", record, not unproven, what)
+    # -- what was measured at which set-up, and when the tracker was proven -------------------
 
     @property
     def _mounted(self) -> bool:
         """Whether all nests have reflectors; one that is carried proves the tracker less often."""
-        return self._scene.cell.layout.reflectors == "mounted"
+        return self.cell.layout.reflectors == "mounted"
 
-    def _frame(self, record: Record, frame: Frame) -> None:
-        scene = self._scene
-        if is_world(record.key):
-            self._world(record)
+    def _followed(self, key: str) -> Iterator[Check]:
+        """Judge what is added: after a pause the tracker comes first."""
+        if self._mounted and self.framed and self.state != "checking":
+            what = f"{key} added before the tracker was proven after a pause"
+            yield "I16", not self.interrupted, what
+
+    def _closed(self, before: str, unproven: list[str]) -> Iterator[Check]:
+        """Judge the end of what was measured before a step, or before the end.
+
+        A step that an earlier session has begun goes on, and is proven first.
+        """
+        if self._mounted and self.framed:
+            what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
+            yield "I16", not unproven, what
+
+    def _frame(self, key: str, frame: Frame) -> Iterator[Check]:
+        if is_world(key):
+            yield from self._world(key)
         if not frame.points:
             return
-        lost = [key for key in frame.points if key not in scene.points]
-        what = f"{record.key} is built of {', '.join(lost[:3])}, not valid"
-        self._check("I10", record, not lost, what)
-        of = {scene.points[key].set_up for key in frame.points if key in scene.points}
-        what = f"{record.key} is built of points of set-ups {sorted(of)}, {{W}} known of "
-        what += f"{sorted(scene.framed)}"
-        known = of == {set_up_of(record.key)} if is_world(record.key) else of <= scene.framed
-        self._check("I15" if is_world(record.key) else "I10", record, known, what)
+        lost = [each for each in frame.points if each not in self.points]
+        yield "I10", not lost, f"{key} is built of {', '.join(lost[:3])}, not valid"
+        of = {self.points[each].set_up for each in frame.points if each in self.points}
+        what = f"{key} is built of points of set-ups {sorted(of)}, {{W}} known of "
+        what += f"{sorted(self.framed)}"
+        known = of == {set_up_of(key)} if is_world(key) else of <= self.framed
+        yield "I15" if is_world(key) else "I10", known, what
 
-    def _world(self, record: Record) -> None:
+    def _world(self, key: str) -> Iterator[Check]:
         """Judge a {W}: of nests at its own set-up, which stand as they did at the first."""
-        number = set_up_of(record.key)
-        nests = self._nests(number)
-        what = f"{record.key} framed at set-up {self._scene.set_up} by {len(nests)} nests"
-        self._check("I15", record, number == self._scene.set_up and len(nests) >= 3, what)
-        if number:
-            for what, off_mm, limit_mm in self._changes(self._nests(0), nests):
-                text = f"{record.key}: {what} changed by {off_mm:.3f} mm, at most {limit_mm:.3f}"
-                self._check("I15", record, off_mm <= limit_mm, text)
+        number = set_up_of(key)
+        before, now = self._nests(0), self._nests(number)
+        what = f"{key} framed at set-up {self.set_up} by {len(now)} nests"
+        yield "I15", number == self.set_up and len(now) >= 3, what
+        for one, other in combinations(sorted(before.keys() & now.keys()), 2) if number else ():
+            four = (before[one], before[other], now[one], now[other])
+            then, there, here, away = (point.xyz_mm for point in four)
+            off_mm = abs(math.dist(here, away) - math.dist(then, there))
+            limit_mm = self._limit_mm(*four)
+            what = f"{key}: {one} to {other} changed by {off_mm:.3f} mm, at most {limit_mm:.3f}"
+            yield "I15", off_mm <= limit_mm, what
 
-    def _proof(self, record: Record) -> None:
+    def _proof(self) -> Iterator[Check]:
         """Judge the proof by its points: each nest is where it was when {W} was framed."""
-        before, now = self._nests(self._scene.set_up), self._scene.control
-        self._check("I15", record, bool(before) and before.keys() == now.keys(), "nests missing")
+        before, now = self._nests(self.set_up), self.control
+        yield "I15", bool(before) and before.keys() == now.keys(), "nests missing"
         for nest in before.keys() & now.keys():
             off_mm = math.dist(before[nest].xyz_mm, now[nest].xyz_mm)
             limit_mm = self._limit_mm(before[nest], now[nest])
             what = f"proven with {nest} {off_mm:.3f} mm off, at most {limit_mm:.3f} mm"
-            self._check("I15", record, off_mm <= limit_mm, what)
+            yield "I15", off_mm <= limit_mm, what
 
     def _nests(self, set_up: int) -> dict[str, Point]:
         """Return the points of which {W} was framed at a set-up, by nest."""
-        points = self._scene.points.items()
         return {
             nest_of(key): point
-            for key, point in points
+            for key, point in self.points.items()
             if key.startswith("world/") and point.set_up == set_up
         }
-
-    def _changes(
-        self, before: dict[str, Point], now: dict[str, Point]
-    ) -> Iterator[tuple[str, float, float]]:
-        """Yield each two nests, by how much their distance has changed, and its limit."""
-        for one, other in combinations(sorted(before.keys() & now.keys()), 2):
-            four = (before[one], before[other], now[one], now[other])
-            then, there, here, away = (point.xyz_mm for point in four)
-            off_mm = abs(math.dist(here, away) - math.dist(then, there))
-            yield f"{one} to {other}", off_mm, self._limit_mm(*four)
 
     def _limit_mm(self, *points: Point) -> float:
         """Return by how much points may differ: stated drift, and the readings' noise.
 
         The noise is what all points so far have shown, at the places of these.
         """
-        found = [point for point in self._scene.points.values() if self._stated(point)]
+        found = [point for point in self.points.values() if self._stated(point)]
         if not all(self._stated(point) for point in points):
             return math.nan
         noise = beam_noise(*self._columns(found or points))
         at_mm, _, samples = self._columns(points)
         noise_mm2 = float(np.trace(noise.at(at_mm, samples), axis1=-2, axis2=-1).sum())
-        drift_mm = math.sqrt(3.0) * self._scene.cell.uncertainty.drift_limit_mm
+        drift_mm = math.sqrt(3.0) * self.cell.uncertainty.drift_limit_mm
         return drift_mm + coverage_factor(4.0, noise.freedom) * math.sqrt(noise_mm2)
 
     @staticmethod
@@ -526,195 +561,67 @@ class _TrackerSetUps(Rules):
         at_mm, std_mm, samples = zip(*rows, strict=True)
         return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
 
+    # -- states, teardowns and ends -----------------------------------------------------------
 
-class _LifeRules(Rules):
-    """Judges states, teardowns and ends."""
-
-    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
-        super().__init__(verdicts, scene)
-        self._seq = 0
-        self._closings: list[Closed] = []  # of this session
-        self._reason = ""  # the first of this session's fault
-        self._ended = False  # this session; a resume that was refused ends once more
-        self._failed: set[str] = set()  # the keys of verdicts that do not hold now
-
-    def take(self, record: Record) -> None:
-        gap = f"record {self._seq} came before"
-        self._check("I8", record, record.seq == self._seq + 1, gap)
-        self._seq = record.seq
-        match record.fact:
-            case Verdict(holds=holds):
-                (self._failed.discard if holds else self._failed.add)(record.key)
-            case StateChanged(machine="run") as life:
-                self._life(record, life)
-            case Ended() as end:
-                self._end(record, end)
-            case Closed(took_s=took_s) as closed:
-                self._closings.append(closed)
-                what = f"the teardown took {took_s:.1f} s, at most 15 s"
-                self._check("I7", record, 0.0 <= took_s <= 15.0, what)
-            case SafeStopSent(cause=cause):
-                self._reason = self._reason or cause
-            case AlarmsAcknowledged(until=until):
-                unseen = f"alarms up to record {until} were acknowledged before it was written"
-                self._check("I17", record, until < record.seq, unseen)
-
-    def _life(self, record: Record, life: StateChanged) -> None:
-        state = self._scene.state
-        what = f"state was {state}, not {life.before}"
-        self._check("I9", record, life.before == state, what)
+    def _life(self, life: StateChanged) -> Iterator[Check]:
+        state = self.state
+        yield "I9", life.before == state, f"state was {state}, not {life.before}"
         if life.to == "running" and state in WAITING:
             # A good look is an unattended run's, after a failed reading.
             may = ("command",) if state == "paused" else ("command", "answer", "look")
-            found = f"{state} went on by {life.by or 'nobody'}"
-            self._check("I13", record, life.by in may, found)
-        if life.to == "checking":
-            self._closings, self._reason, self._ended = [], "", False
+            yield "I13", life.by in may, f"{state} went on by {life.by or 'nobody'}"
         if life.to in OVER:
-            count = len(self._closings)
-            self._check("I7", record, count == 1, f"teardown ran {count} times")
-            self._held(record, life.to)
+            count = len(self.closings)
+            yield "I7", count == 1, f"teardown ran {count} times"
+            yield from self._held(life.to)
         if life.to == "faulted":
-            self._first_reason(record, life.reason)
+            yield self._first_reason(life.reason)
+        if life.to == "finished":
+            yield from self._closed("the run's end", list(self.unproven))
 
-    def _held(self, record: Record, to: str) -> None:
+    def _held(self, to: str) -> Iterator[Check]:
         """Judge that slide and robot were left held: a device that cannot tell is no proof.
 
         Then the run has not ended well, and says so.
         """
-        problems = self._closings[-1].problems if self._closings else {}
+        problems = self.closings[-1].problems if self.closings else {}
         for device in ("Rail", "Robot"):
             problem = problems.get(device, "")
             if problem and to == "faulted":
-                unknown = Break(record.seq, f"{device}: {problem}")
-                self._verdicts["I12"].unproven.append(unknown)
+                yield "I12", None, f"{device}: {problem}"
             else:
-                held, what = bool(self._closings) and not problem, problem or "it was not closed"
-                self._check("I12", record, held, f"{device}: {what}")
+                what = f"{device}: {problem or 'it was not closed'}"
+                yield "I12", bool(self.closings) and not problem, what
 
-    def _first_reason(self, record: Record, reason: str) -> None:
-        self._reason = self._reason or reason
-        kept = f"the reason became {reason!r}, first it was {self._reason!r}"
-        self._check("I6", record, bool(reason) and reason == self._reason, kept)
+    def _first_reason(self, reason: str) -> Check:
+        first = self.reason or reason
+        kept = f"the reason became {reason!r}, first it was {first!r}"
+        return "I6", bool(reason) and reason == first, kept
 
-    def _end(self, record: Record, end: Ended) -> None:
-        if end.state == "faulted" and not self._ended:
-            self._first_reason(record, end.reason)
-        self._ended = True
+    def _end(self, end: Ended) -> Iterator[Check]:
+        if end.state == "faulted" and not self.over:
+            yield self._first_reason(end.reason)
         if end.state == "finished":
-            failed = ", ".join(sorted(self._failed))
-            what = f"exit {end.exit}, and {failed} does not hold"
-            self._check("I17", record, not (self._failed and end.exit == 0), what)
+            failed = sorted(key for key, holds in self.verdicts.items() if not holds)
+            what = f"exit {end.exit}, and {', '.join(failed)} does not hold"
+            yield "I17", not (failed and end.exit == 0), what
             if isinstance(counts := end.result.get("points"), dict):
-                self._counts(record, counts)
+                yield from self._counts(counts)
 
-    def _counts(self, record: Record, counts: dict[str, int]) -> None:
+    def _counts(self, counts: dict[str, int]) -> Iterator[Check]:
         """Judge that the result counts each valid point once."""
-        points, dropped = self._scene.points, self._scene.dropped
-        valid = Counter(point.group for point in points.values())
-        more = {
-            group
-            for group in {point.group for point in dropped.values()}
-            if counts.get(group, 0) > valid[group]
-        }
-        what = f"the result counts points that are not valid: {', '.join(sorted(more))}"
-        self._check("I10", record, not more, what)
+        valid = Counter(point.group for point in self.points.values())
+        dropped = {point.group for point in self.dropped.values()}
+        more = sorted(group for group in dropped if counts.get(group, 0) > valid[group])
+        yield "I10", not more, f"the result counts points that are not valid: {', '.join(more)}"
         wrong = [g for g in sorted({*valid, *counts}) if counts.get(g, 0) != valid[g]]
         figures = ", ".join(f"{g} {counts.get(g, 0)} of {valid[g]}" for g in wrong)
-        self._check("I8", record, not wrong, f"the result counts {figures}")
+        yield "I8", not wrong, f"the result counts {figures}"
 
-
-class _Measurements(Rules):
-    """Judges each point."""
-
-    def take(self, record: Record) -> None:
-        point, scene, key = record.fact, self._scene, record.key
-        if not isinstance(point, Point):
-            return
-        allowed = not (scene.ended or scene.waits)
-        self._check("I3", record, allowed, f"{key} measured while {scene.state}")
-        once = key not in scene.points or point.retaken
-        self._check("I8", record, once, f"{key} counted twice")
-        found = f"{key} measured by session {point.session}, {scene.session} holds the run"
-        self._check("I11", record, point.session == scene.session, found)
-        self._carries(record, point)
-        if point.station:
-            self._at_station(record, point)
-        if point.readings is not None:
-            self._times(record, point.readings)
-        if scene.session > 1 and scene.framed and not is_proof(key):
-            what = f"{key} added before the tracker was verified"
-            self._check("I9", record, scene.verified, what)
-
-    def _carries(self, record: Record, point: Point) -> None:
-        missing = [] if "temperature_c" in record.body else ["temperature_c"]  # null: not measured
-        missing += ["readings"] if point.readings is None else []
-        if point.station and point.commanded_deg and point.smr_mm is None:
-            missing.append("smr_mm")
-        self._check("I4", record, not missing, f"{record.key} lacks {', '.join(missing)}")
-        if point.commanded_deg and point.group != "campaign":
-            last = self._scene.last_key or "none"
-            here = pose_of(last) == pose_of(record.key)
-            self._check("I4", record, here, f"{record.key}: the last motion: {last}")
-
-    def _at_station(self, record: Record, point: Point) -> None:
-        scene, name = self._scene, point.station
-        resumed = scene.session > 1
-        what = f"{record.key}: {name} was not found held since the run resumed"
-        self._check("I9" if resumed else "I2", record, scene.held == name, what)
-        station = scene.station(name)
-        wanted_mm = math.nan if station is None else station.strip_mm
-        limit_mm = 2 * scene.cell.rail.strip_tolerance_mm
-        strip_mm = math.nan if point.strip_mm is None else point.strip_mm
-        held = abs(strip_mm - wanted_mm) <= limit_mm + 1e-9
-        self._check("I2", record, held, f"{record.key}: strip {strip_mm:.2f} mm at {name}")
-
-    def _times(self, record: Record, readings: Readings) -> None:
-        scene, key = self._scene, record.key
-        taken_s, settle = readings.tracker.taken_s, scene.cell.settle
-        axes = [("slide", readings.rail, scene.rail_moved, settle.rail_s)]
-        if readings.robot is not None:
-            axes.append(("robot", readings.robot, scene.robot_moved, settle.robot_s))
-        for name, reading, moved, rest_s in axes:
-            if moved:
-                rested_s = math.nan if reading.ended_s is None else taken_s - reading.ended_s
-                self._rested(record, name, rested_s, rest_s)
-        confirmed = readings.rail.taken_s >= taken_s
-        self._check("I14", record, confirmed, f"{key}: the rail was not read after it")
-        read = (readings.tracker, readings.rail, readings.robot)
-        ages = [each.age_s for each in read if each is not None]
-        known = all(FUTURE_S <= age_s < math.inf for age_s in ages)
-        self._check("I14", record, known, f"{key}: readings {ages} s old")
-
-    def _rested(self, record: Record, name: str, rested_s: float, rest_s: float) -> None:
-        wanted_s = rest_s / self._scene.time_factor
-        what = f"{record.key}: {rested_s:.3f} s after the {name}'s motion, expected {wanted_s:g} s"
-        self._check("I3", record, rested_s >= wanted_s, what)
-        self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")
-
-
-class _Identities(Rules):
-    """Compares what answered with what answered before."""
-
-    def __init__(self, verdicts: dict[str, Proof], scene: Scene) -> None:
-        super().__init__(verdicts, scene)
-        self._before: dict[str, Asset] = {}
-        self._hilcell = ""
-        self._accepted = False  # since the last connection
-
-    def take(self, record: Record) -> None:
-        match record.fact if record.kind == "event" else None:
-            case ChangesAccepted():
-                self._accepted = True
-            case Connected() as event:
-                self._connected(record, event)
-
-    def _connected(self, record: Record, event: Connected) -> None:
-        now = {each.kind: each for each in event.devices}
-        hilcell = event.hilcell
-        if self._before:
-            changed = other_assets(self._before, now)
-            changed += ["hilcell"] if self._hilcell not in ("", hilcell) else []
-            what = f"changed, and nobody has accepted it: {', '.join(changed)}"
-            self._check("I18", record, self._accepted or not changed, what)
-        self._before, self._hilcell, self._accepted = now, hilcell, False
+    def _identities(self, event: events.Connected) -> Check:
+        """Compare what answers with what answered before."""
+        before, now = ({each.kind: each for each in of} for of in (self.devices, event.devices))
+        changed = other_assets(before, now)
+        changed += ["hilcell"] if self.hilcell not in ("", event.hilcell) else []
+        what = f"changed, and nobody has accepted it: {', '.join(changed)}"
+        return "I18", self.accepted or not changed, what
