@@ -59,7 +59,7 @@ class Month:
     """A part that measures vertices, again and again."""
 
     name = "phase"
-    needs = moves = measures = yields = ""
+    moves = ""
 
     def __init__(self, points: int) -> None:
         self._points = points

@@ -22,7 +22,7 @@ from hilcell.model.verdicts import Backlash, StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result
+from hilcell.run.procedure import Part, Result
 from hilcell.run.prompts import FLANGE
 from hilcell.typed import typed
 from procedures.plan import approach_s, closing, first_hold, measure_s, rail_move_s, step
@@ -36,10 +36,7 @@ class RailSurvey:
     """Moves in equal steps by the drive alone; measures the flange and all nests at every stop."""
 
     name = "rail-survey"
-    needs = "the world frame, reflectors on the flange and in the slide nests"
     moves = "the slide from end to end and back, the robot parked"
-    measures = "the flange reflector and the slide nests at every stop"
-    yields = "the error both ways, backlash, scale, straightness, yaw, pitch and roll"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         stops = 2 * len(steps_mm(cell))
@@ -166,14 +163,11 @@ APPROACH_MM = 150.0
 HOWS = ("plain", "strip")
 
 
-class HoldStation:
+class HoldStation(Part):
     """Brings the slide to the grid's station by the closed loop of the strip."""
 
     name = "hold-station"
-    needs = "a referenced drive"
     moves = "the slide, with the robot at its safe pose"
-    measures = "the strip, one slide nest"
-    yields = "a held station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         return step(self.name, 0, first_hold(cell, cell.reference))
@@ -183,10 +177,6 @@ class HoldStation:
         if not session.reached("station_held"):
             session.hold_station(session.cell.reference)
             session.reach("hold_station")
-
-    def result(self, log: Log) -> Result:
-        """Return nothing: the station's figures come with its frame."""
-        return {}
 
 
 class Approaches(ActResult, frozen=True, kw_only=True):
@@ -220,10 +210,7 @@ class StationRepeatability:
     """
 
     name = "station-repeatability"
-    needs = "the world frame, a reflector on the slide"
     moves = "the slide to and fro around the grid's station"
-    measures = "one slide nest after each approach"
-    yields = "range, repeatability and backlash without and with the strip"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         station = cell.reference

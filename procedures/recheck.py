@@ -24,20 +24,19 @@ from hilcell.calibration.recheck import (
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.frames import apply
-from hilcell.geometry.inverse import ReachError
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.model.frame import Frame
 from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Rechecked
-from hilcell.ports import Array, HilcellError
+from hilcell.ports import Array
 from hilcell.present.table import Column, Table, vector
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.plan import closing, drivable, flange_points, step, turned
+from procedures.plan import check_reach, closing, drivable, flange_points, step, turned
 from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
@@ -51,10 +50,7 @@ class Recheck:
     """Measures the poses; one that stands out is measured once more before it counts."""
 
     name = "recheck"
-    needs = "a calibration of this cell, {W}, its station held"
     moves = "the robot to corrected poses spread over the calibrated volume"
-    measures = "the flange reflector at every pose"
-    yields = "whether the calibration is still valid, is updated, or is to be made again"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a calibration that is missing, and poses out of reach."""
@@ -149,10 +145,7 @@ def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
     poses = calibration.poses_at(places_mm(calibration, cell.recheck.poses, seed))
     poses = _turned(cell, calibration, poses)
     poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
-    try:
-        return cell.robot.nominal().joints_for(poses)
-    except ReachError as error:
-        raise HilcellError(f"re-check pose: {error}", code="HC-C10") from error
+    return check_reach(cell, poses, "re-check pose")
 
 
 COLUMNS: tuple[Column[CheckedPose], ...] = (

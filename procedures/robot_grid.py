@@ -33,24 +33,21 @@ from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result
+from hilcell.run.procedure import Part, Result
 from procedures import plan
 
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
 
 
-class RobotGrid:
+class RobotGrid(Part):
     """Visits the vertices in serpentine order, every axis from below, and records the joints.
 
     An outlier among its neighbours is measured once more; the retake counts.
     """
 
     name = "robot-grid"
-    needs = "world and base frame, the grid's station held"
     moves = "the robot"
-    measures = "the reflectors on the flange at every vertex"
-    yields = "the position error on the grid, the orientation's with several reflectors"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
@@ -111,10 +108,6 @@ class RobotGrid:
                 session.add(OutlierMeasuredAgain(key=id.at_seat(seat).key))
         return doubtful
 
-    def result(self, log: Log) -> Result:
-        """Return nothing of its own: the errors are judged by fit and validation."""
-        return {}
-
     @staticmethod
     def _check_orientations(cell: Cell) -> None:
         """Raise `HilcellError` for equal orientations, or the grid's own: they add nothing."""
@@ -149,10 +142,7 @@ class ChosenPoses:
     """Drives to the poses that say most beside the grid: of a quick plan, or of turned targets."""
 
     name = "chosen-poses"
-    needs = "the grid, and the sweeps where there are any"
     moves = "the robot in the cube, the tool turned"
-    measures = "the reflectors on the flange at every chosen pose"
-    yields = "more certain kinematics"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the longest that it may take: which poses, only the grid's errors tell."""

@@ -24,7 +24,6 @@ from hilcell.calibration.target_pass import (
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.targets import read_targets
 from hilcell.geometry.frames import inverse, poses_from_zyx
-from hilcell.geometry.inverse import ReachError
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
 from hilcell.model.plan import Step
@@ -35,7 +34,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.plan import closing, first_hold, flange_points, step
+from procedures.plan import check_reach, closing, first_hold, flange_points, step
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
 
@@ -46,10 +45,7 @@ class TargetPass:
     """Measures every target once; one that stands out from all others once more."""
 
     name = "targets"
-    needs = "a calibration of this cell, {W}, a list of targets"
     moves = "the slide to the station, the robot to every corrected target"
-    measures = "the flange reflector at every target, and the floor nests at the end"
-    yields = "the calibration with the targets' errors folded in by their share"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a missing calibration, and targets outside of its validity or out of reach."""
@@ -120,10 +116,7 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
     station = station_of(cell).name
     commands = compensate_targets(calibration, station, values, names)
     T_W_B = calibration.base(station)
-    try:
-        return cell.robot.nominal().joints_for(inverse(T_W_B) @ poses_from_zyx(commands))
-    except ReachError as error:
-        raise HilcellError(f"target: {error}", code="HC-C10") from error
+    return check_reach(cell, inverse(T_W_B) @ poses_from_zyx(commands), "target")
 
 
 def targets_table(result: Result) -> Table:

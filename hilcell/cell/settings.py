@@ -128,32 +128,13 @@ def convert(
     """
     problems: list[str] = []
     try:
-        built = _sound(values, kind) or _struct(values, kind, "", problems)
+        built = _struct(values, kind, "", problems)
         problems += also(built)
     except RecursionError:
         raise SettingsError(source, ["nested too deeply"]) from None
     if problems:
         raise SettingsError(source, problems)
     return typing.cast("T", built)
-
-
-def _sound(values: Mapping[str, object], kind: type[T]) -> T | None:
-    """Return what has no problem, which takes a quarter of the time; None where it may have one."""
-    if not _knows_its_keys(kind) or list(_not_finite(values, "")):
-        return None
-    try:
-        return typed(values, kind)
-    except msgspec.ValidationError:
-        return None
-
-
-@cache
-def _knows_its_keys(kind: type[msgspec.Struct]) -> bool:
-    """Whether a table, and each one in it, refuses unknown keys of its own accord."""
-    kinds = [field.type for field in _fields(kind).values()]
-    kinds += [item for each in kinds for item in typing.get_args(each)[:1]]  # of lists of tables
-    inner = (each for each in map(_inner_struct, kinds) if each)
-    return kind.__struct_config__.forbid_unknown_fields and all(map(_knows_its_keys, inner))
 
 
 def refuse(problems: Iterable[str]) -> None:

@@ -51,13 +51,10 @@ class Plan:
 
 
 class Part(Protocol):
-    """One act of a procedure: its needs, motions, measurements and yield, and how it is done."""
+    """One act of a procedure. A resume says what it ``moves`` before the operator agrees."""
 
     name: str
-    needs: str
     moves: str
-    measures: str
-    yields: str
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step; raises `HilcellError` for what cannot be reached or seen."""
@@ -66,7 +63,8 @@ class Part(Protocol):
         """Do it. Called again on resume: the session skips what the journal already holds."""
 
     def result(self, log: Log) -> Result:
-        """Compute this act's share of the result from the log alone."""
+        """Compute this act's share of the result from the log alone, if it has any."""
+        return {}
 
 
 @dataclass(frozen=True, slots=True)

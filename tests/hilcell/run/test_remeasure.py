@@ -82,7 +82,7 @@ class Flange:
     """A part that measures flange points and judges them; ``act`` is called before each."""
 
     name = "flange"
-    needs = moves = measures = yields = ""
+    moves = ""
 
     def __init__(self, count: int, kind: str, act: Any = None) -> None:
         self.count, self.kind, self.act = count, kind, act
