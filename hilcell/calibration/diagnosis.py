@@ -1,8 +1,5 @@
 """Causes of wrong figures that a run's own comparisons let suspect: re-visits, the mount, targets.
 
-Each detector looks at one comparison, and declares others whose findings decide whether it has
-anything to say, so what they find does not depend on the order of their list.
-
 A robot that repeats worse than it should (a brake that slips a little at each stop) moves no mean
 and loses no zero. So the deviations e of the corrected targets from their mean at each station are
 compared with their covariance C: by the mean of ``e' C^-1 e / 3``, and along the column a of each
@@ -14,7 +11,6 @@ compared with the stated RP.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
 from itertools import chain, permutations
 from typing import NamedTuple
 
@@ -75,43 +71,6 @@ from hilcell.model.point import CHECKS, CONTROL, Point
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import Fitted, Revisited
 from hilcell.ports import Array
-
-Found = Iterable[Suspicion | None]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Detector:
-    """A comparison of a run's data, and the causes that it can name.
-
-    ``find`` gets what the detectors that it ``needs`` have found, and nothing of any other.
-    """
-
-    causes: tuple[Cause, ...]
-    find: Callable[[Log, list[Suspicion]], Found]
-    needs: tuple[Detector, ...] = ()
-
-
-def findings(log: Log, detectors: Iterable[Detector]) -> dict[Detector, list[Suspicion]]:
-    """Return what each detector has found, and each that one of them needs."""
-    found: dict[Detector, list[Suspicion]] = {}
-
-    def of(detector: Detector) -> list[Suspicion]:
-        if detector not in found:
-            needed = [each for need in detector.needs for each in of(need)]
-            suspicions = detector.find(log, needed)
-            found[detector] = [each for each in suspicions if each is not None]
-        return found[detector]
-
-    for each in detectors:
-        of(each)
-    return found
-
-
-def suspicions_of(log: Log) -> list[Suspicion]:
-    """Return what a run's journal lets suspect; nothing where all is as predicted."""
-    found = findings(log, DETECTORS)
-    return [suspicion for each in DETECTORS for suspicion in found[each]]
-
 
 # -- the room --------------------------------------------------------------------------------------
 
@@ -370,10 +329,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
     return found
 
 
-# -- the detectors ---------------------------------------------------------------------------------
-
-# A correction that was learnt from a robot which changed names no cause of its own. Slow and small
-# changes show where nothing larger has changed, or nothing that has a name.
+# -- scatter, and all comparisons together ---------------------------------------------------------
 
 
 class Deviations(NamedTuple):
@@ -490,59 +446,40 @@ def worst_scatter(found: Deviations) -> Scatter:
     return max(tests, key=lambda test: test.ratio / test.limit)
 
 
-OF_POSES = (Cause.MOUNT_SLIPPED, Cause.TEMPERATURE, Cause.ZERO_LOST, Cause.STRIP, Cause.UNKNOWN)
+def _again(log: Log, kind: str) -> Suspicion | None:
+    if not revisited(log, kind):
+        return None
+    return established(log, kind) or revisits(log, kind).suspicion
 
 
-def _again(log: Log, kind: str) -> Found:
-    if revisited(log, kind):
-        yield established(log, kind) or revisits(log, kind).suspicion
-
-
-def _lost_motion(log: Log) -> Found:
-    turned = log.once_measured(reversal)
-    return [] if turned is None else [turned.suspicion]
-
-
-def _targets(log: Log) -> Found:
+def _targets(log: Log) -> list[Suspicion]:
     fit = log.judged.get("fit")
     return [] if fit is None else log.once_measured(_of_targets, fit.seq)
 
 
-def _where_none_is_named(
-    find: Callable[[Log], Suspicion | None],
-) -> Callable[[Log, list[Suspicion]], Found]:
-    def looking(log: Log, needed: list[Suspicion]) -> Found:
-        if all(each.cause is Cause.UNKNOWN for each in needed):
-            yield find(log)
+def suspicions_of(log: Log) -> list[Suspicion]:
+    """Return what a run's journal lets suspect; nothing where all is as predicted.
 
-    return looking
-
-
-NEST = Detector((Cause.NEST_MOVED,), lambda log, _: [risen_nest(log)])
-MOUNT = Detector((Cause.MOUNT_OFFSET,), lambda log, _: [log.once_measured(mount_offset)])
-LOST_MOTION = Detector((Cause.REVERSAL,), lambda log, _: _lost_motion(log))
-AFTER_GRID = Detector(OF_POSES, lambda log, _: _again(log, REVISIT))
-AT_END = Detector(
-    OF_POSES, lambda log, changed: [] if changed else _again(log, CLOSING), (AFTER_GRID,)
-)
-TARGETS = Detector(
-    OF_POSES, lambda log, changed: [] if changed else _targets(log), (AFTER_GRID, AT_END)
-)
-LARGE = (MOUNT, LOST_MOTION, AFTER_GRID, AT_END, TARGETS)
-TRACKER = Detector((Cause.DRIFT,), _where_none_is_named(tracker_drift), LARGE)
-SCATTER = Detector((Cause.REPEATABILITY,), _where_none_is_named(scattered), (*LARGE, TRACKER))
-SLOW = Detector((Cause.DRIFT,), _where_none_is_named(robot_drift), (*LARGE, TRACKER, SCATTER))
-
-# In the order in which their findings are shown.
-DETECTORS = (
-    Detector((Cause.SCALE,), lambda log, _: [scale(log)]),
-    Detector((Cause.INSTRUMENT,), lambda log, _: [axis_off(log)]),
-    Detector((Cause.TEMPERATURE,), lambda log, _: [warm(log)]),
-    Detector((Cause.REFLECTOR, Cause.BASE_MISPLACED), lambda log, _: [misplaced_base(log)]),
-    NEST,
-    Detector(
-        (Cause.CHANGED_SINCE,), lambda log, risen: [since_before(log, with_base=not risen)], (NEST,)
-    ),
-    Detector((Cause.REPEATABILITY,), lambda log, _: [worse_than_stated(log)]),
-    *LARGE, TRACKER, SCATTER, SLOW,
-)  # fmt: skip
+    A correction that was learnt from a robot which changed names no cause of its own. Slow and
+    small changes show where nothing larger has changed, or nothing that has a name.
+    """
+    nest, turned = risen_nest(log), log.once_measured(reversal)
+    alone = [
+        scale(log),
+        axis_off(log),
+        warm(log),
+        misplaced_base(log),
+        nest,
+        since_before(log, with_base=nest is None),
+        worse_than_stated(log),
+    ]
+    changed = _again(log, REVISIT) or _again(log, CLOSING)
+    large = [
+        log.once_measured(mount_offset),
+        None if turned is None else turned.suspicion,
+        *([changed] if changed else _targets(log)),
+    ]
+    slow = None
+    if all(each is None or each.cause is Cause.UNKNOWN for each in large):
+        slow = tracker_drift(log) or scattered(log) or robot_drift(log)
+    return [each for each in (*alone, *large, slow) if each is not None]

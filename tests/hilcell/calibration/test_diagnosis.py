@@ -1,8 +1,7 @@
-"""What detectors find in a whole run depends on what they need of one another, and on no order."""
+"""What a whole run lets suspect: a cause is named where no larger one explains the figures."""
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable, Iterable
 
 import msgspec
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.causes import patterns, zero_columns
-from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
+from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.geometry.frames import from_rotvec, inverse
@@ -23,8 +22,6 @@ from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
-
-SHUFFLES = 3
 
 
 @pytest.fixture(scope="module")
@@ -118,32 +115,28 @@ def disturbed(records: list[Record], name: str) -> Log:
     return log
 
 
-@pytest.mark.parametrize("name", DISTURBANCES)
-def test_the_order_of_the_detectors_says_nothing(records: list[Record], name: str) -> None:
-    wanted, rng = findings(disturbed(records, name), DETECTORS), random.Random(name)
-    for _ in range(SHUFFLES):
-        order = rng.sample(DETECTORS, len(DETECTORS))
-        assert findings(disturbed(records, name), order) == wanted
+SUSPECTED = {
+    "none": [],
+    "slip": [Cause.MOUNT_SLIPPED],
+    "zero": [Cause.ZERO_LOST],
+    "slow": [Cause.ZERO_LOST],  # which the re-visited poses show, not the slope
+    "tracker": [Cause.UNKNOWN, Cause.DRIFT],
+    "targets": [Cause.REPEATABILITY],
+    "visits": [Cause.TEMPERATURE, Cause.REPEATABILITY],
+    "mount": [Cause.MOUNT_OFFSET, Cause.REVERSAL],  # and no scatter of the targets
+    "nest": [Cause.NEST_MOVED, Cause.UNKNOWN, Cause.DRIFT],  # and no base that has changed since
+    "all": [Cause.TEMPERATURE, Cause.NEST_MOVED, Cause.MOUNT_OFFSET, Cause.ZERO_LOST],
+}
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_a_detector_alone_finds_what_it_finds_among_all(records: list[Record], name: str) -> None:
-    among_all = findings(disturbed(records, name), DETECTORS)
-    for each in DETECTORS:
-        assert findings(disturbed(records, name), [each])[each] == among_all[each]
-        assert {suspicion.cause for suspicion in among_all[each]} <= {*each.causes}
+def test_a_small_change_is_named_where_no_large_one_is(records: list[Record], name: str) -> None:
+    assert [each.cause for each in suspicions_of(disturbed(records, name))] == SUSPECTED[name]
 
 
-def test_the_disturbances_of_these_tests_are_seen(records: list[Record]) -> None:
-    found = {name: suspicions_of(disturbed(records, name)) for name in DISTURBANCES}
-    assert [name for name, suspicions in found.items() if not suspicions] == ["none"]
-    assert {each.cause for suspicions in found.values() for each in suspicions} == {
-        Cause.MOUNT_SLIPPED, Cause.ZERO_LOST, Cause.MOUNT_OFFSET, Cause.REVERSAL,
-        Cause.TEMPERATURE, Cause.NEST_MOVED, Cause.REPEATABILITY, Cause.DRIFT, Cause.UNKNOWN,
+def test_every_cause_is_in_a_test_here_or_beside_it() -> None:
+    beside = {
+        Cause.SCALE, Cause.INSTRUMENT, Cause.REFLECTOR, Cause.BASE_MISPLACED, Cause.CHANGED_SINCE,
+        Cause.STRIP, Cause.TRACKER_MOVED,
     }  # fmt: skip
-
-
-def test_every_cause_but_those_of_a_guard_has_a_detector() -> None:
-    assert {*Cause} - {cause for each in DETECTORS for cause in each.causes} == {
-        Cause.TRACKER_MOVED
-    }
+    assert {*Cause} - {cause for causes in SUSPECTED.values() for cause in causes} == beside
