@@ -59,7 +59,7 @@ class Summary:
         return [
             *point_columns(self.study),
             Column("minutes", attrgetter("minutes"), form=".0f"),
-            Column(self.study.accuracy[:-3], lambda row: _with_half(row.accuracy), "mm", "s"),
+            Column(self.study.accuracy[:-3], lambda row: with_half(row.accuracy), "mm", "s"),
         ]
 
     def _best(self) -> Table:
@@ -87,7 +87,7 @@ class Summary:
         columns = self._design_columns()
         if study.has_costs:
             columns.insert(-1, Column(study.money, lambda row: row.point.cost, form="g"))
-        columns.append(Column("covered", lambda row: _percent(row.covered), "%", "s"))
+        columns.append(Column("covered", lambda row: percent(row.covered), "%", "s"))
         if any(each.cases < of_all for each in found.front):
             columns.append(Column("done", lambda row: f"{row.cases} of {of_all}", form="s"))
         against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
@@ -104,7 +104,7 @@ class Summary:
             Column("factor", attrgetter("factor.title")),
             Column("from", attrgetter("start")),
             Column("to", attrgetter("word")),
-            Column("gain", lambda row: _with_half(row.change, -1.0), "mm", "s"),
+            Column("gain", lambda row: with_half(row.change, -1.0), "mm", "s"),
             Column("shown", _shown, form="s"),
             Column("more minutes", lambda row: _signed(row.minutes), form="s"),
         ]
@@ -125,19 +125,19 @@ class Summary:
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("level", attrgetter("word")),
-            Column(self.study.accuracy[:-3], lambda row: _with_half(row.mean), "mm", "s"),
+            Column(self.study.accuracy[:-3], lambda row: with_half(row.mean), "mm", "s"),
             Column(
                 "change",
-                lambda row: _with_half(row.change) if row.word != row.start else None,
+                lambda row: with_half(row.change) if row.word != row.start else None,
                 "mm",
                 "s",
             ),
             Column("minutes", lambda row: _signed(row.minutes), form="s"),
-            Column("covered", lambda row: _percent(row.covered), "%", "s"),
+            Column("covered", lambda row: percent(row.covered), "%", "s"),
         ]
         note = "\n".join([*found.not_estimable, self._explained()])
         if found.covered is not None:
-            within = f"{_percent(found.covered)} % of targets lie within their 95 % bound."
+            within = f"{percent(found.covered)} % of targets lie within their 95 % bound."
             note += f"Over all designs {within}"
         return Table(columns, found.effects, "Main effects", note)
 
@@ -229,7 +229,7 @@ def _kind(reason: str) -> str:
     return re.sub(r"\d+", "0", reason).replace("-0", "0").replace("+0", "0")
 
 
-def _with_half(each: Interval, sign: float = 1.0) -> str:
+def with_half(each: Interval, sign: float = 1.0) -> str:
     """Return a figure with its interval, where it has one; a dash for none."""
     if math.isnan(each.mean):
         return NONE
@@ -237,7 +237,7 @@ def _with_half(each: Interval, sign: float = 1.0) -> str:
     return shown if math.isnan(each.half) else f"{shown} ± {each.half:.4f}"
 
 
-def _percent(each: Share) -> str:
+def percent(each: Share) -> str:
     """Return a share in %, with its interval; a dash for none."""
     if math.isnan(each.mean):
         return NONE

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,12 +69,8 @@ def drawings(facts: Facts) -> list[Drawing]:
     shown = facts.is_paper or results & facts.result.keys() or facts.log.select("repeat")
     if "world" not in facts.log.frames or not shown:
         return []  # and no library of figures is loaded
-    import matplotlib
-
     drawn = []
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # not the user's
-        matplotlib.rc_file(Path(__file__).with_suffix(".mplstyle"), use_default_template=False)
+    with in_style():
         for name, title, in_paper, draw in found:
             if (made := draw(facts)) is None:
                 continue
@@ -84,6 +81,17 @@ def drawings(facts: Facts) -> list[Drawing]:
             shown_title = title + facts.of_paper(in_paper)
             drawn.append(Drawing(name, shown_title, caption, svg_of(figure, name)))
     return drawn
+
+
+@contextmanager
+def in_style() -> Iterator[None]:
+    """Draw as in a report, whatever the user's own style is."""
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rc_file(Path(__file__).with_suffix(".mplstyle"), use_default_template=False)
+        yield
 
 
 # -- errors at the targets ------------------------------------------------------------------------

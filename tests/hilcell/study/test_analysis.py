@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from hilcell.study.design import Case, cases
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
-from hilcell.study.tables import Summary
+from hilcell.study.tables import Summary, percent, with_half
 from hilcell.typed import Json
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES, SOBOL
@@ -101,6 +102,19 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     said: Json = msgspec.json.decode(msgspec.json.encode(summary.facts()))
     assert said["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(summary)
+
+
+def test_the_page_draws_the_front_and_each_level(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=FOUR)
+    summary = Summary(asked, rows(asked, additive))
+    text = page(summary)
+    assert page(summary) == text
+    _, front, effects, covered = text.split("<svg")
+    words = {plot: re.findall(r"<text[^>]*>([^<]*)</text>", plot) for plot in (front, effects)}
+    assert {str(each.point.number) for each in summary.found.front} <= {*words[front]}
+    for each in summary.found.effects:
+        assert {each.factor.title, each.word, with_half(each.mean)} <= {*words[effects]}
+        assert percent(each.covered) in covered
 
 
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
