@@ -10,56 +10,77 @@ connection is lost. So a thread asks something harmless of idle connections.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.krl import POSE
-from drivers.supervision import LIFE_S
+from drivers.wires.tcp import TcpLink
 from hilcell.ports import Array, DeviceError, HilcellError, Stopped
 
 PROGRESS = "$AXIS_ACT"
 PROGRAM_VERSION = 4  # of hilcell.src
 
 
-class Access(Protocol):
-    """Variables of the controller by their names, and brake and override."""
+class Line:
+    """One connection, one request in flight; a lock lets a keep-alive share it."""
 
-    def look(self) -> None:
-        """From here on, values are to be as new as this call."""
+    def __init__(self, host: str, port: int, attend: Callable[[], None]) -> None:
+        """``attend`` runs in every wait."""
+        self.attend = attend
+        self._link = TcpLink(ROBOT, host, port, self._attend)
+        self._lock = threading.Lock()
+        self._received = b""
+        self._dead = ""  # why no request may be made any more
+        self.used_s = time.monotonic()
 
-    def value(self, name: str) -> krl.Value:
-        """Return a single value; raises `DeviceError`."""
+    def _attend(self) -> None:
+        self.attend()
 
-    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        """Return components of a structure; raises `DeviceError`."""
+    @contextmanager
+    def _in_flight(self, operation: str) -> Iterator[None]:
+        """Have the connection for one request and its answer; raises `DeviceError`."""
+        with self._lock:
+            if self._dead:
+                raise self._link.broken(operation, self._dead)
+            yield
+            self.used_s = time.monotonic()
 
-    def brake(self) -> None:
-        """Stop the robot; the program has heard it."""
+    @contextmanager
+    def _unheard(self) -> Iterator[None]:
+        """Have the connection for a request whose answer nobody awaits.
 
-    def release(self) -> None:
-        """Take a stop back; nothing moves by it."""
+        A request in flight is given a moment to end, because some servers lose a second one that
+        arrives in the same segment; then the bytes go out all the same.
+        """
+        held = self._lock.acquire(timeout=0.05)
+        self._link.unheard = True
+        try:
+            yield
+        finally:
+            if held:
+                self._lock.release()
 
-    def lower_override(self, found: int, wanted: int) -> None:
-        """Lower $OV_PRO so that the controller itself knows its old value."""
+    def keep(self) -> None:
+        """Ask something harmless; raises `DeviceError`."""
+        raise NotImplementedError
 
-    def give_back_override(self) -> None:
-        """Give back an override that was lowered; the robot must stand."""
-
-    def lowered_override(self) -> bool:
-        """Whether an override is still to be given back."""
+    def close(self) -> None:
+        self._link.close()
 
 
-class Controller(Access, Protocol):
-    """The open wires to one controller."""
+class Controller(Protocol):
+    """The open wires to one controller: its variables by their names, motions, and the stop."""
 
     address: str
     versions: dict[str, int]  # what must be installed: the number of each
+    _line: Line
+    _stop_line: Line
+    _keeper: KeepAlive
 
     @property
     def rounds(self) -> Sequence[tuple[str, ...]]:
@@ -73,35 +94,29 @@ class Controller(Access, Protocol):
     def measured(self) -> str:
         """Return the variable of the measured joints, or of the ordered ones without it."""
 
+    def look(self) -> None:
+        """From here on, values are to be as new as this call."""
+
+    def knows(self, name: str) -> bool:
+        """Whether the controller lets a variable be read."""
+
+    def value(self, name: str) -> krl.Value:
+        """Return a single value; raises `DeviceError`."""
+
+    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
+        """Return components of a structure; raises `DeviceError`."""
+
     def text(self, name: str) -> str:
         """Return a text, cleaned."""
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Hand a motion to joints (6,) over; a held slide's place (mm) may follow (7,)."""
 
-    def sign(self) -> None:
-        """Give the program a sign of life, if one is due."""
-
-    def undisturbed(self) -> AbstractContextManager[Access]:
-        """Return an access whose waits a stop does not end."""
-
-    def stop(self) -> None:
-        """Brake; any thread; waits for no answer."""
-
-    def check(self) -> None:
-        """Raise what an idle wire has failed by."""
-
-    def close(self) -> None:
-        """Close the wires."""
-
-    def has_slide(self) -> bool:
-        """Whether the controller has an external axis."""
-
-    def mastered(self) -> bool:
-        """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
-
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Hand a motion of E1 alone over."""
+
+    def sign(self) -> None:
+        """Give the program a sign of life, if one is due."""
 
     def hold_slide(self, held: bool) -> None:
         """Have the program refuse every motion of E1, or allow it."""
@@ -109,13 +124,72 @@ class Controller(Access, Protocol):
     def slide(self) -> tuple[float, bool]:
         """Return where E1 is in mm, and whether it is held."""
 
+    def brake(self) -> None:
+        """Stop the robot; the program has heard it."""
 
-def integer(access: Access, name: str) -> int:
-    """Return a whole number that the controller has; raises `DeviceError`."""
-    value = access.value(name)
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise unreadable(name, f"expected a whole number, got {value!r}")
-    return value
+    def end_brake(self) -> None:
+        """Tell the program that the stop is over."""
+
+    def lower_override(self, found: int, wanted: int) -> None:
+        """Lower $OV_PRO so that the controller itself knows its old value."""
+
+    def give_back_override(self) -> None:
+        """Give back an override that was lowered, where nobody has changed it meanwhile.
+
+        The robot must stand.
+        """
+
+    def undisturbed(self) -> AbstractContextManager[Controller]:
+        """Return a controller whose waits a stop does not end."""
+
+    def stop(self) -> None:
+        """Brake; any thread; waits for no answer."""
+
+    def integer(self, name: str) -> int:
+        """Return a whole number that the controller has; raises `DeviceError`."""
+        value = self.value(name)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise unreadable(name, f"expected a whole number, got {value!r}")
+        return value
+
+    def release(self) -> None:
+        """Take a stop back, where there is one; nothing moves by it."""
+        if self.value("HC_STOP") is not False:
+            self.end_brake()
+
+    def lowered_override(self) -> bool:
+        """Whether an override is still to be given back."""
+        return self.integer("HC_OV_OLD") != 0
+
+    def check_override(self, wanted: int) -> None:
+        """Raise `DeviceError` where the override is not what was ordered."""
+        if (found := self.integer("$OV_PRO")) != wanted:
+            raise ROBOT.failed(
+                "HC-B40",
+                "sweep",
+                f"$OV_PRO is {found}",
+                wanted=f"{wanted}",
+                override=found,
+                wanted_override=wanted,
+            )
+
+    def has_slide(self) -> bool:
+        """Whether the controller has an external axis."""
+        return self.knows("$EX_AX_NUM") and self.integer("$EX_AX_NUM") > 0
+
+    def mastered(self) -> bool:
+        """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
+        return not self.knows("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
+
+    def check(self) -> None:
+        """Raise what an idle wire has failed by."""
+        self._keeper.check()
+
+    def close(self) -> None:
+        """Close the wires."""
+        self._keeper.close()
+        for line in (self._line, self._stop_line):
+            line.close()
 
 
 def unreadable(name: str, found: object) -> DeviceError:
@@ -130,19 +204,6 @@ def readable(name: str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise unreadable(name, error) from error
-
-
-def override_held(found: int, wanted: int) -> None:
-    """Raise `DeviceError` where an override did not become what was wanted."""
-    if found != wanted:
-        raise ROBOT.failed(
-            "HC-B40",
-            "sweep",
-            f"$OV_PRO is {found}",
-            wanted=f"{wanted}",
-            override=found,
-            wanted_override=wanted,
-        )
 
 
 LOST, STOPPED = 8, 9  # HC_ERR
@@ -179,40 +240,8 @@ def frame_text(values: tuple[float, ...] | list[float]) -> str:
     return ", ".join(f"{n} {v:.3f}" for n, v in zip(POSE, values, strict=True))
 
 
-class LifeSign:
-    """Signs of life to one controller's program, from its first motion on."""
-
-    EVERY_S = 0.2
-    TIMER = "$TIMER[10]"
-
-    def __init__(self, write: Callable[[str, str], None]) -> None:
-        """``write`` sets a variable of the controller."""
-        self._write, self._due_s = write, math.inf
-
-    def begin(self) -> None:
-        """A motion is about to begin: tell the program how long the PC may keep silent."""
-        if self._due_s == math.inf:
-            self._write("HC_LIFE", str(round(LIFE_S * 1000)))
-        self._due_s = time.monotonic() + self.EVERY_S
-
-    def give(self) -> None:
-        """Give a sign, if one is due."""
-        if time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + self.EVERY_S
-            self._write(self.TIMER, str(round(-LIFE_S * 1000)))
-
-
-class Connection(Protocol):
-    """One that knows when it was used last, by ``time.monotonic()``."""
-
-    used_s: float
-
-
-Kept = TypeVar("Kept", bound=Connection)
-
-
-class KeepAlive(Generic[Kept]):
-    """Calls ``ask`` with every connection that has been idle for `IDLE_S`.
+class KeepAlive:
+    """Asks something of every connection that has been idle for `IDLE_S`.
 
     The thread keeps a failure that it finds; the device's next use raises it.
     """
@@ -221,8 +250,8 @@ class KeepAlive(Generic[Kept]):
     LOOK_S = 1.0
     JOIN_S = 3.0
 
-    def __init__(self, connections: Sequence[Kept], ask: Callable[[Kept], object]) -> None:
-        self._connections, self._ask = connections, ask
+    def __init__(self, *lines: Line) -> None:
+        self._lines = lines
         self._failure: HilcellError | None = None
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="keep-alive", daemon=True)
@@ -240,9 +269,9 @@ class KeepAlive(Generic[Kept]):
     def _run(self) -> None:
         try:
             while not self._end.wait(self.LOOK_S):
-                for connection in self._connections:
-                    if time.monotonic() - connection.used_s > self.IDLE_S:
-                        self._ask(connection)
+                for line in self._lines:
+                    if time.monotonic() - line.used_s > self.IDLE_S:
+                        line.keep()
         except Stopped:
             return  # the run ends; nothing needs these connections any longer
         except HilcellError as error:

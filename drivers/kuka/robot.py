@@ -16,7 +16,7 @@ slide as it brakes the arm when the PC dies.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import cycle
@@ -33,10 +33,8 @@ from drivers.kuka.controller import (
     PROGRAM_VERSION,
     PROGRESS,
     STOPPED,
-    Access,
     Controller,
     frame_text,
-    integer,
     refused_motion,
 )
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
@@ -112,6 +110,13 @@ class KukaRobot:
         self._watch = Supervision(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override = 100
+        # The values of a variable with which work may go on, and the alarm otherwise.
+        self._good: dict[str, tuple[Sequence[str | bool | int], str]] = {
+            **HEALTH,
+            "$OV_PRO": (range(1, 101), "HC-B16"),
+            "$ACT_TOOL": ((options.tool,), "HC-B07"),
+            "$ACT_BASE": ((options.base,), "HC-B07"),
+        }
         self._rest_deg = np.zeros(6)
         self._identity = Identity(ROBOT.name, "", "", "")
         self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
@@ -131,6 +136,7 @@ class KukaRobot:
         with on_failure(self._close_wires):
             controller = self._controller = self._wires(self)
             self._round = cycle(controller.rounds)
+            self._good |= {name: ((n,), "HC-B17") for name, n in controller.versions.items()}
             controller.look()
             identity = self._identify()
             self.check(*controller.versions, *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
@@ -150,8 +156,7 @@ class KukaRobot:
         try:
             number = self.command(target_deg, round(speed_percent))
             limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
-            while not self.acknowledged(number):
-                self.check_round(next(self._round), limits, number)
+            while self.look(number, limits, self._round):
                 self._clock.wait(POLL_S)
             return self.rest(target_deg)
         finally:
@@ -235,8 +240,7 @@ class KukaRobot:
             controller.hold_slide(held=False)
             number = self.begin(lambda n: controller.start_slide(n, position_mm, percent))
             self.slide_mm = position_mm
-            while not self.acknowledged(number):
-                self.check_round(next(self._round), limits, number)
+            while self.look(number, limits, self._round):
                 attend(self._judged_speed(self.OVERSPEED * speed_mm_s))
                 self._clock.wait(POLL_S)
             self.rest(self.stands_at())
@@ -277,7 +281,7 @@ class KukaRobot:
     # -- connecting ---------------------------------------------------------------------------
 
     def _identify(self) -> Identity:
-        model, serial = self.wire().text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
+        model, serial = self.wire().text("$TRAFONAME[]"), self.wire().integer("$KR_SERIALNO")
         wanted = self._options
         check_identity(model, wanted.model, str(serial), str(wanted.serial or ""))
         simulated = says_simulated(model)
@@ -293,28 +297,17 @@ class KukaRobot:
 
     def _problem(self, name: str) -> DeviceError | None:
         """Read one variable of the controller's state; return its error, if any."""
-        moving, tool, base = self._under_way, self._options.tool, self._options.base
-        if name in HEALTH:
-            good, code = HEALTH[name]
-            found = self.wire().value(name)
-            if any(found == value and type(found) is type(value) for value in good):
-                return None
-            text = str(found).upper() if isinstance(found, bool) else clean(str(found))
-            wanted = " or ".join(str(value).upper() for value in good)
-            return unwell(code, name, text, wanted, moving=moving)
-        number = self.integer(name)
+        good, code = self._good[name]
+        found = self.wire().value(name) if name in HEALTH else self.wire().integer(name)
         if name == "$OV_PRO":
-            self._override = number
-        code, low, high = {
-            **{name: ("HC-B17", n, n) for name, n in self.wire().versions.items()},
-            "$OV_PRO": ("HC-B16", 1, 100),
-            "$ACT_TOOL": ("HC-B07", tool, tool),
-            "$ACT_BASE": ("HC-B07", base, base),
-        }[name]
-        if low <= number <= high:
+            self._override = int(found)
+        if any(found == value and type(found) is type(value) for value in good):
             return None
-        wanted = str(low) if low == high else f"{low} to {high}"
-        return unwell(code, name, str(number), wanted, moving=moving)
+        text = str(found).upper() if isinstance(found, bool) else clean(str(found))
+        wanted = " or ".join(str(value).upper() for value in good)
+        if isinstance(good, range):
+            wanted = f"{good[0]} to {good[-1]}"
+        return unwell(code, name, text, wanted, moving=self._under_way)
 
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, POSE)
@@ -334,15 +327,15 @@ class KukaRobot:
         controller = self.wire()
         controller.look()
         if controller.lowered_override():  # by a dead engine, whose sweep is braked first
-            if self.integer("HC_SEQ") != self.integer("HC_ACK"):
+            if self.wire().integer("HC_SEQ") != self.wire().integer("HC_ACK"):
                 controller.brake()
                 await_rest(controller)
             controller.give_back_override()
         controller.release()
         patience = Patience(self.CATCH_UP_S, self.POLL_LOOK_S)
-        self._sequence = self.integer("HC_SEQ")
+        self._sequence = self.wire().integer("HC_SEQ")
         over = False
-        while (acknowledged := self.integer("HC_ACK")) != self._sequence:
+        while (acknowledged := self.wire().integer("HC_ACK")) != self._sequence:
             if over:
                 raise ROBOT.refused(
                     "HC-B25",
@@ -378,25 +371,31 @@ class KukaRobot:
         self._sequence = number
         return number
 
-    def check_round(self, names: tuple[str, ...], limits: MotionLimits, number: int) -> None:
-        """Look whether all is well with a motion, by these variables."""
+    def look(
+        self, number: int, limits: MotionLimits, rounds: Iterator[tuple[str, ...]]
+    ) -> tuple[str, ...]:
+        """Look at a motion; return the variables that were looked at, none once it has ended."""
+        if self.acknowledged(number):
+            return ()
+        names = next(rounds)
         self.check(*(name for name in names if name != PROGRESS))
         if PROGRESS in names:
-            self.check_progress(limits, number)
+            self._check_progress(limits, number)
+        return names
 
-    def check_progress(self, limits: MotionLimits, number: int) -> None:
+    def _check_progress(self, limits: MotionLimits, number: int) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
         now_deg, wanted = self._axes(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
-            if error := self.integer("HC_ERR"):
+            if error := self.wire().integer("HC_ERR"):
                 raise refused_motion(error)
             raise limits.stall_error(self._where(now_deg), wanted, now_deg)
         if limits.overdue(self._clock.now_s(), self._override):
             raise limits.time_error(self._where(now_deg), wanted, now_deg)
 
     def _where(self, now_deg: Array) -> str:
-        return f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
+        return f"at {joints_text(now_deg)}, HC_ACK {self.wire().integer('HC_ACK')}"
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -445,9 +444,9 @@ class KukaRobot:
         self._check_stopped()
         self.wire().sign()
         self.wire().look()
-        if self.integer("HC_ACK") != number:
+        if self.wire().integer("HC_ACK") != number:
             return False
-        if (error := self.integer("HC_ERR")) != 0:
+        if (error := self.wire().integer("HC_ERR")) != 0:
             raise refused_motion(error)
         return True
 
@@ -458,9 +457,6 @@ class KukaRobot:
         """Run in every wait on the wire."""
         self._clock.check()
         self._watch.look()
-
-    def integer(self, name: str) -> int:
-        return integer(self.wire(), name)
 
     def _check_stopped(self) -> None:
         if self._stopped:
@@ -545,7 +541,7 @@ class KukaSweep:
         controller.look()
         robot.check(*HEALTH, "$OV_PRO")
         self._variable, self._round = controller.measured, cycle(controller.rounds)
-        found = integer(controller, "$OV_PRO")
+        found = controller.integer("$OV_PRO")
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = self.split_speed(share, found)
         self.speed_rad_s = float(
@@ -592,22 +588,10 @@ class KukaSweep:
     def _look(self) -> None:
         if self.ended:
             return
-        if self._robot.acknowledged(self._number):
-            self.ended = True
-            return
-        names = next(self._round)
-        self._robot.check_round(names, self._limits, self._number)
-        if "$OV_PRO" not in names:
-            return
-        if (found := integer(self._robot.wire(), "$OV_PRO")) != self._override:
-            raise ROBOT.failed(
-                "HC-B40",
-                "sweep",
-                f"$OV_PRO is {found}",
-                wanted=f"{self._override}",
-                override=found,
-                wanted_override=self._override,
-            )
+        names = self._robot.look(self._number, self._limits, self._round)
+        self.ended = not names
+        if "$OV_PRO" in names:
+            self._robot.wire().check_override(self._override)
 
     def _give_back(self, error: BaseException | None) -> None:
         """Leave the robot at rest with its override as it was."""
@@ -642,7 +626,7 @@ class KukaSweep:
 
 
 def await_rest(
-    access: Access,
+    controller: Controller,
     joints: str = PROGRESS,
     names: tuple[str, ...] = JOINTS,
     *,
@@ -658,11 +642,11 @@ def await_rest(
     while not over:
         over = patience.over()
         if closing:
-            access.brake()
-        access.look()
-        now = np.array(access.numbers(joints, names))
+            controller.brake()
+        controller.look()
+        now = np.array(controller.numbers(joints, names))
         stands = bool(np.all(np.abs(now - before) <= STILL_DEG))
-        if stands and (closing or integer(access, "HC_ERR") in (STOPPED, LOST)):
+        if stands and (closing or controller.integer("HC_ERR") in (STOPPED, LOST)):
             return
         before = now
         pause.wait(BRAKED_DWELL_S)

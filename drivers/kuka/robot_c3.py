@@ -9,11 +9,12 @@ compared and a connection that missed a reply is never used again.
 
 from __future__ import annotations
 
+import math
 import struct
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -22,17 +23,15 @@ from drivers.kuka import krl
 from drivers.kuka.controller import (
     PROGRAM_VERSION,
     PROGRESS,
+    Controller,
     KeepAlive,
-    LifeSign,
-    integer,
-    override_held,
+    Line,
     readable,
     unreadable,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
-from drivers.supervision import Patience, go_on, on_failure
-from drivers.wires.tcp import TcpLink
+from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 from hilcell.wire.channel import Port
@@ -90,16 +89,10 @@ def decode_body(tag: int, body: bytes) -> Reply:
     return Reply(tag, kind, body[3 : 3 + size].decode("latin-1"), error, body[-1] == 1)
 
 
-class C3Connection:
-    """One connection, one request in flight; a lock lets a keep-alive share it."""
+class C3Connection(Line):
+    """One connection; a request has a tag."""
 
-    def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
-        self._link = TcpLink(ROBOT, host, port, check)
-        self._lock = threading.Lock()
-        self._tag = 0
-        self._received = b""
-        self._dead = ""
-        self.used_s = time.monotonic()
+    _tag = 0
 
     def read(self, name: str) -> str:
         """Return the text of a variable; raises `DeviceError`."""
@@ -113,23 +106,14 @@ class C3Connection:
         """Write a variable and wait for the acknowledgement; raises `DeviceError`."""
         self._exchange(f"write {name}", lambda tag: encode_write(tag, name, value))
 
-    def write_unheard(self, name: str, value: str, patience_s: float = 0.05) -> None:
-        """Write without waiting for the reply; the connection is good for nothing afterwards.
-
-        A request in flight is given ``patience_s`` to end, because some servers lose a second
-        request that arrives in the same segment; then the bytes go out all the same.
-        """
-        held = self._lock.acquire(timeout=patience_s)
-        self._link.unheard = True
-        try:
+    def write_unheard(self, name: str, value: str) -> None:
+        """Write without waiting for the reply; the connection is good for nothing afterwards."""
+        with self._unheard():
             self._link.send(encode_write(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"
-        finally:
-            if held:
-                self._lock.release()
 
-    def close(self) -> None:
-        self._link.close()
+    def keep(self) -> None:
+        self.read("$MODE_OP")
 
     def _next_tag(self) -> int:
         self._tag = self._tag % 0xFFFF + 1
@@ -144,15 +128,12 @@ class C3Connection:
         return reply
 
     def _reply(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
-        with self._lock:
-            if self._dead:
-                raise self._link.broken(operation, self._dead)
+        with self._in_flight(operation):
             tag = self._next_tag()
             self._dead = f"{operation} was never answered"
             self._link.send(encode(tag), operation)
             reply = self._receive(operation, tag)
             self._dead = ""
-            self.used_s = time.monotonic()
         return reply
 
     def _receive(self, operation: str, tag: int) -> Reply:
@@ -178,59 +159,9 @@ class C3Connection:
             self._received += piece
 
 
-class C3Access:
-    """Satisfies `drivers.kuka.controller.Access` over one connection."""
-
-    def __init__(self, line: C3Connection) -> None:
-        self._line = line
-
-    def look(self) -> None:
-        """Do nothing: each variable is asked for."""
-
-    def value(self, name: str) -> krl.Value:
-        text = self._line.read(name)
-        with readable(name):
-            return krl.parse(text)
-
-    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        text = self._line.read(name)
-        with readable(name):
-            return krl.numbers(text, components)
-
-    def brake(self) -> None:
-        self._line.write("HC_STOP", "TRUE")
-
-    def release(self) -> None:
-        """Write that the stop is over, where there is one."""
-        if self.value("HC_STOP") is not False:
-            self._line.write("HC_STOP", "FALSE")
-
-    def lower_override(self, found: int, wanted: int) -> None:
-        """Write both values before the override itself."""
-        self._line.write("HC_OV_SET", str(wanted))
-        self._line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
-        self._line.write("$OV_PRO", str(wanted))
-        override_held(integer(self, "$OV_PRO"), wanted)
-
-    def give_back_override(self) -> None:
-        """Write the old value, where nobody has changed the lowered one."""
-        before = integer(self, "HC_OV_OLD")
-        if before == 0:
-            return
-        if integer(self, "$OV_PRO") == integer(self, "HC_OV_SET"):
-            self._line.write("$OV_PRO", str(before))
-        self._line.write("HC_OV_OLD", "0")
-
-    def lowered_override(self) -> bool:
-        """Whether the old value is kept."""
-        return integer(self, "HC_OV_OLD") != 0
-
-
-class C3Controller(C3Access):
-    """Satisfies `drivers.kuka.controller.Controller`.
-
-    Each poll of a motion looks at HC_ACK and at the next of ``rounds``, so that all are seen within
-    eight polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
+class C3Controller(Controller):
+    """Each poll of a motion looks at HC_ACK and at the next of ``rounds``, so that all are seen
+    within eight polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
     """
 
     rounds = (
@@ -245,9 +176,8 @@ class C3Controller(C3Access):
     )
 
     PTP_JOINTS, PTP_SLIDE = 1, 2
-    MEASURED = "$AXIS_ACT_MEAS"
-    SLIDES, MASTERED = "$EX_AX_NUM", "$AXIS_JUS[7]"
-    PLACE, HELD = "$AXIS_ACT.E1", "HC_HELD"
+    MEASURED, PLACE = "$AXIS_ACT_MEAS", "$AXIS_ACT.E1"
+    SIGN_S, TIMER = 0.2, "$TIMER[10]"  # of signs of life, from the first motion on
 
     ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
 
@@ -255,79 +185,104 @@ class C3Controller(C3Access):
         self._open = partial(C3Connection, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION}
-        super().__init__(self._open(robot.attend))
+        self._line: C3Connection = self._open(robot.attend)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line = self._open(go_on)
-        self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
-        self._life = LifeSign(self._line.write)
+            self._stop_line: C3Connection = self._open(go_on)
+        self._keeper = KeepAlive(self._line, self._stop_line)
+        self._due_s = math.inf  # of the next sign of life
 
     @cached_property
     def measured(self) -> str:
-        return self.MEASURED if self._line.knows(self.MEASURED) else PROGRESS
+        return self.MEASURED if self.knows(self.MEASURED) else PROGRESS
+
+    def look(self) -> None:
+        """Do nothing: each variable is asked for."""
+
+    def knows(self, name: str) -> bool:
+        return self._line.knows(name)
+
+    def value(self, name: str) -> krl.Value:
+        with readable(name):
+            return krl.parse(self._line.read(name))
+
+    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
+        with readable(name):
+            return krl.numbers(self._line.read(name), components)
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
         return clean(self._line.read(name).strip("\0 \t\r\n").strip('"').strip())
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
-        """Write the target, and the number last."""
-        axes = dict(zip((*JOINTS, SLIDE), target_deg.tolist(), strict=False))
-        self._start(number, axes, self.PTP_JOINTS, speed_percent)
+        self._start(number, target_deg.tolist(), self.PTP_JOINTS, speed_percent)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
-        """Write the target of E1, and the number last; the program looks at no other axis of it."""
+        """Write the target of E1; the program looks at no other axis of it."""
         joints_deg = self.numbers(PROGRESS, JOINTS)
-        axes = dict(zip((*JOINTS, SLIDE), [*joints_deg, place_mm], strict=True))
-        self._start(number, axes, self.PTP_SLIDE, speed_percent)
+        self._start(number, [*joints_deg, place_mm], self.PTP_SLIDE, speed_percent)
 
-    def has_slide(self) -> bool:
-        return self._line.knows(self.SLIDES) and integer(self, self.SLIDES) > 0
+    def _start(self, number: int, axes: list[float], command: int, speed_percent: int) -> None:
+        """Write a motion, and its number last."""
+        target = dict(zip((*JOINTS, SLIDE), axes, strict=False))
+        self._line.write("HC_TGT", krl.structure("E6AXIS", target))
+        self._line.write("HC_VEL", str(speed_percent))
+        self._line.write("HC_CMD", str(command))
+        if self._due_s == math.inf:  # tell the program how long the PC may keep silent
+            self._line.write("HC_LIFE", str(round(LIFE_S * 1000)))
+        self._due_s = time.monotonic() + self.SIGN_S
+        self._line.write("HC_SEQ", str(number))
 
-    def mastered(self) -> bool:
-        return not self._line.knows(self.MASTERED) or self.value(self.MASTERED) is True
+    def sign(self) -> None:
+        """Set the timer back, if that is due."""
+        if time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + self.SIGN_S
+            self._line.write(self.TIMER, str(round(-LIFE_S * 1000)))
 
     def hold_slide(self, held: bool) -> None:
-        self._line.write(self.HELD, "TRUE" if held else "FALSE")
+        self._line.write("HC_HELD", "TRUE" if held else "FALSE")
 
     def slide(self) -> tuple[float, bool]:
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
         place_mm = self.value(self.PLACE)
         if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
             raise unreadable(self.PLACE, f"{place_mm!r} is no place")
-        return float(place_mm), self.value(self.HELD) is True
+        return float(place_mm), self.value("HC_HELD") is True
 
-    def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
-        self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
-        self._line.write("HC_VEL", str(speed_percent))
-        self._line.write("HC_CMD", str(command))
-        self._life.begin()
-        self._line.write("HC_SEQ", str(number))
+    def brake(self) -> None:
+        self._line.write("HC_STOP", "TRUE")
 
-    def sign(self) -> None:
-        """Set the timer back."""
-        self._life.give()
+    def end_brake(self) -> None:
+        self._line.write("HC_STOP", "FALSE")
+
+    def lower_override(self, found: int, wanted: int) -> None:
+        """Write both values before the override itself."""
+        self._line.write("HC_OV_SET", str(wanted))
+        self._line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
+        self._line.write("$OV_PRO", str(wanted))
+        self.check_override(wanted)
+
+    def give_back_override(self) -> None:
+        before = self.integer("HC_OV_OLD")
+        if before == 0:
+            return
+        if self.integer("$OV_PRO") == self.integer("HC_OV_SET"):
+            self._line.write("$OV_PRO", str(before))
+        self._line.write("HC_OV_OLD", "0")
 
     @contextmanager
-    def undisturbed(self) -> Iterator[C3Access]:
+    def undisturbed(self) -> Iterator[C3Controller]:
         """Open a connection for a while."""
-        line = self._open(go_on)
+        other, line = copy(self), self._open(go_on)
+        other._line = line  # noqa: SLF001 # of its own class
         try:
-            yield C3Access(line)
+            yield other
         finally:
             line.close()
 
     def stop(self) -> None:
         """Write the stop over its own connection."""
         self._stop_line.write_unheard("HC_STOP", "TRUE")
-
-    def check(self) -> None:
-        self._keeper.check()
-
-    def close(self) -> None:
-        self._keeper.close()
-        for line in (self._line, self._stop_line):
-            line.close()
 
 
 class KukaC3Robot(KukaRobot):

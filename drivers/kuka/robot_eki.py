@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 import re
 import secrets
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -38,15 +37,15 @@ from drivers.kuka.controller import (
     HEALTH,
     PROGRAM_VERSION,
     PROGRESS,
+    Controller,
     KeepAlive,
-    integer,
-    override_held,
+    Line,
     readable,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
-from drivers.wires.tcp import POLL_S, TcpLink
+from drivers.wires.tcp import POLL_S
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError
 from hilcell.wire.channel import Port
@@ -204,48 +203,32 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
     return int(number), state
 
 
-class EkiChannel:
-    """One connection, one command in flight; a lock lets a keep-alive share it."""
+class EkiChannel(Line):
+    """One connection, whose answers are documents."""
 
     ANSWER_S = 2.0
     RECEIVE = 4096
 
-    def __init__(self, host: str, port: int, root: str, attend: Callable[[], None]) -> None:
-        """``root`` is that of the answers; ``attend`` runs in every wait."""
-        self.attend = attend
-        self._root = root
-        self._link = TcpLink(ROBOT, host, port, self._attend)
-        self._lock = threading.Lock()
-        self._received = b""
-        self._dead = ""
-        self.used_s = time.monotonic()
+    def __init__(
+        self, host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
+    ) -> None:
+        """``root`` is that of the answers; ``probe``, of Id 0, only asks for one."""
+        super().__init__(host, port, attend)
+        self._root, self._probe = root, probe
 
     def ask(self, number: int, document: bytes) -> State:
         """Send a command and return its answer; raises `DeviceError`."""
         operation = f"motion {number}" if number > 0 else "command"
-        with self._lock:
-            if self._dead:
-                raise self._link.broken(operation, self._dead)
+        with self._in_flight(operation):
             self._link.send(document, operation)
-            state = self._answer(number, operation)
-            self.used_s = time.monotonic()
-        return state
+            return self._answer(number, operation)
 
-    def send_unheard(self, document: bytes, patience_s: float = 0.05) -> None:
-        """Send without waiting for the answer; a command in flight may end first."""
-        held = self._lock.acquire(timeout=patience_s)
-        self._link.unheard = True
-        try:
+    def send_unheard(self, document: bytes) -> None:
+        with self._unheard():
             self._link.send(document, "stop")
-        finally:
-            if held:
-                self._lock.release()
 
-    def close(self) -> None:
-        self._link.close()
-
-    def _attend(self) -> None:
-        self.attend()
+    def keep(self) -> None:
+        self.ask(0, self._probe)
 
     def _answer(self, number: int, operation: str) -> State:
         patience, others = Patience(self.ANSWER_S), 0
@@ -282,13 +265,13 @@ class EkiChannel:
 def open_channel(
     host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
 ) -> EkiChannel:
-    """Return a channel that has answered ``probe``, of Id 0; raises `DeviceError`."""
+    """Return a channel that has answered ``probe``; raises `DeviceError`."""
     patience, over = Patience(OPEN_S, OPEN_S), False
     while True:
         channel = None
         try:
-            channel = EkiChannel(host, port, root, attend)
-            channel.ask(0, probe)
+            channel = EkiChannel(host, port, root, attend, probe)
+            channel.keep()
         except BaseException as error:  # also a stop: the controller serves one client alone
             if channel is not None:
                 channel.close()
@@ -302,8 +285,8 @@ def open_channel(
             time.sleep(POLL_S)
 
 
-class EkiController:
-    """Satisfies `drivers.kuka.controller.Controller`; a look is an exchange of documents."""
+class EkiController(Controller):
+    """A look is an exchange of documents."""
 
     DOCUMENTS_VERSION = 1
     LARGEST_ID = 1_000_000_000
@@ -322,17 +305,19 @@ class EkiController:
         self._state: State | None = None
         self._life_ms = 0
         probe, stop_probe = command(0, Kind.ASK), stop_command(0, brake=False)
-        self._line = opened(options.port, STATE, robot.attend, probe)
+        self._line: EkiChannel = opened(options.port, STATE, robot.attend, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line = opened(options.stop_port, STOPPED, go_on, stop_probe)
-        self._keeper = KeepAlive(
-            (self._stop_line,), lambda line: line.ask(0, stop_command(0, brake=False))
-        )
+            self._stop_line: EkiChannel = opened(options.stop_port, STOPPED, go_on, stop_probe)
+        self._keeper = KeepAlive(self._stop_line)
 
     def look(self) -> None:
         """Forget the last state, so that the next value asks for one."""
         self._state = None
+
+    def knows(self, name: str) -> bool:
+        """Whether a state has it, and it has all that is asked for."""
+        return True
 
     def value(self, name: str) -> krl.Value:
         with readable(name):
@@ -354,12 +339,6 @@ class EkiController:
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         self._start(number, Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
 
-    def has_slide(self) -> bool:
-        return integer(self, "$EX_AX_NUM") > 0
-
-    def mastered(self) -> bool:
-        return self.value("$AXIS_JUS[7]") is True
-
     def hold_slide(self, held: bool) -> None:
         self._send(Kind.HOLD_SLIDE if held else Kind.FREE_SLIDE)
 
@@ -378,23 +357,16 @@ class EkiController:
         """Send a stop over the channel of commands."""
         self._send(Kind.BRAKE)
 
-    def release(self) -> None:
-        """Send that the stop is over, where there is one."""
-        if self.value("HC_STOP") is not False:
-            self._send(Kind.RELEASE)
+    def end_brake(self) -> None:
+        self._send(Kind.RELEASE)
 
     def lower_override(self, found: int, wanted: int) -> None:
         """Have the controller keep the old value and set the new one."""
         self._send(Kind.LOWER, wanted)
-        override_held(integer(self, "$OV_PRO"), wanted)
+        self.check_override(wanted)
 
     def give_back_override(self) -> None:
-        """Have the controller set the old value, where nobody has changed the lowered one."""
         self._send(Kind.GIVE_BACK)
-
-    def lowered_override(self) -> bool:
-        """Whether the controller keeps an old value."""
-        return integer(self, "HC_OV_OLD") != 0
 
     @contextmanager
     def undisturbed(self) -> Iterator[EkiController]:
@@ -408,14 +380,6 @@ class EkiController:
     def stop(self) -> None:
         """Send the stop over its own channel."""
         self._stop_line.send_unheard(stop_command(1, brake=True))
-
-    def check(self) -> None:
-        self._keeper.check()
-
-    def close(self) -> None:
-        self._keeper.close()
-        for line in (self._line, self._stop_line):
-            line.close()
 
     def _known(self) -> State:
         return self._state or self._send(Kind.ASK)

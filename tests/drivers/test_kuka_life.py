@@ -6,9 +6,8 @@ import threading
 
 import pytest
 
-from drivers.kuka import controller
 from drivers.kuka import robot as kuka_robot
-from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.kuka.robot_c3 import C3Controller, KukaC3Robot
 from drivers.supervision import LATE_S, LIFE_S
 from tests.drivers.kuka_bed import TARGET_RAD, peer, robot, robot_for, time
 from tests.drivers.kuka_peer import KukaPeer
@@ -23,7 +22,7 @@ SIGN = "write $TIMER[10]"
 def test_each_motion_gets_signs_and_a_standing_robot_none(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller.LifeSign, "EVERY_S", 0.0)
+    monkeypatch.setattr(C3Controller, "SIGN_S", 0.0)
     robot.move_to(TARGET_RAD, 30.0)
     assert peer.requests.count(SIGN) == 3  # one a look
     assert peer.variables["$TIMER[10]"] == "-1500"
@@ -40,8 +39,8 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 
 def test_signs_cost_five_exchanges_a_second() -> None:
     """A PC that is late reports that itself before the robot brakes."""
-    assert controller.LifeSign.EVERY_S == 0.2
-    assert LIFE_S > LATE_S + controller.LifeSign.EVERY_S
+    assert C3Controller.SIGN_S == 0.2
+    assert LIFE_S > LATE_S + C3Controller.SIGN_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

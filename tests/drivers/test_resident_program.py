@@ -7,8 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from drivers.kuka import robot_eki as eki
-from drivers.kuka.controller import PROGRAM_VERSION, LifeSign
+from drivers.kuka.controller import PROGRAM_VERSION
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
+from drivers.kuka.robot_c3 import C3Controller
 from drivers.supervision import LIFE_S
 from tests.drivers.kuka_peer import VARIABLES
 
@@ -98,7 +99,7 @@ def test_the_resident_program_declares_what_the_driver_uses() -> None:
 
 
 def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
-    number = LifeSign.TIMER.removeprefix("$TIMER")
+    number = C3Controller.TIMER.removeprefix("$TIMER")
     assert set(re.findall(r"\$TIMER(?:_STOP|_FLAG)?(\[\d+\])", SOURCE)) == {number}
     assert f"HC_VER = {PROGRAM_VERSION}\n" in SOURCE
     assert f"HC_VER={PROGRAM_VERSION}\n" in DATA

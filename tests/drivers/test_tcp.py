@@ -99,7 +99,7 @@ def stop_by_c3(port: int) -> C3Connection:
 
 
 def stop_by_eki(port: int) -> EkiChannel:
-    line = EkiChannel("127.0.0.1", port, "Robot", go_on)
+    line = EkiChannel("127.0.0.1", port, "Robot", go_on, b"")
     line.send_unheard(b"<Stop/>")
     return line
 

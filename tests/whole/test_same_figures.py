@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka import controller
+from drivers.kuka import robot_c3
 from drivers.universal_robots import robot_rtde
 from tests.whole.bench import command, end_of, events, sets, sweep
 from tests.whole.golden import RUNS, GoldenRuns
@@ -31,7 +31,7 @@ def busy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Threads take turns all the time, and a sign of life is due at each look, as on a late PC."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    for module, name in (controller.LifeSign, "EVERY_S"), (robot_rtde.UrRtdeRobot, "LIFE_EVERY_S"):
+    for module, name in (robot_c3.C3Controller, "SIGN_S"), (robot_rtde.UrRtdeRobot, "LIFE_EVERY_S"):
         monkeypatch.setattr(module, name, 0.0)
     yield
     sys.setswitchinterval(before_s)
