@@ -70,8 +70,8 @@ def _front(study: Study, found: Answers) -> str:
     for on_front, colour, face in ((False, MUTED, "white"), (True, BLUE, BLUE)):
         own = [each for each in found.designs if each.on_front is on_front]
         minutes = [each.minutes for each in own]
-        ends_mm = np.array([each.accuracy.ends for each in own]).reshape(-1, 2).T
-        ax.vlines(minutes, *ends_mm, color=colour, linewidth=0.8)
+        lows_mm, highs_mm = np.array([each.accuracy.ends for each in own]).reshape(-1, 2).T
+        ax.vlines(minutes, lows_mm, highs_mm, color=colour, linewidth=0.8)
         ax.plot(minutes, [each.accuracy.mean for each in own], "o", color=colour, markersize=4.0,
                 markerfacecolor=face)  # fmt: skip
     for each in found.front if len(found.front) <= 20 else ():
