@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import threading
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from hilcell.cell.settings import SettingsError, convert, did_you_mean, read_text, unreadable
+from hilcell.cell.settings import convert, did_you_mean, read_text, unreadable
 
 Value = bool | int | float | str
 UNTIL_CLEARED = 0
@@ -148,56 +148,42 @@ KNOWN = {
 TEXTS = frozenset({"robot.bad_number", "robot.wrong_identity", "tracker.bad_number"})
 
 
-class FaultLine(Struct, frozen=True, kw_only=True):
-    """One ``[[fault]]`` of a faults file."""
+class Fault(Struct, kw_only=True):
+    """One fault: a ``[[fault]]`` of a faults file, or an order of the control channel."""
 
     name: str
-    value: Value = True
-    after: Annotated[int, Meta(ge=0)] = 0
-    count: Annotated[int, Meta(ge=0)] = 1
-    at_rest: bool = False
+    value: Value = True  # the usual value of every fault
+    after: Annotated[int, Meta(ge=0)] = 0  # so many occasions pass first
+    count: Annotated[int, Meta(ge=0)] = 1  # strikes left, `UNTIL_CLEARED` without end
+    at_rest: bool = False  # a poll of what stands is an occasion, too, where that of what moves is
+
+    def __post_init__(self) -> None:
+        if self.name not in KNOWN:
+            hint = did_you_mean(self.name, KNOWN) or f"; known: {', '.join(KNOWN)}"
+            raise ValueError(f"name: unknown fault {self.name!r}{hint}")
+        if self.value is not True and isinstance(self.value, str) != (self.name in TEXTS):
+            wanted = "text" if self.name in TEXTS else "a number"
+            raise ValueError(f"value: expected {wanted} for {self.name}, got {self.value!r:.80}")
 
 
 class FaultFile(Struct, frozen=True, kw_only=True):
     """A faults file."""
 
-    fault: list[FaultLine] = []
-
-
-@dataclass
-class _Armed:
-    value: Value
-    after: int
-    left: int  # strikes left; below 0 without end
-    at_rest: bool
+    fault: list[Fault] = []
 
 
 class Faults:
     """The armed faults of one simulated cell; safe to use from several threads."""
 
-    def __init__(self) -> None:
+    def __init__(self, armed: Iterable[Fault] = ()) -> None:
         self._lock = threading.Lock()
-        self._armed: dict[str, _Armed] = {}
+        self._armed = {fault.name: fault for fault in armed}
 
-    def set(
-        self,
-        name: str,
-        value: Value = True,
-        *,
-        after: int = 0,
-        count: int = 1,
-        at_rest: bool = False,
-    ) -> None:
-        """Arm a fault: let ``after`` occasions pass, then strike ``count`` times (0: for ever).
-
-        ``at_rest``: a poll of what stands is an occasion, too, where that of what moves is one.
-        Raises `SettingsError` for an unknown name, and for text where a number belongs.
-        """
-        if problem := _problem(name, value):
-            raise SettingsError("fault", [problem])
+    def set(self, name: str, value: Value = True, **occasions: int) -> None:
+        """Arm a `Fault`; raises `SettingsError` for one that there is not."""
+        fault = convert({"name": name, "value": value, **occasions}, Fault, "fault")
         with self._lock:
-            left = -1 if count == UNTIL_CLEARED else count
-            self._armed[name] = _Armed(value, after, left, at_rest)
+            self._armed[name] = fault
 
     def clear(self, name: str = "") -> None:
         """Disarm one fault, or all."""
@@ -221,8 +207,8 @@ class Faults:
             if armed.after > 0:
                 armed.after -= 1
                 return None
-            armed.left -= 1
-            if armed.left == 0:
+            armed.count -= 1
+            if armed.count == 0:
                 del self._armed[name]
             return armed.value
 
@@ -234,28 +220,10 @@ class Faults:
 
 def load_faults(path: str) -> Faults:
     """Read a faults file; raises `SettingsError` naming all problems. An empty path is none."""
-    faults = Faults()
     if not path:
-        return faults
+        return Faults()
     try:
         values = tomllib.loads(read_text(Path(path)))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise unreadable(path, error) from error
-    lines = convert(values, FaultFile, path).fault
-    problems = [problem for line in lines if (problem := _problem(line.name, line.value))]
-    if problems:
-        raise SettingsError(path, problems)
-    for line in lines:
-        faults.set(line.name, line.value, after=line.after, count=line.count, at_rest=line.at_rest)
-    return faults
-
-
-def _problem(name: str, value: Value) -> str:
-    """Return the problem of a fault; ``true`` is the default value of every fault."""
-    if name not in KNOWN:
-        hint = did_you_mean(name, KNOWN) or f"; known: {', '.join(KNOWN)}"
-        return f"fault {name!r} is unknown{hint}"
-    wanted = "text" if name in TEXTS else "a number"
-    if value is True or isinstance(value, str) == (name in TEXTS):
-        return ""
-    return f"fault {name!r}: the value {value!r:.80} is not {wanted}"
+    return Faults(convert(values, FaultFile, path).fault)

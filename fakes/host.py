@@ -142,7 +142,7 @@ class Host:
     def _answer(self, line: bytes) -> Values:
         try:
             order = msgspec.json.decode(line, type=dict[str, Any])
-            command = self._commands.get(str(order.get("do")))
+            command = self._commands.get(str(order.pop("do", "")))
             if command is None:
                 known = ", ".join(self._commands)
                 return {"ok": False, "error": f"do: one of {known}"}
@@ -160,13 +160,7 @@ class Host:
         return {"now_s": self._time.now_s()}
 
     def _fault(self, order: Values) -> Values:
-        self._faults.set(
-            str(order["name"]),
-            order.get("value", True),
-            after=int(order.get("after", 0)),
-            count=int(order.get("count", 1)),
-            at_rest=bool(order.get("at_rest", False)),
-        )
+        self._faults.set(**order)
         return {}
 
     def _clear(self, order: Values) -> Values:

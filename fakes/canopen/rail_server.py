@@ -32,11 +32,11 @@ from fakes.canopen.slave import (
 from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.strips.wire import STRIP_NODE, RailStrip, StripBus, StripLine, strip_wire
-from fakes.time import PlantTime
+from fakes.strips.wire import STRIP_NODE, RailStrip
+from fakes.strips.wire import serve as strip_server
 from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
-from hilcell.cell.file import Cell, RailTable
+from hilcell.cell.file import RailTable
 
 NODE = 5
 IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
@@ -509,22 +509,16 @@ class RailDrive(CanopenSlave):
 class RailServer(BusServer):
     """Serves the rail as slcan over TCP on a port, 0 for one that the system chooses."""
 
-    def __init__(
-        self,
-        rail: RailTruth,
-        faults: Faults,
-        cell: Cell,
-        time: PlantTime,
-        *,
-        port: int = 0,
-        line: StripLine | StripBus | None = None,
-    ) -> None:
-        """``line`` is the strip's where that is not on the bus."""
-        super().__init__("rail server", faults, cell.rail.options, port)
+    def __init__(self, site: Site, port: int = 0) -> None:
+        """Raises `SettingsError` without a slide."""
+        rail, faults, table = site.slide(), site.faults, site.cell.rail
+        super().__init__("rail server", faults, table.options, port)
+        # the strip's, where that is not on the bus
+        line = strip_server(site) if table.options.get("strip") else None
         if line is not None:
             self._listeners, self.address = (line,), self.address | line.address
-        self._rail, self._faults, self._time = rail, faults, time
-        self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
+        self._rail, self._faults, self._time = rail, faults, site.time
+        self._drive = RailDrive(rail, faults, table, self._transmit)
         self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit)
         self._nodes[NODE] = self._drive
         if self._strip is not None:
@@ -638,8 +632,4 @@ class RailServer(BusServer):
         return node not in self._silent
 
 
-def serve(site: Site, port: int) -> RailServer:
-    """Return the rail of a simulated cell on its bus; raises `SettingsError` without a slide."""
-    rail, stated = site.slide(), site.cell.rail.options.get("strip")
-    line = strip_wire(rail, site.faults, dict(stated)) if stated else None
-    return RailServer(rail, site.faults, site.cell, site.time, port=port, line=line)
+serve = RailServer

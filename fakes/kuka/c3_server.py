@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable
 
-from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
@@ -27,22 +25,15 @@ class C3Server(Server):
     SUCCESS = b"\x00\x01\x01"
     FAILURES = (b"\x00\x00\x00", b"\x00\x01\x00")  # C3 Bridge's, KUKAVARPROXY's
 
-    def __init__(
-        self,
-        controller: KrlController,
-        faults: Faults,
-        catch_up: Callable[[], None] = lambda: None,
-        *,
-        port: int = 0,
-    ) -> None:
-        """``catch_up`` lets others do work that became due while a request was answered."""
-        self._controller, self._faults, self._catch_up = controller, faults, catch_up
+    def __init__(self, site: Site, port: int = 0) -> None:
+        self._faults, self._time = site.faults, site.time
+        self.controller = KrlController(site)
         max_clients = 10
         listener = Listener("c3", self._serve, limit=max_clients, port=port)
         self.port = listener.port
         address = {"host": HOST, "port": self.port}
-        super().__init__(address, listener, restore=controller.restore)
-        self._answers = Answers(faults, self._closing)
+        super().__init__(address, listener, restore=self.controller.restore)
+        self._answers = Answers(site.faults, self._closing)
 
     def _serve(self, client: socket.socket) -> None:
         client.settimeout(self.IDLE_S)
@@ -56,7 +47,7 @@ class C3Server(Server):
                     break
                 request, pending = pending[self.HEAD.size : end], pending[end:]
                 reply = self.answer(tag, request)
-                self._catch_up()
+                self._time.catch_up()
                 if reply is not None and not self._answers.send(client, segments, reply):
                     return
 
@@ -71,9 +62,9 @@ class C3Server(Server):
             if footer != self.SUCCESS:
                 text = ""
             elif kind == self.READ:
-                text = self._controller.read(name)
+                text = self.controller.read(name)
             else:
-                self._controller.write(name, text)
+                self.controller.write(name, text)
         except ValueError:
             text, footer = "", self.FAILURES[1]
         value = text.encode("ascii", "replace")
@@ -104,6 +95,4 @@ class C3Server(Server):
             return None
 
 
-def serve(site: Site, port: int) -> C3Server:
-    controller = KrlController(site.cell, site.plant, site.faults)
-    return C3Server(controller, site.faults, site.time.catch_up, port=port)
+serve = C3Server

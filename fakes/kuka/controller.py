@@ -19,14 +19,15 @@ from functools import partial
 import numpy as np
 
 from fakes.faults import Faults, Vanished
+from fakes.site import Site
 from fakes.time import LifeTimer
 from fakes.truth.machine import controller_arm, flicker
 from fakes.truth.noise import Dither
-from fakes.truth.plant import Plant, ReplayPlant, strike
+from fakes.truth.plant import strike
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotState
 from fakes.truth.transforms import Array
-from hilcell.cell.file import Cell, RailTable
+from hilcell.cell.file import RailTable
 
 _AGGREGATE = re.compile(r"^\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}$", re.DOTALL)
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
@@ -154,8 +155,9 @@ class KrlController:
     FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
     EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 
-    def __init__(self, cell: Cell, plant: Plant | ReplayPlant, faults: Faults) -> None:
+    def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
+        cell, plant, faults = site.cell, site.plant, site.faults
         self._plant, self._motion, self._faults = plant, plant.robot, faults
         self._slide: ExternalAxis | None = None
         if cell.rail.driver == RAIL_DRIVER and isinstance(plant.rail, RailTruth):

@@ -217,11 +217,10 @@ BOMB = (
 class EkiServer(Server):
     """Serves one controller on two ports, 0 for ones that the system chooses."""
 
-    def __init__(
-        self, controller: KrlController, faults: Faults, time: PlantTime, *, port: int = 0
-    ) -> None:
-        self._faults, self._time = faults, time
-        self._program = EkiProgram(controller, faults, time)
+    def __init__(self, site: Site, port: int = 0) -> None:
+        self._faults, self._time = site.faults, site.time
+        self.controller = KrlController(site)
+        self._program = EkiProgram(self.controller, site.faults, site.time)
         self._lock = threading.Lock()  # of the submit interpreter, which is one
         stop_port = port + 1 if port else 0
         listener = partial(Listener, limit=1, vanish=self._hang_up)
@@ -229,8 +228,8 @@ class EkiServer(Server):
         self._stops = listener("eki stop", self._serve_stops, port=stop_port)
         self.port, self.stop_port = self._commands.port, self._stops.port
         address = {"host": HOST, "port": self.port, "stop_port": self.stop_port}
-        super().__init__(address, self._commands, self._stops, restore=controller.restore)
-        self._answers = Answers(faults, self._closing)
+        super().__init__(address, self._commands, self._stops, restore=self.controller.restore)
+        self._answers = Answers(site.faults, self._closing)
 
     def _serve_commands(self, client: socket.socket) -> None:
         with suppress(OSError, Overflow, ValueError):  # the interface hangs up, too
@@ -306,6 +305,4 @@ def _add(queues: Queues, received: bytes, end: bytes) -> bytes:
     return rest
 
 
-def serve(site: Site, port: int) -> EkiServer:
-    controller = KrlController(site.cell, site.plant, site.faults)
-    return EkiServer(controller, site.faults, site.time, port=port)
+serve = EkiServer

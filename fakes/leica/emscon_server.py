@@ -36,10 +36,9 @@ from fakes.leica.emscon_packets import (
 )
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.tracker_truth import Followed, Instrument, Measurement, StreamTruth
+from fakes.truth.tracker_truth import Followed, Measurement, StreamTruth
 from fakes.truth.transforms import Array
 from fakes.wires import HOST, Connection, Listener, Segments, Server
-from hilcell.cell.file import Cell
 
 
 class SampleStream:
@@ -188,17 +187,11 @@ class EmsconDevice:
     VERSION = (3, 8, 0)
     INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 
-    def __init__(
-        self,
-        cell: Cell,
-        instrument: Instrument,
-        faults: Faults,
-        streams: tuple[StreamTruth, PlantTime] | None = None,
-    ) -> None:
-        """Without ``streams`` the tracker measures at rest only."""
+    def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        self._instrument, self._faults, self._streams = instrument, faults, streams
-        mounted = cell.tracker.reflector
+        self._instrument, self._faults, self._time = site.plant.tracker, site.faults, site.time
+        self._streams = site.plant.streams
+        mounted = site.cell.tracker.reflector
         names = [*(name for name in OFFSETS_MM if name != mounted), mounted]
         self._reflectors, self._mounted = dict(enumerate(names, 1)), len(names)
         self._settings = {name: values for name, (*_, values) in SETTINGS.items()}
@@ -426,18 +419,18 @@ class EmsconDevice:
             yield self._broken(command)
             return
         begun = reply(command) + status_change(Change.MEASURING)
-        if self._streams and self._settings["measurement mode"][0] == CONTINUOUS_TIME:
-            yield begun, self._stream_of(target, *self._streams)
+        if self._streams is not None and self._settings["measurement mode"][0] == CONTINUOUS_TIME:
+            yield begun, self._stream_of(target, self._streams)
             return
         yield begun
         yield self._settings["stationary"][0] / 1000.0
         yield Result(self._result(command, target, began_mm))
 
-    def _stream_of(self, target: str, truth: StreamTruth, time: PlantTime) -> SampleStream:
+    def _stream_of(self, target: str, truth: StreamTruth) -> SampleStream:
         separation_ms, points, *_region = self._settings["continuous"]
         return SampleStream(
             truth,
-            time,
+            self._time,
             self._faults,
             truth.follow(target),
             lambda times_s, xyz_mm: multi_result(times_s, self._outside(xyz_mm), self._weather()),
@@ -533,10 +526,8 @@ class EmsconDevice:
 class EmsconServer(Server):
     """Serves one tracker on a port, 0 for one that the system chooses."""
 
-    def __init__(
-        self, device: EmsconDevice, faults: Faults, time: PlantTime, *, port: int = 0
-    ) -> None:
-        self._device, self._faults, self._time = device, faults, time
+    def __init__(self, site: Site, port: int = 0) -> None:
+        self._device, self._faults, self._time = EmsconDevice(site), site.faults, site.time
         listener = Listener("emscon", self._serve, port=port)
         self.port = listener.port
         super().__init__({"host": HOST, "port": self.port}, listener)
@@ -674,8 +665,4 @@ class _Session:
         return packet
 
 
-def serve(site: Site, port: int) -> EmsconServer:
-    plant = site.plant
-    streams = None if plant.streams is None else (plant.streams, site.time)
-    device = EmsconDevice(site.cell, plant.tracker, site.faults, streams)
-    return EmsconServer(device, site.faults, site.time, port=port)
+serve = EmsconServer

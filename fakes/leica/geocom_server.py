@@ -21,10 +21,8 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Vanished
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 from fakes.wires import Connection, LineSession, Listener, SerialLine, Server, Wire
 
@@ -78,9 +76,10 @@ class GeocomDevice:
     SERIAL = 884321
     TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
-    def __init__(self, instrument: Instrument, faults: Faults, prism_m: float = 0.0) -> None:
-        """``prism_m`` is the true constant of the prism that is mounted everywhere."""
-        self._instrument, self._faults, self._prism_m = instrument, faults, prism_m
+    def __init__(self, site: Site) -> None:
+        """The true constant of the prism that is mounted everywhere is the cell file's."""
+        self._instrument, self._faults = site.plant.tracker, site.faults
+        self._prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
         self._state = _State()
         state = self._state
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
@@ -323,20 +322,14 @@ class GeocomServer(Server):
     NOT_DECODED, UNAVAILABLE = 3080, 3081  # communication codes: no request, no such procedure
     REQUEST = re.compile(rb"%R1Q,(\d{1,6})(?:,(\d{1,9}))?:(.*)")
 
-    def __init__(
-        self,
-        device: GeocomDevice,
-        faults: Faults,
-        time: PlantTime,
-        *,
-        port: int = 0,
-        serial: bool = False,
-    ) -> None:
-        self._device, self._faults, self._time = device, faults, time
+    def __init__(self, site: Site, port: int = 0) -> None:
+        """On a serial line where the cell file names one."""
+        self.device, self._faults, self._time = GeocomDevice(site), site.faults, site.time
         self._requests = threading.Lock()
+        channel = str(site.cell.tracker.options.get("channel", ""))
         line = (
             SerialLine("geocom line", self._serve)
-            if serial
+            if channel and "://" not in channel
             else Listener("geocom", lambda client: self._serve(Connection(client)), port=port)
         )
         super().__init__({"channel": line.channel}, line)
@@ -362,7 +355,7 @@ class GeocomServer(Server):
             parameters = [float(each) for each in text.split(b",")] if text else []
         except ValueError:
             return Answer(Code.INVALID)
-        answer = self._device.handle(rpc, parameters)
+        answer = self.device.handle(rpc, parameters)
         while answer.finish is not None:
             if not self._let_pass(session, answer.after_s):
                 return Answer(Code.ABORTED)
@@ -378,14 +371,14 @@ class GeocomServer(Server):
         return True
 
     def _abort(self, session: _Session) -> None:
-        self._device.abort()
+        self.device.abort()
         session.say(b"?")
 
     def _reply(self, session: _Session, rpc: int, transaction: int, answer: Answer) -> None:
         """Send a reply as the faults want it on the wire."""
         results = (2082, 2108)
         if rpc not in results:
-            known = self._device.knows(rpc)
+            known = self.device.knows(rpc)
             session.send(0 if known else self.UNAVAILABLE, transaction, answer)
             return
         take = self._faults.take
@@ -421,10 +414,4 @@ class _Session(LineSession):
         return True
 
 
-def serve(site: Site, port: int) -> GeocomServer:
-    """Return the total station of a simulated cell; on a serial line where its file names one."""
-    options = site.cell.tracker.options
-    channel, prism_mm = str(options.get("channel", "")), options.get("prism_constant_mm", 0.0)
-    device = GeocomDevice(site.plant.tracker, site.faults, float(prism_mm) / 1000.0)
-    serial = bool(channel) and "://" not in channel
-    return GeocomServer(device, site.faults, site.time, port=port, serial=serial)
+serve = GeocomServer

@@ -31,7 +31,7 @@ from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.truth.noise import Dither
-from fakes.truth.rail_truth import RailState, RailTruth
+from fakes.truth.rail_truth import RailState
 from fakes.wires import Connection, Listener, Segments, SerialLine, Server, Wire
 
 
@@ -78,12 +78,10 @@ class StripLine(Server):
         b"A2": "002014003>",
     }
 
-    def __init__(
-        self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
-    ) -> None:
-        self._rail, self._faults = rail, faults
+    def __init__(self, site: Site, options: dict[str, object], port: int = 0) -> None:
+        self._rail, self._faults = site.slide(), site.faults
         self._lock = threading.Lock()
-        self._sensor = StripSensor(rail.poll(), faults)
+        self._sensor = StripSensor(self._rail.poll(), site.faults)
         line = (
             Listener("strip", lambda client: self._serve(Connection(client)), port=port)
             if port
@@ -186,13 +184,11 @@ class StripBus(BusServer):
     Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
     """
 
-    def __init__(
-        self, rail: RailTruth, faults: Faults, options: dict[str, object], *, port: int = 0
-    ) -> None:
+    def __init__(self, site: Site, options: dict[str, object], port: int = 0) -> None:
         super().__init__("strip bus", Faults(), options, port)
         self.address = {"strip": options | self.address}
-        self._rail, self._faults = rail, faults
-        self._strip = RailStrip(rail.poll(), faults, self._gateway.send)
+        self._rail, self._faults = site.slide(), site.faults
+        self._strip = RailStrip(self._rail.poll(), site.faults, self._gateway.send)
         self._nodes[STRIP_NODE] = self._strip
 
     def _receive(self, cob_id: int, data: bytes) -> None:
@@ -205,17 +201,8 @@ class StripBus(BusServer):
         super()._receive(cob_id, data)
 
 
-def strip_wire(
-    rail: RailTruth, faults: Faults, stated: dict[str, object], *, port: int = 0
-) -> StripLine | StripBus:
-    """Return what serves the strip whose options a cell file states."""
-    if stated.get("driver") == "canopen":
-        return StripBus(rail, faults, stated, port=port)
-    return StripLine(rail, faults, stated, port=port)
-
-
-def serve(site: Site, port: int) -> StripLine | StripBus:
-    """Return the strip of a cell whose slide is the robot's axis; raises `SettingsError`."""
-    return strip_wire(
-        site.slide(), site.faults, dict(site.cell.rail.options.get("strip", {})), port=port
-    )
+def serve(site: Site, port: int = 0) -> StripLine | StripBus:
+    """Return the strip of a cell on a wire of its own; raises `SettingsError` without a slide."""
+    stated = dict(site.cell.rail.options.get("strip", {}))
+    server = StripBus if stated.get("driver") == "canopen" else StripLine
+    return server(site, stated, port)

@@ -28,29 +28,6 @@ from hilcell.typed import decoded
 URAD = 1e-6
 
 
-class Slopes(NamedTuple):
-    """The angles of upper arm and forearm against the horizontal at joints zero."""
-
-    upper_rad: float
-    fore_rad: float
-
-    def angles(self, joints_rad: Array) -> tuple[Array, Array]:
-        """Return the angles (...) of upper arm and forearm at joints (..., 6)."""
-        upper = joints_rad[..., 1]
-        return upper + self.upper_rad, upper + joints_rad[..., 2] + self.fore_rad
-
-    @classmethod
-    def of(cls, design: Chain) -> Slopes:
-        """Return the slopes of an arm whose axes 2 and 3 are level, parallel and turn alike."""
-        shoulder_mm, elbow_mm, wrist_mm = design.points_mm[[1, 2, 4]]
-        axis = design.axes[1]
-        ahead = np.cross(axis, np.array([0.0, 0.0, 1.0]))
-        links_mm = (elbow_mm - shoulder_mm, wrist_mm - elbow_mm)
-        return cls(
-            *(float(np.arctan2(axis @ np.cross(ahead, link), ahead @ link)) for link in links_mm)
-        )
-
-
 class Ripple:
     """Gear ripple of six joints: one to three harmonics each, whose size may follow the load."""
 
@@ -78,70 +55,6 @@ class Ripple:
         return ripple
 
 
-class Loads:
-    """How heavily each joint is loaded, -1 to 1: by the level lever of the reflector about it.
-
-    The ends of that range are the lightest and the heaviest load over the poses given.
-    """
-
-    def __init__(self, design: Chain, poses_rad: Array) -> None:
-        self._design = design
-        levers_mm = self._levers_mm(poses_rad)
-        low, high = levers_mm.min(axis=0), levers_mm.max(axis=0)
-        least_mm = 1.0  # a lever that changes by less counts as one that does not change
-        self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
-
-    def __call__(self, joints_rad: Array) -> Array:
-        """Return the loads (..., 6) at joints (..., 6)."""
-        loads: Array = (self._levers_mm(joints_rad) - self._middle_mm) / self._half_mm
-        return np.clip(loads, -1.0, 1.0)
-
-    def _levers_mm(self, joints_rad: Array) -> Array:
-        levers: Array = np.linalg.norm(self._design.levers(joints_rad)[..., :2], axis=-1)
-        return levers
-
-
-class Deflection(NamedTuple):
-    """Gravity (6,), harmonics (6, 2 n: cosines and sines) and elasticity, as drawn."""
-
-    gravity_rad: Array
-    harmonics_rad: Array
-    elastic_rad: float
-
-    @classmethod
-    def drawn(cls, sizes: Errors, rng: np.random.Generator) -> Deflection:
-        """Draw one arm's; gravity mostly pulls down."""
-        main = np.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])
-        gravity = main * rng.uniform(0.5, 1.5, 6) * sizes.gravity_urad
-        gravity += (1.0 - main) * rng.standard_normal(6) * sizes.gravity_side_urad
-        waves = np.repeat(sizes.harmonics_urad, 2)
-        harmonics = rng.standard_normal((6, len(waves))) * waves
-        elastic = sizes.elastic_urad * float(rng.uniform(0.5, 1.5))
-        return cls(gravity * URAD, harmonics * URAD, elastic * URAD)
-
-    def scaled(self, factor: float) -> Deflection:
-        return Deflection(
-            self.gravity_rad * factor, self.harmonics_rad * factor, self.elastic_rad * factor
-        )
-
-    def __call__(self, joints_rad: Array, slopes: Slopes) -> Array:
-        """Return the deflection (..., 6) at joints (..., 6)."""
-        orders = np.arange(1, self.harmonics_rad.shape[1] // 2 + 1)
-        angles = joints_rad[..., None] * orders
-        waves = np.empty((*angles.shape, 2))
-        np.cos(angles, out=waves[..., 0])
-        np.sin(angles, out=waves[..., 1])
-        bent: Array = (self.harmonics_rad * waves.reshape(*joints_rad.shape, -1)).sum(axis=-1)
-        g = self.gravity_rad
-        upper, fore = slopes.angles(joints_rad)
-        level, fore_level, fore_sine = np.cos(upper), np.cos(fore), np.sin(fore)
-        second = bent[..., 1] + (g[0] * level + g[1] * np.sin(upper))
-        second = second + (g[2] * fore_level + g[3] * fore_sine)
-        bent[..., 1] = second + self.elastic_rad * level * fore_level
-        bent[..., 2] += g[4] * fore_level + g[5] * fore_sine
-        return bent
-
-
 def unit_rp_mm(jacobians_mm: Array) -> Array:
     """Return RP (N,) for independent normal noise of 1 rad in every joint.
 
@@ -164,19 +77,50 @@ def unit_rp_mm(jacobians_mm: Array) -> Array:
 
 
 class Design:
-    """An arm as designed; its last frame is the reflector's, mounted at ``smr_mm`` (3,)."""
+    """An arm as designed; its last frame is the reflector's, mounted at ``smr_mm`` (3,).
+
+    Its axes 2 and 3 are level, parallel and turn alike.
+    """
 
     def __init__(self, machine: Machine, smr_mm: Point) -> None:
         self.chain = machine.chain(smr_mm)
-        self.slopes = Slopes.of(self.chain)
         self.targets_mm, self.commands_rad = reference_cube(machine, self.chain)
         for shared in (self.targets_mm, self.commands_rad):
             shared.flags.writeable = False
-        self.loads = Loads(self.chain, self.commands_rad)
+        shoulder_mm, elbow_mm, wrist_mm = self.chain.points_mm[[1, 2, 4]]
+        axis = self.chain.axes[1]
+        ahead = np.cross(axis, np.array([0.0, 0.0, 1.0]))
+        # of upper arm and forearm against the horizontal, at joints zero
+        self._upper_rad, self._fore_rad = (
+            float(np.arctan2(axis @ np.cross(ahead, link), ahead @ link))
+            for link in (elbow_mm - shoulder_mm, wrist_mm - elbow_mm)
+        )
+        levers_mm = self._levers_mm(self.commands_rad)
+        low, high = levers_mm.min(axis=0), levers_mm.max(axis=0)
+        least_mm = 1.0  # a lever that changes by less counts as one that does not change
+        self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
         jacobians_mm = self.chain.jacobian(self.commands_rad)[:, :3]
         self.unit_rp_mm = float(unit_rp_mm(jacobians_mm).mean())
         self.axis_6_rad: Array = np.radians(machine.reference.axis_6_deg)
         self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
+
+    def slopes(self, joints_rad: Array) -> tuple[Array, Array]:
+        """Return the angles (...) of upper arm and forearm at joints (..., 6)."""
+        upper = joints_rad[..., 1]
+        return upper + self._upper_rad, upper + joints_rad[..., 2] + self._fore_rad
+
+    def loads(self, joints_rad: Array) -> Array:
+        """Return how heavily each joint (..., 6) is loaded, -1 to 1, at joints (..., 6).
+
+        By the level lever of the reflector about it; the ends of that range are the lightest and
+        the heaviest load over the reference cube.
+        """
+        loads: Array = (self._levers_mm(joints_rad) - self._middle_mm) / self._half_mm
+        return np.clip(loads, -1.0, 1.0)
+
+    def _levers_mm(self, joints_rad: Array) -> Array:
+        levers: Array = np.linalg.norm(self.chain.levers(joints_rad)[..., :2], axis=-1)
+        return levers
 
 
 @lru_cache(4)  # a study has few designs, and draws many robots of each
@@ -205,23 +149,52 @@ def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
     return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
 
 
-class _Errors(NamedTuple):
+class Deviations(NamedTuple):
     """Deviations to be scaled: of axes 2 to 6 and of the reflector; the joints' own."""
 
     shift_mm: Array  # (5, 3) of everything from this axis on
     tilt_rad: Array  # (5, 3) about a point on it
     zero_rad: Array  # (6,)
     tool_mm: Array  # (3,)
-    deflection: Deflection
+    gravity_rad: Array  # (6,)
+    harmonics_rad: Array  # (6, 2 n): cosines and sines
+    elastic_rad: Array  # ()
 
-    def scaled(self, factor: float) -> _Errors:
-        return _Errors(
-            self.shift_mm * factor,
-            self.tilt_rad * factor,
-            self.zero_rad * factor,
-            self.tool_mm * factor,
-            self.deflection.scaled(factor),
-        )
+    @classmethod
+    def drawn(cls, sizes: Errors, design: Chain, rng: np.random.Generator) -> Deviations:
+        """Draw one arm's; gravity mostly pulls down."""
+        normal = rng.standard_normal
+        tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
+        along = (tilt_rad * design.axes[1:]).sum(axis=1, keepdims=True)  # that is the joint's zero
+        shift_mm = sizes.length_mm * normal((5, 3))
+        zero_rad, tool_mm = sizes.zero_urad * URAD * normal(6), sizes.tool_mm * normal(3)
+        main = np.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])
+        gravity = main * rng.uniform(0.5, 1.5, 6) * sizes.gravity_urad
+        gravity += (1.0 - main) * normal(6) * sizes.gravity_side_urad
+        waves = np.repeat(sizes.harmonics_urad, 2)
+        harmonics = normal((6, len(waves))) * waves
+        elastic = np.array(sizes.elastic_urad * float(rng.uniform(0.5, 1.5)))
+        joints = (gravity * URAD, harmonics * URAD, elastic * URAD)
+        return cls(shift_mm, tilt_rad - along * design.axes[1:], zero_rad, tool_mm, *joints)
+
+    def scaled(self, factor: float) -> Deviations:
+        return Deviations(*(each * factor for each in self))
+
+    def deflection(self, joints_rad: Array, upper: Array, fore: Array) -> Array:
+        """Return how far joints (..., 6) bend, with upper arm and forearm at angles (...)."""
+        orders = np.arange(1, self.harmonics_rad.shape[1] // 2 + 1)
+        angles = joints_rad[..., None] * orders
+        waves = np.empty((*angles.shape, 2))
+        np.cos(angles, out=waves[..., 0])
+        np.sin(angles, out=waves[..., 1])
+        bent: Array = (self.harmonics_rad * waves.reshape(*joints_rad.shape, -1)).sum(axis=-1)
+        g = self.gravity_rad
+        level, fore_level, fore_sine = np.cos(upper), np.cos(fore), np.sin(fore)
+        second = bent[..., 1] + (g[0] * level + g[1] * np.sin(upper))
+        second = second + (g[2] * fore_level + g[3] * fore_sine)
+        bent[..., 1] = second + self.elastic_rad * level * fore_level
+        bent[..., 2] += g[4] * fore_level + g[5] * fore_sine
+        return bent
 
 
 class ArmTruth:
@@ -282,17 +255,7 @@ class ArmTruth:
     def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
         """Draw until one draw, brought to its size, has no error that is too large."""
         for _ in range(self.DRAWS):
-            normal = rng.standard_normal
-            axes = self.design.axes[1:]
-            tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
-            along = (tilt_rad * axes).sum(axis=1, keepdims=True)  # that is the joint's zero
-            drawn = _Errors(
-                shift_mm=sizes.length_mm * normal((5, 3)),
-                tilt_rad=tilt_rad - along * axes,
-                zero_rad=sizes.zero_urad * URAD * normal(6),
-                tool_mm=sizes.tool_mm * normal(3),
-                deflection=Deflection.drawn(sizes, rng),
-            )
+            drawn = Deviations.drawn(sizes, self.design, rng)
             self._scale(sizes, drawn)
             errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
             if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
@@ -302,7 +265,7 @@ class ArmTruth:
             f"{sizes.largest_mm} mm; take a larger one, or a smaller errors.size_mm"
         )
 
-    def _scale(self, sizes: Errors, drawn: _Errors) -> None:
+    def _scale(self, sizes: Errors, drawn: Deviations) -> None:
         """Take the draw at the factor that gives the wanted size, by the secant method."""
         factor, before = 1.0, 0.5
         value, value_before = self._size_mm(drawn, factor), self._size_mm(drawn, before)
@@ -321,14 +284,14 @@ class ArmTruth:
             "or other sizes of their parts"
         )
 
-    def _size_mm(self, drawn: _Errors, factor: float) -> float:
+    def _size_mm(self, drawn: Deviations, factor: float) -> float:
         self._take(drawn.scaled(factor))
         errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
         if self._machine.errors.scaled_by == "mean":
             return float(np.linalg.norm(errors_mm, axis=1).mean())
         return varying_rms_mm(self.targets_mm, errors_mm)
 
-    def _take(self, errors: _Errors) -> None:
+    def _take(self, errors: Deviations) -> None:
         self._errors = errors
         design = self.design
         # the design with each axis from the second on displaced, and all behind it with it
@@ -351,7 +314,7 @@ class ArmTruth:
         share = self._machine.transmission.load_share
         if share:
             ripple *= 1.0 + share * self._design.loads(joints_rad)
-        bent = self._errors.deflection(joints_rad, self._design.slopes)
+        bent = self._errors.deflection(joints_rad, *self._design.slopes(joints_rad))
         return joints_rad + self._errors.zero_rad + self.lost_rad + bent + ripple
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:

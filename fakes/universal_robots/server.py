@@ -20,14 +20,13 @@ from functools import partial
 
 import numpy as np
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Vanished
 from fakes.site import Site
-from fakes.time import LifeTimer, PlantTime
+from fakes.time import LifeTimer
 from fakes.truth.machine import controller_arm, flicker
-from fakes.truth.plant import Plant, ReplayPlant, strike
+from fakes.truth.plant import strike
 from fakes.truth.transforms import Array, rotation_vector
 from fakes.wires import HOST, RECEIVE, Listener, Segments, Server
-from hilcell.cell.file import Cell
 
 
 class Mode(IntEnum):
@@ -88,11 +87,10 @@ class UrController:
     NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
     SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
 
-    def __init__(
-        self, cell: Cell, plant: Plant | ReplayPlant, faults: Faults, time: PlantTime
-    ) -> None:
+    def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        self._plant, self._motion, self._faults, self._time = plant, plant.robot, faults, time
+        self._plant, self._motion = site.plant, site.plant.robot
+        self._faults, self._time, cell = site.faults, site.time, site.cell
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -493,8 +491,8 @@ class UrServer(Server):
 
     STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
-    def __init__(self, controller: UrController, site: Site, port: int) -> None:
-        self.controller, self.faults, self._time = controller, site.faults, site.time
+    def __init__(self, site: Site, port: int = 0) -> None:
+        self.controller, self.faults, self._time = UrController(site), site.faults, site.time
         self._lock = threading.Lock()
         self._writer: _Session | None = None
         self._dashboard = Listener("dashboard", self._serve_dashboard)
@@ -505,7 +503,7 @@ class UrServer(Server):
         }
         ports = {name: each.port for name, each in listeners.items()}
         address = {"host": HOST, **ports}
-        super().__init__(address, *listeners.values(), restore=controller.restore)
+        super().__init__(address, *listeners.values(), restore=self.controller.restore)
 
     def write(self, values: dict[str, float]) -> None:
         """Take registers, and let others do work that became due."""
@@ -568,6 +566,4 @@ class UrServer(Server):
                 client.sendall(self.controller.ask(command).encode() + b"\n")
 
 
-def serve(site: Site, port: int) -> UrServer:
-    controller = UrController(site.cell, site.plant, site.faults, site.time)
-    return UrServer(controller, site, port)
+serve = UrServer

@@ -15,6 +15,19 @@ class OwnTime:
         return self.at_s
 
 
+def station_cell(*, serial: bool, prism_mm: float = 0.0) -> Cell:
+    """Return the paper's cell with a total station, on a serial line or on TCP."""
+    channel = "/dev/ttyUSB0" if serial else "socket://127.0.0.1:1212"
+    return load_cell(
+        "paper",
+        {
+            "tracker.driver": "leica-geocom",
+            "tracker.options.channel": channel,
+            "tracker.options.prism_constant_mm": str(prism_mm),
+        },
+    )
+
+
 @pytest.fixture(scope="session")
 def cell() -> Cell:
     return load_cell("paper")

@@ -6,10 +6,9 @@ import pytest
 
 from fakes.truth.arm_truth import (
     ArmTruth,
-    Deflection,
-    Loads,
+    Design,
+    Deviations,
     Ripple,
-    Slopes,
     reference_cube,
     unit_rp_mm,
     varying_rms_mm,
@@ -188,11 +187,8 @@ def test_six_r_is_another_robot(seed: int) -> None:
     assert 1300.0 < np.hypot(*stretched_mm[:2]) - 95.0 < 1500.0  # to the wrist's centre
 
 
-def cube(name: str = "hard") -> tuple[Loads, Array]:
-    machine = load_machine(name)
-    design = machine.chain((98.0, 0.0, 127.0))
-    joints_rad = reference_cube(machine, design)[1]
-    return Loads(design, joints_rad), joints_rad
+def design_of(name: str) -> Design:
+    return Design(load_machine(name), (98.0, 0.0, 127.0))
 
 
 def test_hard_has_a_harmonic_outside_every_list() -> None:
@@ -211,42 +207,42 @@ def test_paper_has_no_such_harmonic() -> None:
 
 
 def test_loads_span_their_range_over_the_cube_and_no_more() -> None:
-    loads, joints_rad = cube()
-    over_cube = loads(joints_rad)
+    design = design_of("hard")
+    over_cube = design.loads(design.commands_rad)
     np.testing.assert_allclose(over_cube[:, :4].min(axis=0), -1.0)
     np.testing.assert_allclose(over_cube[:, :4].max(axis=0), 1.0)
     assert np.abs(over_cube[:, 4:]).max() < 1e-6  # one orientation: the hand's lever stays
-    stretched = loads(np.zeros(6))
+    stretched = design.loads(np.zeros(6))
     assert stretched[1] == 1.0  # heavier than anywhere in the cube
 
 
 def test_slopes_are_those_of_the_links() -> None:
     """The paper's robot counts a level upper arm as 0, the other make an upright one."""
-    paper = Slopes.of(load_machine("paper").chain((0.0, 0.0, 0.0)))
-    six_r = Slopes.of(load_machine("six-r").chain((0.0, 0.0, 0.0)))
-    assert np.degrees([paper.upper_rad, six_r.upper_rad]) == pytest.approx([0.0, -90.0])
-    assert np.degrees(paper.fore_rad) == pytest.approx(-np.degrees(np.arctan2(115, 1220)))
-    assert np.degrees(six_r.fore_rad) == pytest.approx(-np.degrees(np.arctan2(120, 640)))
+    paper, six_r = (np.degrees(design_of(name).slopes(np.zeros(6))) for name in ("paper", "six-r"))
+    assert [paper[0], six_r[0]] == pytest.approx([0.0, -90.0])
+    assert paper[1] == pytest.approx(-np.degrees(np.arctan2(115, 1220)))
+    assert six_r[1] == pytest.approx(-np.degrees(np.arctan2(120, 640)))
 
 
 def test_gravity_bends_a_level_arm_most() -> None:
-    sizes = load_machine("paper").errors
-    level, upright = np.zeros(6), np.radians([0.0, -90.0, 0.0, 0.0, 0.0, 0.0])
+    machine = load_machine("paper")
+    chain = machine.chain((0.0, 0.0, 0.0))
+    level, upright = np.array(0.0), np.radians(-90.0)
     for seed in range(10):
-        drawn = Deflection.drawn(sizes, np.random.default_rng(seed))
-        gravity = Deflection(drawn.gravity_rad, drawn.harmonics_rad * 0.0, drawn.elastic_rad)
-        bent = [gravity(joints, Slopes(0.0, 0.0))[1] for joints in (level, upright)]
+        drawn = Deviations.drawn(machine.errors, chain, np.random.default_rng(seed))
+        gravity = drawn._replace(harmonics_rad=drawn.harmonics_rad * 0.0)
+        bent = [gravity.deflection(np.zeros(6), arm, arm)[1] for arm in (level, upright)]
         assert bent[0] > abs(bent[1])
 
 
 def test_elasticity_follows_both_links() -> None:
     """Not a sum of functions of one angle each: its mixed difference does not vanish."""
-    zero = np.zeros(6)
-    bent = Deflection(zero, np.zeros((6, 2)), 1e-4)
-    level = Slopes(0.0, 0.0)
+    none, zero = np.zeros((5, 3)), np.zeros(6)
+    bent = Deviations(none, none, zero, zero[:3], zero, np.zeros((6, 2)), np.array(1e-4))
 
     def axis_2(a2_deg: float, a3_deg: float) -> float:
-        return float(bent(np.radians([0.0, a2_deg, a3_deg, 0.0, 0.0, 0.0]), level)[1])
+        upper, fore = np.radians([a2_deg, a2_deg + a3_deg])
+        return float(bent.deflection(zero, upper, fore)[1])
 
     mixed = axis_2(-60, 80) - axis_2(-60, 40) - axis_2(-20, 80) + axis_2(-20, 40)
     assert abs(mixed) > 1e-5

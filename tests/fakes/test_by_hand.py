@@ -14,6 +14,7 @@ from fakes.faults import Faults
 from fakes.host import truth_of
 from fakes.leica.emscon_server import EmsconDevice
 from fakes.simulator import Control, PaperCell
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
@@ -64,7 +65,7 @@ def test_places_that_are_none_are_refused(plant: Plant, cell: Cell) -> None:
 
 @pytest.mark.parametrize("when", ["before the start", "while measuring"])
 def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
-    device = EmsconDevice(plant.cell, plant.tracker, Faults())
+    device = EmsconDevice(Site(plant.cell, plant, Faults(), plant.time))
     plant.seat("F1")
     at = plant.tracker.reflectors()["F1"]
     for packet in (

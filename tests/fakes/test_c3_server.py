@@ -12,6 +12,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.kuka.c3_server import C3Server
 from fakes.kuka.controller import KrlController
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -35,8 +36,8 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant, faults)
-    server = C3Server(controller, faults)
+    server = C3Server(Site(cell, plant, faults, plant.time))
+    controller = server.controller
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:

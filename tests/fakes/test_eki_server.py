@@ -11,6 +11,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController, KrlError
 from fakes.kuka.eki_server import RECEIVED, EkiServer, Overflow, Queues
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -91,8 +92,8 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant, faults)
-    server = EkiServer(controller, faults, plant.time)
+    server = EkiServer(Site(cell, plant, faults, plant.time))
+    controller = server.controller
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:

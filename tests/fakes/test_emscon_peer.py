@@ -22,6 +22,7 @@ from CESAPI.packet import (
 
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -41,7 +42,7 @@ def command(cell: Cell, plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterat
     )
     for module in (CESAPI.command, CESAPI.connection):
         monkeypatch.setattr(module, "time", soon)
-    server = EmsconServer(EmsconDevice(cell, plant.tracker, Faults()), Faults(), plant.time)
+    server = EmsconServer(Site(cell, plant, Faults(), plant.time))
     with contextlib.closing(server):
         server.start()
         connection = Connection()

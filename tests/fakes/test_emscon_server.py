@@ -11,6 +11,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell
@@ -35,7 +36,7 @@ class Tracker:
 def running(cell: Cell, speed: float = math.inf) -> Iterator[Tracker]:
     faults, clock = Faults(), PlantTime(speed)
     plant = Plant(cell, 1, clock, faults)
-    server = EmsconServer(EmsconDevice(cell, plant.tracker, faults), faults, clock)
+    server = EmsconServer(Site(cell, plant, faults, clock))
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:
@@ -151,7 +152,7 @@ def test_wrong_parameters_are_refused(ready: Tracker) -> None:
         (5, "5I", (3, 0, 0, 0, 0), 4),
         (20, "3d", (150.0, 1013.0, 40.0), 57),
         (20, "3d", (math.nan, 1013.0, 40.0), 57),
-        (24, "I", (1,), 2),
+        (24, "I", (9,), 2),
         (26, "I", (6,), 4),
         (28, "2i", (5, 1), 12),
         (40, "i", (9,), 4),
@@ -161,6 +162,17 @@ def test_wrong_parameters_are_refused(ready: Tracker) -> None:
         (999, "", (), 2),
     ):
         assert ready.client.ask(command, form, *values)[0] == status
+
+
+def test_recorded_measurements_are_no_streams(
+    ready: Tracker, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ready.plant, "streams", None)
+    device = EmsconDevice(Site(cell, ready.plant, Faults(), ready.plant.time))
+    for mode, status in ((0, OK), (1, 2)):
+        (answer,) = device.handle(struct.pack("<iIII", 16, 0, 24, mode))
+        assert isinstance(answer, bytes)
+        assert struct.unpack_from("<I", answer, 12) == (status,)
 
 
 def test_reflectors_by_number_and_name(ready: Tracker) -> None:

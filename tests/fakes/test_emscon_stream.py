@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.leica.emscon_server import EmsconDevice, EmsconServer, SampleStream
+from fakes.leica.emscon_server import EmsconServer, SampleStream
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
@@ -68,8 +69,7 @@ class Streaming:
 def running(cell: Cell, speed: float = math.inf) -> Iterator[Streaming]:
     faults, time = Faults(), PlantTime(speed)
     plant = Plant(cell, 1, time, faults)
-    device = EmsconDevice(cell, plant.tracker, faults, (plant.streams, time))
-    server = EmsconServer(device, faults, time)
+    server = EmsconServer(Site(cell, plant, faults, time))
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:

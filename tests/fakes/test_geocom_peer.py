@@ -17,9 +17,11 @@ from geocompy.geo.gctypes import GeoComCode
 
 from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
+from tests.fakes.conftest import station_cell
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def station(
     monkeypatch.setattr(geocompy, "communication", SimpleNamespace(sleep=lambda _s: None))
     line = request.param == "serial"
     faults = Faults()
-    server = GeocomServer(GeocomDevice(plant.tracker, faults), faults, plant.time, serial=line)
+    server = GeocomServer(Site(station_cell(serial=line), plant, faults, plant.time))
     with contextlib.closing(server):
         server.start()
         channel = str(server.address["channel"])

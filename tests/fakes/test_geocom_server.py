@@ -13,10 +13,12 @@ import serial
 
 from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
+from tests.fakes.conftest import station_cell
 from tests.fakes.wires import connected
 
 Wire = Callable[[bytes], None]
@@ -63,8 +65,9 @@ class Station:
 def running(cell: Cell, line: bool, prism_m: float = 0.0) -> Iterator[Station]:
     faults, clock = Faults(), PlantTime(math.inf)
     plant = Plant(cell, 1, clock, faults)
-    device = GeocomDevice(plant.tracker, faults, prism_m)
-    server = GeocomServer(device, faults, clock, serial=line)
+    site = Site(station_cell(serial=line, prism_mm=1000 * prism_m), plant, faults, clock)
+    server = GeocomServer(site)
+    device = server.device
     with contextlib.closing(server), contextlib.ExitStack() as stack:
         server.start()
         channel = str(server.address["channel"])
@@ -177,7 +180,7 @@ def test_a_late_result_comes_with_the_next_one(station: Station) -> None:
 def test_a_motion_is_aborted(cell: Cell) -> None:
     faults, clock = Faults(), PlantTime(0.01)  # a motion takes minutes
     plant = Plant(cell, 1, clock, faults)
-    server = GeocomServer(GeocomDevice(plant.tracker, faults), faults, clock)
+    server = GeocomServer(Site(cell, plant, faults, clock))
     with contextlib.closing(server):
         server.start()
         port = int(str(server.address["channel"]).rpartition(":")[2])

@@ -9,6 +9,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
+from fakes.site import Site
 from fakes.time import LifeTimer, PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
@@ -27,7 +28,7 @@ def plant(cell: Cell) -> Plant:
 @pytest.fixture
 def robot(cell: Cell, plant: Plant, own_time: OwnTime) -> Iterator[KrlController]:
     """Return a controller under way that waits 2 s for a sign."""
-    controller = KrlController(cell, plant, Faults())
+    controller = KrlController(Site(cell, plant, Faults(), plant.time))
     for name, value in (("LIFE", "2000"), ("TGT", FAR), ("VEL", "1"), ("CMD", "1"), ("SEQ", "1")):
         controller.write(f"HC_{name}", value)
     yield controller

@@ -11,6 +11,7 @@ import pytest
 from fakes.faults import Faults, load_faults
 from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
+from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.machine import load_machine, machine_of
 from fakes.truth.plant import Plant
@@ -28,7 +29,7 @@ def test_a_cell_names_its_machine() -> None:
 def test_the_controllers_identity_is_the_machines() -> None:
     cell = load_cell("six-r")
     plant = Plant(cell, 1, PlantTime(), Faults())
-    controller = KrlController(cell, plant, Faults())
+    controller = KrlController(Site(cell, plant, Faults(), plant.time))
     assert controller.read("$TRAFONAME[]").startswith('"#SR12_1400')
     assert controller.read("$KR_SERIALNO") == "500147"
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from contextlib import closing
 
 from fakes.faults import Faults
+from fakes.site import Site
 from fakes.strips.wire import StripLine
 from fakes.time import PlantTime
-from fakes.truth.rail_truth import RailTruth
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 
 
 def test_a_head_that_misses_its_strip_says_so_in_its_register(cell: Cell) -> None:
     faults = Faults()
-    with closing(StripLine(RailTruth(cell, 1, PlantTime(), faults), faults, {})) as line:
+    plant = Plant(cell, 1, PlantTime(), faults)
+    with closing(StripLine(Site(cell, plant, faults, plant.time), {})) as line:
         line.answers(b"Z")
         assert line.answers(b"X") == ([b"0x00>\r"], b"")
         faults.set("rail.missing_magnet")

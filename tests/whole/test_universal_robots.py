@@ -93,11 +93,10 @@ PROVES_NOTHING = {
 def bench() -> Iterator[Bench]:
     faults, time = Faults(), PlantTime(10.0)
     plant = Plant(LAB, 1, time, faults)
-    controller = UrController(LAB, plant, faults, time)
-    server = UrServer(controller, Site(LAB, plant, faults, time), 0)
+    server = UrServer(Site(LAB, plant, faults, time))
     with contextlib.closing(server):
         server.start()
-        yield Bench(controller, server, faults, plant, threading.Event())
+        yield Bench(server.controller, server, faults, plant, threading.Event())
 
 
 @pytest.fixture
