@@ -15,25 +15,8 @@ from typing import TYPE_CHECKING, Literal
 from hilcell.alarms.catalogue import SEVERITIES, By, Severity, code_of_verdict, entry_of
 from hilcell.clean import clean
 from hilcell.errors import EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_REFUSED, EXIT_STORAGE
-from hilcell.model.events import (
-    AlarmsAcknowledged,
-    AnswerRefused,
-    Closed,
-    Closing,
-    CommandRefused,
-    CurveMeasured,
-    DeviceBack,
-    DeviceLost,
-    LinkCounted,
-    NoReadingOf,
-    OutlierMeasuredAgain,
-    RetakeRefused,
-    SafeStopSent,
-    ScreenBack,
-    ScreenLost,
-    StationHeld,
-    after,
-)
+from hilcell.model import events
+from hilcell.model.events import after
 from hilcell.model.records import Change, StateChanged
 from hilcell.typed import Json
 
@@ -187,7 +170,7 @@ def alarms_of(
     if log.plan is None:
         return []
     raised = _Raised(log, [record for record in log.events if record.seq > log.began], live)
-    moments = [*raised.temperature(), *raised.verdicts(), *raised.events(), *raised.points()]
+    moments = [*raised.temperature(), *raised.verdicts(), *raised.happened(), *raised.points()]
     moments += raised.strip()
     moments += raised.devices() if live else []
     moments += [*raised.cut_off(), *raised.end()]
@@ -226,38 +209,40 @@ class _Raised:
                 code = code_of_verdict(key, verdict.outcome)
                 yield _Moment(_cell(code, f"verdict {key}", verdict.why), record)
 
-    def events(self) -> Iterator[_Moment]:
-        back = max((r.seq for r in self.session if isinstance(r.fact, ScreenBack)), default=0)
+    def happened(self) -> Iterator[_Moment]:
+        back = max(
+            (r.seq for r in self.session if isinstance(r.fact, events.ScreenBack)), default=0
+        )
         for record in self.session:
             match record.fact:
-                case NoReadingOf(error=error):
+                case events.NoReadingOf(error=error):
                     # Tried again at once; whether that helped is elsewhere.
                     yield from self._moments(error, record, "notice")
-                case SafeStopSent() | Closed() as closing:
-                    code = "HC-C02" if isinstance(closing, SafeStopSent) else "HC-C03"
+                case events.SafeStopSent() | events.Closed() as closing:
+                    code = "HC-C02" if isinstance(closing, events.SafeStopSent) else "HC-C03"
                     for name in closing.problems:
                         finding = _cell(code, closing.what, self._problem(name, closing))
                         yield _Moment(finding, record, cause="not watched")
-                case CommandRefused() as impossible:
+                case events.CommandRefused() as impossible:
                     yield _Moment(_cell("HC-C06", "command", impossible.why), record)
-                case ScreenLost() if record.seq > back:
+                case events.ScreenLost() if record.seq > back:
                     finding = _cell("HC-C08", "screen lost", "nobody watches any more")
                     yield _Moment(finding, record, cause="watched")
-                case AnswerRefused() | RetakeRefused() as refused:
+                case events.AnswerRefused() | events.RetakeRefused() as refused:
                     found = refused.subject + after(refused.why) if refused.subject else refused.why
-                    code = "HC-C09" if isinstance(refused, AnswerRefused) else "HC-C14"
+                    code = "HC-C09" if isinstance(refused, events.AnswerRefused) else "HC-C14"
                     yield _Moment(_cell(code, refused.what, found), record)
-                case LinkCounted() if self.log.link is not None and self.log.link.warning:
+                case events.LinkCounted() if self.log.link is not None and self.log.link.warning:
                     yield _Moment(_cell("HC-R12", "link", self.log.link.counts), record)
 
     def points(self) -> Iterator[_Moment]:
         """Yield the points and sweeps that were not as they should be."""
         for record in self.session:
             match record.fact:
-                case OutlierMeasuredAgain(key=key):
+                case events.OutlierMeasuredAgain(key=key):
                     found = f"{key} stands out from its neighbours and was measured again"
                     yield _Moment(_cell("HC-V05", "outlier", found), record)
-                case CurveMeasured(holds=False) as sweep:
+                case events.CurveMeasured(holds=False) as sweep:
                     found = f"A{sweep.axis}: {sweep.reason}"
                     yield _Moment(_cell("HC-V06", "axis sweep", found), record)
 
@@ -266,7 +251,7 @@ class _Raised:
         rail, first_mm = self.log.cell.rail, dict[str, float]()
         for record in self.session:
             held = record.fact
-            if not isinstance(held, StationHeld):
+            if not isinstance(held, events.StationHeld):
                 continue
             name, tries = held.station, held.tries
             if tries > 0.5 * rail.max_approaches:
@@ -284,9 +269,9 @@ class _Raised:
         lost: dict[str, tuple[Record, Json]] = {}
         for record in self.session if self.log.state in ("paused", "suspended") else ():
             match record.fact:
-                case DeviceLost(device=device, error=error):
+                case events.DeviceLost(device=device, error=error):
                     lost[device] = record, error
-                case DeviceBack(device=device):
+                case events.DeviceBack(device=device):
                     lost.pop(device, None)
         for record, error in lost.values():
             yield from self._moments(error, record, cause="watched")
@@ -338,7 +323,7 @@ class _Raised:
             yield _Moment(finding, at, severity, cause)
 
     @staticmethod
-    def _problem(name: str, closing: Closing) -> str:
+    def _problem(name: str, closing: events.Closing) -> str:
         """Return the message of a device's error, with its name once and without its advice."""
         finding = findings_of(closing.errors[name])[0]
         text = f"{finding.where}: {finding.text}" if finding.where else finding.text
@@ -456,7 +441,7 @@ def acknowledged_in(log: Log) -> dict[str, int]:
     """Return, by code, up to which record the alarms of a run were acknowledged."""
     until: dict[str, int] = {}
     for record in log.events:
-        if isinstance(record.fact, AlarmsAcknowledged):
+        if isinstance(record.fact, events.AlarmsAcknowledged):
             for code in record.fact.codes:
                 until[code] = max(until.get(code, 0), record.fact.until)
     return until

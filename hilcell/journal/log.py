@@ -31,24 +31,8 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
-from hilcell.model.events import (
-    Asset,
-    Connected,
-    CurveMeasured,
-    Event,
-    FactoryLinks,
-    LinkCounted,
-    OtherEvent,
-    RetakeAsked,
-    RetakeRefused,
-    Seated,
-    StationHeld,
-    StreamRecorded,
-    Three,
-    TrackerMoved,
-    TrackerProven,
-    WorldFramedAgain,
-)
+from hilcell.model import events
+from hilcell.model.events import Three
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, CONTROL, Point, PointId
@@ -58,7 +42,7 @@ from hilcell.ports import Array
 from hilcell.typed import Json, learn, typed
 
 T = TypeVar("T")
-E = TypeVar("E", bound=Event)
+E = TypeVar("E", bound=events.Event)
 F = TypeVar("F", bound=Frame)
 V = TypeVar("V", bound=Verdict)
 Args = TypeVarTuple("Args")
@@ -119,16 +103,16 @@ class SetUps:
         match record.fact if record.kind in ("state", "event") else None:
             case StateChanged(machine="run", to=to):
                 self.interrupted |= to in INTERRUPTED
-            case StreamRecorded(key=key):
+            case events.StreamRecorded(key=key):
                 self.unproven[key] = None
-            case TrackerMoved(set_up=number, invalid=invalid):
+            case events.TrackerMoved(set_up=number, invalid=invalid):
                 self.number = number
                 self.refuted.update(self._proofs)
                 self._proofs.clear()
                 return invalid
-            case WorldFramedAgain(invalid=invalid):
+            case events.WorldFramedAgain(invalid=invalid):
                 return invalid
-            case TrackerProven():
+            case events.TrackerProven():
                 self._prove()
         return []
 
@@ -258,12 +242,12 @@ class Log:
         self.driven = Driven()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
-        self.link: LinkCounted | None = None  # of all sessions that have ended by themselves
+        self.link: events.LinkCounted | None = None  # of all sessions that have ended by themselves
         self.seated = ""  # the place of a reflector that is carried by hand
-        self.sights: dict[str, Seated] = {}
-        self.streams: dict[str, StreamRecorded] = {}
-        self.curves: dict[int, CurveMeasured] = {}  # by axis, 1 to 6
-        self.assets: list[Asset] = []  # that answered when they were last connected
+        self.sights: dict[str, events.Seated] = {}
+        self.streams: dict[str, events.StreamRecorded] = {}
+        self.curves: dict[int, events.CurveMeasured] = {}  # by axis, 1 to 6
+        self.assets: list[events.Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
         self.version = self.measured_version = 0  # newest record; newest point, frame or event
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
@@ -298,7 +282,7 @@ class Log:
             case Intended():
                 self.moved, self.order = True, Ordered(record.seq, record.key, fact)
                 self.visit += fact.action.startswith("rail.")
-            case Event() | OtherEvent():
+            case events.Event() | events.OtherEvent():
                 self.events.append(record)
                 self._take_event(fact)
         self.driven.take(record)
@@ -350,26 +334,26 @@ class Log:
         self.points[point.key] = point
         self.retakes.pop(point.key, None)
 
-    def _take_event(self, event: Event | OtherEvent) -> None:
+    def _take_event(self, event: events.Event | events.OtherEvent) -> None:
         match event:
-            case RetakeAsked():
+            case events.RetakeAsked():
                 self.retakes[event.key] = None
-            case RetakeRefused():
+            case events.RetakeRefused():
                 self.retakes.pop(event.key, None)
-            case StationHeld():
+            case events.StationHeld():
                 self.order = None
-            case LinkCounted():  # each session counts from its connect
+            case events.LinkCounted():  # each session counts from its connect
                 self.link = event if self.link is None else self.link.followed_by(event)
-            case Connected():
+            case events.Connected():
                 self.assets = event.devices
                 if any(asset.simulated for asset in self.assets):
                     # Its own statement counts, with any cell file.
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
-            case StreamRecorded():
+            case events.StreamRecorded():
                 self.streams[event.key] = event
-            case CurveMeasured():
+            case events.CurveMeasured():
                 self.curves[event.axis] = event
-            case Seated():
+            case events.Seated():
                 self.seated, self.sights[event.place] = event.place, event
 
     def _take_state(self, record: Record, change: StateChanged, before: Record | None) -> None:
@@ -444,7 +428,7 @@ class Log:
     @property
     def by_factory_links(self) -> bool:
         """Whether the controller computes with links that its maker has measured on this arm."""
-        return bool(self.happened(FactoryLinks))
+        return bool(self.happened(events.FactoryLinks))
 
     @property
     def calibrates(self) -> bool:
@@ -528,7 +512,7 @@ class Log:
     @property
     def was_connected(self) -> bool:
         """Whether all devices were connected in this session: else how they stand is not known."""
-        connected = (each.seq for each in self.events if isinstance(each.fact, Connected))
+        connected = (each.seq for each in self.events if isinstance(each.fact, events.Connected))
         return max(connected, default=0) > self.began
 
     def temperatures_c(self) -> list[float]:
@@ -620,13 +604,13 @@ def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
     return noise.at(positions_mm(points), [point.samples for point in points])
 
 
-def other_assets(before: Mapping[str, Asset], now: Mapping[str, Asset]) -> list[str]:
+def other_assets(before: Mapping[str, events.Asset], now: Mapping[str, events.Asset]) -> list[str]:
     """Return the kinds of assets that are not the same ones now; both are by kind.
 
     A firmware that was not stated once proves nothing.
     """
 
-    def same(one: Asset | None, other: Asset | None) -> bool:
+    def same(one: events.Asset | None, other: events.Asset | None) -> bool:
         if one is None or other is None:
             return False
         known = (one.maker, one.model, one.serial) == (other.maker, other.model, other.serial)
@@ -636,7 +620,9 @@ def other_assets(before: Mapping[str, Asset], now: Mapping[str, Asset]) -> list[
     return [kind for kind in kinds if not same(before.get(kind), now.get(kind))]
 
 
-def differing(first: list[Asset], second: list[Asset]) -> list[tuple[Asset, Asset]]:
+def differing(
+    first: list[events.Asset], second: list[events.Asset]
+) -> list[tuple[events.Asset, events.Asset]]:
     """Return the assets of one kind that are not the same ones in both runs, by serial number."""
     there = {asset.kind: asset for asset in second}
     pairs = ((one, there[one.kind]) for one in first if one.kind in there)

@@ -11,20 +11,13 @@ the grid's cube and the circles of the base frame. There, and nowhere else, the 
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.surroundings import Surroundings, posture
 from hilcell.geometry.kinematics import Bools, forward
-from hilcell.journal.journal import StorageError
-from hilcell.journal.log import Driven
-from hilcell.journal.runs import read_log
-from hilcell.model.events import EarlierRunUnreadable, FirstPassBegun
 from hilcell.ports import Array
 from hilcell.run.interlocks import Blocked, check_joint_limits
-from hilcell.run.run_context import RunContext
 
 PLANNED_MM = 10.0  # by which a plan is stricter: corrections, the base as measured, the held place
 
@@ -269,50 +262,3 @@ class ComingPoses:
         if (coming := self._coming.get(joints_rad.tobytes())) is not None:
             return coming[1]
         return bool(leaves_cube(self._cell, joints_rad[None])[0])
-
-
-# Outside of the cube the volumes are only as right as the cell file. So the robot goes there slowly
-# the first time, and an attended run pauses before the first such pose, unless the cell file says
-# otherwise. A pose is known once this run, or one of those finished before it, was driven there.
-
-
-class FirstPass:
-    """Says how fast the robot may go to a pose, and who has to watch."""
-
-    def __init__(self, run: RunContext, coming: ComingPoses) -> None:
-        self._run, self._coming = run, coming
-        self._announced = False
-
-    def speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
-        """Return the speed to joints (6,) with the slide there.
-
-        The first pose that is not known is announced; an attended run then pauses here.
-        """
-        cell = self._run.cell
-        usual = cell.robot.speed_percent
-        if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
-            return usual
-        known = (self._run.log.driven, *self._earlier)
-        if any(driven.has(strip_mm, joints_rad) for driven in known):
-            return usual
-        slow = min(cell.robot.first_pass_percent, usual)
-        if not self._announced:
-            self._announced = True
-            self._run.add(FirstPassBegun(key=what, speed_percent=slow))
-            if self._run.cell.pauses_at_first_pass:
-                self._run.pause(
-                    f"{what}: the robot leaves the grid's cube, to where it was never driven in "
-                    f"this cell, at {slow:g} %; clear the cell and stay at the E-stop"
-                )
-        return slow
-
-    @cached_property
-    def _earlier(self) -> list[Driven]:
-        """Return where the runs before this one were driven; a deleted one proves nothing."""
-        found, plan = [], self._run.log.plan
-        for name in plan.driven_by if plan else []:
-            try:
-                found.append(read_log(self._run.folder.parent / name).driven)
-            except StorageError as error:
-                self._run.add(EarlierRunUnreadable(run=name, reason=str(error)))
-        return found

@@ -16,19 +16,14 @@ import numpy as np
 from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.cell.file import RailTable, Station
+from hilcell.journal.journal import StorageError
+from hilcell.journal.log import Driven
+from hilcell.journal.runs import read_log
 from hilcell.journal.stream_file import StreamFile
-from hilcell.model.events import (
-    FactoryLinks,
-    ReadingTime,
-    StationFoundHeld,
-    StationHeld,
-    StreamRecorded,
-    StripBack,
-)
+from hilcell.model import events
 from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
 from hilcell.run.collision import (
     ComingPoses,
-    FirstPass,
     below,
     check_stated,
     check_way,
@@ -164,7 +159,7 @@ class RobotMotion:
         self._run, self._station = run, station
         self._rail: RailReading | None = None
         self.robot = robot
-        self.began: ReadingTime | None = None
+        self.began: events.ReadingTime | None = None
 
     @property
     def strip_mm(self) -> float:
@@ -222,16 +217,13 @@ class Mover(RunContext):
     PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
     held: Station | None = None
-    began: ReadingTime | None = None
+    began: events.ReadingTime | None = None
     _robot: RobotReading | None = None  # since which the robot has not moved
+    _announced = False  # a first pass
 
     @cached_property
     def _coming(self) -> ComingPoses:
         return ComingPoses(self.cell)
-
-    @cached_property
-    def _first_pass(self) -> FirstPass:
-        return FirstPass(self, self._coming)
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -261,7 +253,7 @@ class Mover(RunContext):
             return
         if not self.cell.has_rail or (not again and self._stands_at(station)):
             self.held = station
-            self.add(StationFoundHeld(station=station.name))
+            self.add(events.StationFoundHeld(station=station.name))
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
         tries = approach_station(self.devices.rail, self.cell.rail, station)
@@ -270,7 +262,7 @@ class Mover(RunContext):
         check_strip(self.cell, reading, station, "hold")
         self.held = station
         self.add(
-            StationHeld(
+            events.StationHeld(
                 station=station.name,
                 tries=tries,
                 strip_mm=reading.strip_mm,
@@ -280,7 +272,7 @@ class Mover(RunContext):
         )
 
     def _stands_at(self, station: Station) -> bool:
-        held = [each.station for each in self.log.happened(StationHeld)]
+        held = [each.station for each in self.log.happened(events.StationHeld)]
         if self.log.session < 2 or not held or held[-1] != station.name:
             return False
         reading = self.devices.rail.read()
@@ -311,7 +303,7 @@ class Mover(RunContext):
             reason=lost.summary,
         )
         self.ask(prompt, lambda: self._look_at_strip(lost), lost)
-        self.add(StripBack())
+        self.add(events.StripBack())
 
     def _look_at_strip(self, lost: StripLost) -> Look:
         """Read the strip; one that was frozen must be where the drive is, as far as may slip.
@@ -330,7 +322,7 @@ class Mover(RunContext):
         why = f"strip {reading.strip_mm:.2f} mm, drive {reading.position_mm:.2f} mm"
         return Look(off_mm, why, reading.taken_s)
 
-    def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
+    def _prepare_rail(self, action: str, facts: dict[str, object]) -> events.ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
         self.checkpoint()
         robot, _ = self._check_parked(self.parked())  # read at rest, after its motion ended
@@ -380,7 +372,7 @@ class Mover(RunContext):
         if now.still:  # a pose that was read under way is not that of its joints
             kinematics = check_pose(cell.robot, now, "park")
             if not (kinematics.holds or self.log.by_factory_links):
-                self.add(FactoryLinks(off_mm=kinematics.off_mm))
+                self.add(events.FactoryLinks(off_mm=kinematics.off_mm))
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
         self._robot = now
@@ -400,7 +392,7 @@ class Mover(RunContext):
         usual_percent = self.cell.robot.speed_percent
         check_joint_limits(self.cell, joints_rad, what)
         with self.admitted() as motion:
-            speed_percent = self._first_pass.speed_percent(motion.strip_mm, joints_rad, what)
+            speed_percent = self._speed_percent(motion.strip_mm, joints_rad, what)
             if straight is None:
                 stops = self._stops(motion, joints_rad, what, above)
             else:
@@ -439,9 +431,47 @@ class Mover(RunContext):
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
 
+    # Outside of the cube the volumes are only as right as the cell file. So the robot goes there
+    # slowly the first time, and an attended run pauses before the first such pose, unless the cell
+    # file says otherwise. A pose is known once this run, or one of those finished before it, was
+    # driven there.
+
+    def _speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
+        """Return the speed to joints (6,) with the slide there.
+
+        The first pose that is not known is announced; an attended run then pauses here.
+        """
+        usual = self.cell.robot.speed_percent
+        if self.cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
+            return usual
+        known = (self.log.driven, *self._driven_before)
+        if any(driven.has(strip_mm, joints_rad) for driven in known):
+            return usual
+        slow = min(self.cell.robot.first_pass_percent, usual)
+        if not self._announced:
+            self._announced = True
+            self.add(events.FirstPassBegun(key=what, speed_percent=slow))
+            if self.cell.pauses_at_first_pass:
+                self.pause(
+                    f"{what}: the robot leaves the grid's cube, to where it was never driven in "
+                    f"this cell, at {slow:g} %; clear the cell and stay at the E-stop"
+                )
+        return slow
+
+    @cached_property
+    def _driven_before(self) -> list[Driven]:
+        """Return where the runs before this one were driven; a deleted one proves nothing."""
+        found, plan = [], self.log.plan
+        for name in plan.driven_by if plan else []:
+            try:
+                found.append(read_log(self.folder.parent / name).driven)
+            except StorageError as error:
+                self.add(events.EarlierRunUnreadable(run=name, reason=str(error)))
+        return found
+
     # -- both, a reflector followed ------------------------------------------------------------
 
-    def sweep(self, order: SweepOrder) -> StreamRecorded:
+    def sweep(self, order: SweepOrder) -> events.StreamRecorded:
         """Go to the start, sweep where the slide stands, and return what the journal keeps of it.
 
         Tracker and robot have no clock in common. So samples keep the tracker's own time and the
