@@ -85,8 +85,13 @@ def procedure_words(name: str) -> str:
 
 def step_words(name: str, *, has_rail: bool) -> str:
     """Return a step's name in words; without a rail the robot alone is homed."""
+    without_rail = {
+        "home": "Park the robot",
+        "hold-station": "No slide to hold",
+        "station-frames": "No other stations",
+    }
     special = {
-        "home": "Home the rail" if has_rail else "Park the robot",
+        "home": "Home the rail",
         "validate": "Validation",
         "paper-rows": "Paper's rows",
         "closing": "Closing visits",
@@ -94,7 +99,7 @@ def step_words(name: str, *, has_rail: bool) -> str:
         "reflectors": "Reflectors compared",
         "two-face-closing": "Tracker in both faces, at the end",
         "iso9283": "ISO 9283 test",
-    }
+    } | ({} if has_rail else without_rail)
     return special.get(name, name.replace("-", " ").capitalize())
 
 

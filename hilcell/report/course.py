@@ -11,7 +11,7 @@ from typing import NamedTuple
 from hilcell.clean import counted
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.words import happened_words, in_words, in_zone, key_words
+from hilcell.journal.words import happened_words, in_words, in_zone, key_words, step_words
 from hilcell.model.events import (
     ChangesAccepted,
     Closed,
@@ -34,31 +34,6 @@ from hilcell.model.records import Fact, StateChanged
 from hilcell.model.verdicts import Verdict
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
-
-STEPS = {
-    "home": "Robot parked, rail referenced",
-    "world-frame": "World frame {W} from the floor nests",
-    "rail-survey": "Survey of the rail",
-    "hold-station": "Slide held at the station of the grid",
-    "station-repeatability": "Repeatability of a held station",
-    "base-frame": "Base frame {B} by turning axes 1 and 6",
-    "two-face": "Nests in both faces of the tracker",
-    "two-face-closing": "Nests in both faces of the tracker, at the end",
-    "robot-grid": "Vertices of the grid",
-    "axis-sweeps": "Slow sweeps of the axes, both ways",
-    "chosen-poses": "Poses chosen by the errors found",
-    "repeatability": "Repeatability of the robot",
-    "revisits": "Vertices visited a second time",
-    "station-frames": "Frames of the other stations",
-    "frame-repeatability": "Repeatability of the frames",
-    "fit": "Models fitted, one chosen",
-    "sign-check": "Sign of the correction proved on a target",
-    "validate": "Targets before and after the correction",
-    "closing": "First poses and floor nests checked at the end",
-    "base-of-test": "Base frame {B} by turning axes 1 and 6",
-    "iso9283": "Cycles of the pose test of ISO 9283",
-    "paper-rows": "Figures of the paper compared",
-}
 
 
 class Line(NamedTuple):
@@ -132,16 +107,14 @@ class _Course:
         return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
 
     def _happened(self, event: Event | OtherEvent) -> str:
-        """Return an event as a sentence: a step by what it does, others in the screen's words."""
-        without_rail = {
-            "home": "Robot parked",
-            "hold-station": "No slide to hold: the robot stands on the floor",
-            "station-frames": "No other stations",
-        }
+        """Return an event as a sentence, in the screen's words: a step with what it measures."""
         match event:
             case StepBegun(name=name):
-                steps = STEPS if self.facts.cell.has_rail else STEPS | without_rail
-                words = steps.get(name, name.replace("-", " "))
+                planned = [step.name for step in self.facts.inputs.steps if step.points]
+                parts = [each for each in self.facts.procedure.parts if each.name in planned]
+                measures = {each.name: f": {each.measures}" for each in parts}
+                step = step_words(name, has_rail=self.facts.cell.has_rail)
+                words = f"{step}{measures.get(name, '')}"
             case PosesChosen():
                 words = f"poses chosen: {self._chosen_poses_words(self.facts, event)}"
             case _:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
@@ -21,6 +21,7 @@ from textual.command import CommandList, CommandPalette, DiscoveryHit, Hit, Hits
 from textual.content import Content
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
+from textual.filter import LineFilter
 from textual.message import Message
 from textual.scrollbar import ScrollBar
 from textual.widgets import Input
@@ -32,7 +33,7 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
 from hilcell.tui.screens.base import Application, BaseScreen, Options
-from hilcell.tui.terminal.driver import LATE_S, StopDriver
+from hilcell.tui.terminal.driver import LATE_S, StopDriver, WithoutColours
 from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
 from hilcell.tui.widgets import CellScrollBar, Choice, TextPanel
 
@@ -214,6 +215,10 @@ class HilcellApp(Application):
         calls = {"on_escape": self.open_runs.stop, "is_late": self._is_late}
         return type("Stopping", (StopDriver,), {name: staticmethod(calls[name]) for name in calls})
 
+    def get_line_filters(self) -> Sequence[LineFilter]:
+        """Return Textual's, but without colours that which leaves none."""
+        return [WithoutColours.of(self.theme)] if self.no_color else super().get_line_filters()
+
     def _is_late(self) -> bool:
         """Whether a live run was not shown for long; called by the driver's thread."""
         late = bool(self.open_runs.live) and time.monotonic() - self._shown_s > LATE_S
@@ -383,7 +388,7 @@ class HilcellApp(Application):
                 return
             if name == "detach" and not self.key_is_deliberate:
                 name = "quit"  # which asks: no scanned code leaves an attended run alone
-            makers = (self.screen, self.actions, self)
+            makers = (self.screen, self)
             acts = filter(None, (getattr(each, f"do_{name}", None) for each in makers))
             next(acts, lambda: self._turn_to(pages()[name]))()
 

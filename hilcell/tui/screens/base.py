@@ -59,7 +59,6 @@ class Application(App[int]):
         self.open_runs = OpenRuns()  # first: the terminal's driver wants its stop
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
-        self.actions = RunActions(self)
         self.key_is_deliberate = True  # whether the current key came by itself, not in a burst
 
     @property
@@ -160,47 +159,42 @@ class Application(App[int]):
         question = Content.assemble((title, "bold $ask"), f"\n{text}\n")
         self.push_screen(Confirm(question, yes), replied)
 
-
-class RunActions:
-    """Turns keys into commands to the engine, or starts an engine."""
-
-    def __init__(self, application: Application) -> None:
-        self._application = application
+    # -- keys become commands to the engine, or start one ------------------------------------------
 
     def do_pause(self) -> None:
         """Pause, go on, answer the prompt, or resume, as the state allows."""
-        view, ask = self._application.shown_session.view, self._application.ask
+        view = self.shown_session.view
         command = pause_command(view)
         if view.prompt is not None:
-            self.answer()
+            self.answer_prompt()
         elif command == "pause":
             self._command("pause")
         elif command == "resume":
             from hilcell.tui.text.run import resume_text
 
-            ask("Resume this run?", resume_text(view), "resume", self.resume)
+            self.ask("Resume this run?", resume_text(view), "resume", self.resume_run)
         else:
             what = "The robot and the rail" if view.has_rail else "The robot"
             text = f"{what} may move at once."
-            ask("Go on?", text, "go on", lambda: self._command("proceed"))
+            self.ask("Go on?", text, "go on", lambda: self._command("proceed"))
 
     def do_abort(self) -> None:
         """End the run after the point in flight."""
-        self._application.ask(
+        self.ask(
             "Abort this run?",
             "The point in flight is finished, then the run ends. It can be resumed later.",
             "abort",
             lambda: self._command("abort"),
         )
 
-    def answer(self) -> None:
+    def answer_prompt(self) -> None:
         """Answer the prompt, where the engine answers and the tracker sees the reflector."""
-        session = self._application.shown_session
+        session = self.shown_session
         prompt = session.view.prompt
         if prompt is None:
             return
         if refused := no_answer_reason(session.view):
-            self._application.show_notice(refused)
+            self.show_notice(refused)
         elif prompt.check and not prompt.ready:
             from hilcell.tui.text.prompt import lost_devices
 
@@ -208,67 +202,65 @@ class RunActions:
             waits = "the tracker sees the reflector in its place"
             if lost:
                 waits = f"no device is lost; now: {lost}"
-            self._application.show_notice(f"Enter works when {waits}", for_now=True)
-        elif not self._application.key_is_deliberate:
-            self._application.show_notice(
-                "Enter in one burst with other keys is no answer: press it by itself"
-            )
+            self.show_notice(f"Enter works when {waits}", for_now=True)
+        elif not self.key_is_deliberate:
+            self.show_notice("Enter in one burst with other keys is no answer: press it by itself")
         else:
-            self._application.start_task(self._answer_prompt(session))
+            self.start_task(self._ask_once_more(session))
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
         from hilcell.journal.words import in_words, key_words
         from hilcell.run.states import retake_refusal
 
-        view, ask = self._application.shown_session.view, self._application.ask
+        view = self.shown_session.view
         refused = retake_refusal(view.log, key) if key else "no point is chosen"
         point = key_words(key, view.log) if key in view.log.points else key
         if refused:
-            self._application.show_notice(in_words(refused, view.log))
+            self.show_notice(in_words(refused, view.log))
         elif view.live:
-            ask(
+            self.ask(
                 "Re-measure this point?",
                 f"{point}: before the robot's next point; it moves there.",
                 "re-measure",
                 lambda: self._command("retake", key=key),
             )
         else:
-            ask(
+            self.ask(
                 "Open this run again and re-measure the point?",
                 f"{point}: the devices are connected, the control points proved, the robot moves.",
                 "re-measure",
-                lambda: self.resume("--retake", key),
+                lambda: self.resume_run("--retake", key),
             )
 
-    def resume(self, *options: str) -> None:
+    def resume_run(self, *options: str) -> None:
         """Start an engine that goes on with the run that is shown."""
-        session = self._application.shown_session
+        session = self.shown_session
         folder = session.folder
         attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
         command = ["resume", folder.name, "--runs", str(folder.parent), *attended, *options]
-        self.start(folder, command)
+        self.start_engine(folder, command)
 
-    def start(self, folder: Path, arguments: list[str]) -> None:
+    def start_engine(self, folder: Path, arguments: list[str]) -> None:
         """Start an engine and show its run; report an end that the journal does not hold."""
         started = process.start_engine(folder.parent, folder.name, arguments)
-        self._application.attach(folder, started.process)
+        self.attach(folder, started.process)
 
         async def watch() -> None:
             if reason := await run_in_thread(started.wait_for_end):
                 raise HilcellError(reason)
 
-        self._application.start_task(watch())
+        self.start_task(watch())
 
-    async def _answer_prompt(self, session: Session) -> None:
-        self._application.show_notice("the tracker looks once more ...")
+    async def _ask_once_more(self, session: Session) -> None:
+        self.show_notice("the tracker looks once more ...")
         await run_in_thread(session.ask, "answer")
-        self._application.show_notice("")
+        self.show_notice("")
 
     def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command to the engine from another thread: keys do not wait."""
-        session = self._application.shown_session
-        self._application.start_task(run_in_thread(session.ask, command, **subject))
+        session = self.shown_session
+        self.start_task(run_in_thread(session.ask, command, **subject))
 
 
 class BaseScreen(Screen[None]):

@@ -81,7 +81,7 @@ class DetailPage(TextPage):
         return point_page(view, self._key) if view is not None else BLANK
 
     def do_retake(self) -> None:
-        self.application.actions.retake(self._key)
+        self.application.retake(self._key)
 
 
 BEGIN = "1970-01-01T00:00:00+00:00"  # before any record is read

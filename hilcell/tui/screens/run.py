@@ -343,7 +343,7 @@ class RunScreen(FilterScreen):
     def _enter(self, key: str) -> None:
         view = self.application.view
         if view is not None and view.prompt is not None:
-            self.application.actions.answer()
+            self.application.answer_prompt()
         elif self.instead in self.HIDE_POINTS:
             self._open_points()
         elif key:
@@ -385,4 +385,4 @@ class RunScreen(FilterScreen):
             self.application.show_background_run()
 
     def do_retake(self) -> None:
-        self.application.actions.retake(self.query_one(Table).key)
+        self.application.retake(self.query_one(Table).key)

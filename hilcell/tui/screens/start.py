@@ -301,7 +301,7 @@ class StartScreen(BaseScreen):
 
         runs = self.application.options.runs
         run = new_run(order.procedure)
-        self.application.actions.start(runs / run, ["run", *order.replace(name=run).words()])
+        self.application.start_engine(runs / run, ["run", *order.replace(name=run).words()])
 
     @staticmethod
     def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:

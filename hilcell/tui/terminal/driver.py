@@ -8,10 +8,7 @@ with a letter, and a sequence that is cut right after its Esc, also stop the run
 The same thread covers the state of a live run where the screen was not painted for some seconds: on
 a PC that has no time for it, RUNNING would stay long after the end.
 
-Textual has a filter for colours, but it leaves greys. Here the colours are removed from every SGR
-sequence (ECMA-48, 8.3.117). A background of the theme becomes reverse video; a text box, which has
-the cursor row's colour but not its weight, is underlined, so that the caret in it is still seen.
-Backgrounds are recognised by their exact greys, so Textual must write them in 24 bits.
+Textual has a filter for colours, but it leaves greys.
 """
 
 from __future__ import annotations
@@ -21,11 +18,14 @@ import re
 import selectors
 from codecs import getincrementaldecoder
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import cache
 
+from rich.segment import Segment
+from rich.style import Style
 from textual._xterm_parser import XTermParser
 from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
+from textual.filter import LineFilter
 
 from hilcell.tui.terminal.themes import PALETTES, ROLES
 
@@ -42,14 +42,11 @@ def has_escape(read: bytes) -> bool:
 
 
 class StopDriver(LinuxDriver):
-    """Calls ``on_escape`` from the input thread; obeys NO_COLOR to the letter."""
+    """Calls ``on_escape`` from the input thread."""
 
     on_escape: Callable[[], object] | None = None
     is_late: Callable[[], bool] | None = None  # whether what is painted is too old
     _covered = False
-
-    def write(self, data: str) -> None:
-        super().write(without_colours(data, self._app.theme) if self._app.no_color else data)
 
     def run_input_thread(self) -> None:
         parser = XTermParser(self._debug)
@@ -74,7 +71,7 @@ class StopDriver(LinuxDriver):
         """Cover the state once, when what is painted has become too old."""
         late = self.is_late is not None and self.is_late()
         if late and not self._covered:
-            super().write(LATE)
+            self.write(LATE)
         self._covered = late
 
     def _read(self) -> bytes:
@@ -84,51 +81,32 @@ class StopDriver(LinuxDriver):
             return b""
 
 
-BOLD, UNDERLINE, REVERSE = "1", "4", "7"
+class WithoutColours(LineFilter):
+    """Takes the colours out of all that is painted, in a theme of this name.
 
+    A background of the theme becomes reverse video; a text box, which has the cursor row's colour
+    but not its weight, is underlined, so that the caret in it is still seen.
+    """
 
-def without_colours(written: str, theme: str) -> str:
-    """Return what Textual writes in a theme, without its colours."""
-    style = r"\x1b\[([\d;:]+)m"
-    return re.sub(style, lambda found: _style_without_colours(found[1], theme), written)
+    @classmethod
+    @cache  # what it has filtered is kept with it
+    def of(cls, theme: str) -> WithoutColours:
+        return cls(theme)
 
+    def __init__(self, theme: str) -> None:
+        super().__init__()
+        palette = next(each for each in PALETTES if each.name == theme)
+        box = Color.parse(palette.cursor)
+        focused = box.tint(Color.parse(palette.text).with_alpha(0.05))  # Textual's `Input:focus`
+        fills = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))
+        self._boxes = {each.rich_color for each in (box, focused)}
+        self._fills = self._boxes | {each.rich_color for each in fills}
 
-@lru_cache(1024)
-def _style_without_colours(codes: str, theme: str) -> str:
-    kept, ground = _split_codes(codes.split(";"))
-    tones, boxes = _backgrounds(theme)
-    if ground in boxes and BOLD not in kept:
-        kept.append(UNDERLINE)
-    elif ground in tones | boxes and REVERSE not in kept:
-        kept.append(REVERSE)
-    return f"\x1b[{';'.join(kept)}m" if kept else ""
+    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
+        return [Segment(text, style and self._bare(style)) for text, style, _ in segments]
 
-
-def _split_codes(codes: list[str]) -> tuple[list[str], str]:
-    """Return the codes that are no colours, and the background's numbers."""
-    long = ("38", "48", "58")  # text, background, underline: a kind and its numbers follow
-    short = [*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108)]
-    kept, ground = [], ""
-    left = iter(codes)
-    for code in left:
-        if code in long:
-            count = {"5": 1, "2": 3}.get(next(left, ""), 0)
-            numbers = [next(left, "") for _ in range(count)]
-            ground = ";".join(numbers) if code == "48" else ground
-        elif code not in map(str, short) and code.partition(":")[0] not in long:
-            kept.append(code)
-    return kept, ground
-
-
-@cache
-def _backgrounds(theme: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Return, in Textual's greys, the fills, and the backgrounds of boxes and cursor."""
-    palette = next(each for each in PALETTES if each.name == theme)
-    tones = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))
-    box = Color.parse(palette.cursor)
-    focused = box.tint(Color.parse(palette.text).with_alpha(0.05))  # Textual's `Input:focus`
-    return frozenset(map(_monochrome, tones)), frozenset(map(_monochrome, (box, focused)))
-
-
-def _monochrome(colour: Color) -> str:
-    return ";".join(map(str, colour.monochrome.rgb))
+    def _bare(self, style: Style) -> Style:
+        bare = style.without_color
+        if style.bgcolor in self._boxes and not style.bold:
+            return bare + Style(underline=True)
+        return bare + Style(reverse=True) if style.bgcolor in self._fills else bare

@@ -63,6 +63,13 @@ def test_it_holds_every_figure_of_a_calibration_and_is_small(html: str) -> None:
     assert "402871" in found.text
 
 
+def test_the_course_says_what_each_step_measures(html: str) -> None:
+    lines = [row["course in words"] for row in Page(html).table("Course of the run")]
+    grid = "Robot grid: the reflectors on the flange at every vertex. "
+    assert [line.removeprefix(grid) for line in lines if "vertex" in line] == ["27 points."]
+    assert "Hold station." in lines
+
+
 @pytest.mark.process
 def test_another_machine_writes_the_same_bytes(html: str, run: GoldenRun, tmp_path: Path) -> None:
     elsewhere = run.copied_to(tmp_path)

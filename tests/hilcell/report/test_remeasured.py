@@ -177,15 +177,15 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
     steps("world-frame", "axis-sweeps", "fit", "validate")
     found = course(read_facts(writer.left()))
     lines = [row[1] for row in found.texts()]
-    assert [sum(word in line for line in lines) for word in ("World", "sweeps", "Targets")] == [
+    assert [sum(word in line for line in lines) for word in ("World", "sweeps", "Validation")] == [
         1, 1, 1,
     ]  # fmt: skip
-    fitted = [line for line in lines if line.startswith("Models")]
+    fitted = [line for line in lines if line.startswith("Fit.")]
     assert ["nothing measured" in line for line in fitted] == [False, True]
 
 
 def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Path) -> None:
-    """A target that was measured again made a line "Vertices of the grid. 1 point."."""
+    """A target that was measured again made a line "Robot grid. 1 point."."""
     writer = validated_run(tmp_path / "r")
     for session in range(2):
         for number, name in enumerate(("home", "robot-grid", "validate"), 1):
@@ -204,7 +204,7 @@ def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Pa
     again = again[next(n for n, line in enumerate(again) if "session 2" in line) :]
     assert sum("grid" in line.lower() for line in again) == 0
     assert sum("gain" in line and "target 3 at S1100" in line for line in again) == 1
-    assert sum("parked" in line for line in again) == 1
+    assert sum("Home the rail" in line for line in again) == 1
 
 
 def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -> None:
@@ -240,4 +240,4 @@ def test_a_step_that_a_plan_leaves_out_is_not_in_the_course(tmp_path: Path) -> N
             writer.point(PointId("back", number=0, nest="F1"), (1.0, 2.0, 3.0))
         found = course(writer.facts())
         lines.append([row[1] for row in found.texts() if "both faces" in row[1]])
-    assert lines == [["Nests in both faces of the tracker. 1 point."], []]
+    assert lines == [["Tracker in both faces. 1 point."], []]

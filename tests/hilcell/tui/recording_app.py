@@ -28,7 +28,7 @@ from hilcell.tui.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
-from hilcell.tui.screens.base import Application, BaseScreen, Options, RunActions
+from hilcell.tui.screens.base import BaseScreen, Options
 from hilcell.tui.screens.help import HelpPage
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import (
@@ -75,18 +75,6 @@ class RecordingSession(Session):
         super().close(leave=leave)
 
 
-class RecordingActions(RunActions):
-    """Writes down what an engine would have been started with."""
-
-    def __init__(self, application: Application) -> None:
-        super().__init__(application)
-        self.engines: list[tuple[Path, list[str]]] = []
-
-    def start(self, folder: Path, arguments: list[str]) -> None:
-        """Write it down."""
-        self.engines.append((folder, arguments))
-
-
 class RecordingApp(HilcellApp):
     """Opens a made-up run in place of looking for one; without a run, the form."""
 
@@ -95,7 +83,11 @@ class RecordingApp(HilcellApp):
         self.recorded = RecordingSession(options.runs / (options.run or RUN))
         self.story, self.update = name, update
         self.at_rest: list[Strip] = []  # the lines of the terminal as `settle` has painted them
-        self.actions: RecordingActions = RecordingActions(self)
+        self.engines: list[tuple[Path, list[str]]] = []  # that would have been started
+
+    def start_engine(self, folder: Path, arguments: list[str]) -> None:
+        """Write down with what an engine would have been started."""
+        self.engines.append((folder, arguments))
 
     async def _open(self) -> None:
         while len(self.screen_stack) > 1:

@@ -109,13 +109,13 @@ async def the_space_bar_pauses_goes_on_or_resumes(
     space = SPACE[state]
     assert isinstance(app.screen, Confirm) == (space is not None and space[1])
     if isinstance(app.screen, Confirm):
-        assert (app.recorded.asked, app.actions.engines) == ([], [])
+        assert (app.recorded.asked, app.engines) == ([], [])
         await press(pilot, "n")
-        assert (app.recorded.asked, app.actions.engines) == ([], [])
+        assert (app.recorded.asked, app.engines) == ([], [])
         await press(pilot, "space", "y")
     reported = space is not None and space[0] != "resume"
     assert app.recorded.asked == ([(space[0], {})] if space is not None and reported else [])
-    assert bool(app.actions.engines) == (space is not None and space[0] == "resume")
+    assert bool(app.engines) == (space is not None and space[0] == "resume")
     assert app.recorded.stops == 0
 
 
@@ -173,9 +173,9 @@ def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order() -> None:
             type_ahead(app, "q", "h", "q", "space", "enter")
             await settle(pilot)
             assert isinstance(app.screen, Confirm), key  # it moves the machine: not in one burst
-            assert len(app.actions.engines) == number
+            assert len(app.engines) == number
             await press(pilot, "enter")
-            assert len(app.actions.engines) == number + 1
+            assert len(app.engines) == number + 1
 
     run_app(act, "fault")
 
@@ -430,7 +430,7 @@ def test_a_point_is_re_measured_after_a_question(state: str) -> None:
     if state in LIVE:
         assert app.recorded.asked == [("retake", {"key": "grid/0-0-4"})]
     else:
-        assert [words[-2:] for _, words in app.actions.engines] == [["--retake", "grid/0-0-4"]]
+        assert [words[-2:] for _, words in app.engines] == [["--retake", "grid/0-0-4"]]
 
 
 @pytest.mark.parametrize("unattended", [True, False])
@@ -441,7 +441,7 @@ def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
         await press(pilot, "space", "enter")
 
     app = run_app(act, "gone")
-    [(folder, words)] = app.actions.engines
+    [(folder, words)] = app.engines
     assert words[:4] == ["resume", folder.name, "--runs", str(folder.parent)]
     assert ("--unattended" in words) == unattended
 

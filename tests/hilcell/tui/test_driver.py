@@ -1,16 +1,16 @@
-"""The terminal's driver: Esc in the bytes that come in, colours in the bytes that go out."""
+"""The terminal's driver: Esc in the bytes that come in, colours in what is painted."""
 
 from __future__ import annotations
-
-import re
 
 import pyte
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.segment import Segment
+from rich.style import Style
 from textual.color import Color
 
-from hilcell.tui.terminal.driver import StopDriver, has_escape, without_colours
+from hilcell.tui.terminal.driver import StopDriver, WithoutColours, has_escape
 from hilcell.tui.terminal.themes import NAMES, PALETTES, ROLES, Palette
 from tests.hilcell.tui.terminal_colours import colours_of
 
@@ -47,47 +47,40 @@ def test_text_is_no_esc(text: str) -> None:
     assert not has_escape(text.encode("utf-8", "surrogatepass"))
 
 
-SGR = re.compile(r"\x1b\[[\d;:]*m")
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
-themes = st.sampled_from(NAMES)
-numbers = st.integers(0, 120).map(str)
-rgb = st.lists(st.integers(0, 255).map(str), min_size=3, max_size=3)
-kinds = st.sampled_from("345")
-short = (*range(30, 38), 39, *range(40, 48), 49, 59, *range(90, 98), *range(100, 108))
-colours = st.one_of(
-    st.builds("{}8;2;{}".format, kinds, rgb.map(";".join)),
-    st.builds("{}8:2::{}".format, kinds, rgb.map(":".join)),
-    st.builds("{}8;5;{}".format, kinds, st.integers(0, 255)),
-    st.sampled_from(short).map(str),
+anything = st.builds(
+    Style,
+    color=st.none() | st.sampled_from(["red", "#123456", "color(17)", "default"]),
+    bgcolor=st.none() | st.sampled_from(["blue", "#0e1419", "#22384a", "default"]),
+    bold=st.none() | st.booleans(),
+    underline=st.none() | st.booleans(),
+    reverse=st.none() | st.booleans(),
 )
-attributes = st.sampled_from(["0", "1", "2", "3", "4", "4:3", "5", "7", "9", "22", "27"])
-words = st.text(st.characters(exclude_characters="\x1b", exclude_categories=["Cs"]))
-codes = st.lists(colours | attributes | numbers).map(lambda each: f"\x1b[{';'.join(each)}m")
-others = st.sampled_from(["\x1b[4;1H", "\x1b[?25l", "\x1b[>9u", "\x1b[>4;38m", "\x1b[?38m"])
-written = st.lists(words | codes | others).map("".join)
 
 
-def grey(colour: str) -> str:
-    """Return a colour as Textual sends it where there are to be none."""
-    return ";".join(map(str, Color.parse(colour).monochrome.rgb))
+def bare(style: Style, theme: str) -> Style:
+    """Return a style as it is painted without colours."""
+    (found,) = WithoutColours.of(theme).apply([Segment("X", style)], Color.parse("black"))
+    assert found.text == "X"
+    assert found.style is not None
+    return found.style
 
 
-def styled(ground: str, *, bold: bool = False, text: str = "#123456") -> str:
-    start = "1;" if bold else ""
-    return f"\x1b[{start}38;2;{grey(text)};48;2;{grey(ground)}mX\x1b[0m"
+def on(ground: str, *, bold: bool | None = None) -> Style:
+    return Style(color="#123456", bgcolor=Color.parse(ground).rich_color, bold=bold)
 
 
 @by_palette
 def test_what_stands_on_a_fill_is_reversed(palette: Palette) -> None:
-    for ground in map(palette.fill, (*ROLES, "text", "badge")):
-        assert without_colours(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
-        assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
+    for ground in (*map(palette.fill, ROLES), palette.text, palette.badge):
+        assert bare(on(ground), palette.name) == Style(reverse=True)
+        assert bare(on(ground, bold=True), palette.name) == Style(bold=True, reverse=True)
 
 
 @by_palette
 def test_the_cursor_row_is_reversed_and_a_text_box_is_a_line_to_write_on(palette: Palette) -> None:
-    assert without_colours(styled(palette.cursor, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
-    assert without_colours(styled(palette.cursor), palette.name) == "\x1b[4mX\x1b[0m"
+    assert bare(on(palette.cursor, bold=True), palette.name) == Style(bold=True, reverse=True)
+    assert bare(on(palette.cursor), palette.name) == Style(underline=True)
 
 
 @by_palette
@@ -100,44 +93,17 @@ def test_what_stands_on_the_ground_or_on_its_shades_is_left_alone(palette: Palet
         variables["scrollbar-background"],
         variables["surface"],
     ):
-        assert without_colours(styled(ground), palette.name) == "X\x1b[0m"
-        assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1mX\x1b[0m"
+        assert bare(on(ground), palette.name) == Style()
+        assert bare(on(ground, bold=True), palette.name) == Style(bold=True)
 
 
-@pytest.mark.parametrize(
-    ("code", "wanted"),
-    [
-        ("\x1b[m", "\x1b[m"),
-        ("\x1b[0m", "\x1b[0m"),
-        ("\x1b[0;31m", "\x1b[0m"),
-        ("\x1b[31m", ""),
-        ("\x1b[1;31;4m", "\x1b[1;4m"),
-        ("\x1b[7;38;2;1;2;3;48;2;4;5;6m", "\x1b[7m"),
-        ("\x1b[38;5;4;1m", "\x1b[1m"),
-        ("\x1b[38:2::1:2:3;1m", "\x1b[1m"),
-        ("\x1b[58:2::1:2:3;4:3m", "\x1b[4:3m"),
-        ("\x1b[38;2;1m", ""),
-        ("\x1b[;1m", "\x1b[;1m"),
-    ],
-)
-def test_attributes_stay_and_colours_go(code: str, wanted: str) -> None:
-    assert without_colours(code, NAMES[0]) == wanted
-
-
-@given(written, themes)
-def test_no_colour_is_left(text: str, theme: str) -> None:
-    assert colours_of(without_colours(text, theme).encode()) == set()
-
-
-@given(written, themes)
-def test_everything_else_is_left(text: str, theme: str) -> None:
-    assert SGR.sub("", without_colours(text, theme)) == SGR.sub("", text)
-
-
-@given(written, themes)
-def test_what_is_bare_stays_as_it_is(text: str, theme: str) -> None:
-    once = without_colours(text, theme)
-    assert without_colours(once, theme) == once
+@given(anything, st.sampled_from(NAMES))
+def test_no_colour_is_left_and_every_attribute_stays(style: Style, theme: str) -> None:
+    found = bare(style, theme)
+    assert (found.color, found.bgcolor, found.bold) == (None, None, style.bold)
+    assert bool(found.reverse) >= bool(style.reverse)
+    assert bool(found.underline) >= bool(style.underline)
+    assert bare(found, theme) == found
 
 
 class Written:

@@ -102,7 +102,7 @@ def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
         assert app.detached == []
 
     app = run_app(act, state)
-    assert app.actions.engines == []
+    assert app.engines == []
     assert [word for word, _ in app.recorded.asked if word != "pause"] == []
 
 

@@ -29,10 +29,10 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         assert "HC-J11" in text_of(app)
         await press(pilot, "space")
         assert "nothing moves" in text_of(app)
-        assert app.actions.engines == []
+        assert app.engines == []
         await press(pilot, "enter")
 
-    assert len(run_app(act, "done", size=HIGH).actions.engines) == 1
+    assert len(run_app(act, "done", size=HIGH).engines) == 1
 
 
 @pytest.mark.parametrize("over", ["a", "ctrl+p"])

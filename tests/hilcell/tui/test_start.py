@@ -76,7 +76,7 @@ def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.Mo
         await press(pilot, "enter")
         assert len(asked) == before
 
-    (engine,) = run_app(act, size=SIZE).actions.engines
+    (engine,) = run_app(act, size=SIZE).engines
     assert {"--operator=Ann", "--job=J7"} <= set(engine[1])
 
 
@@ -123,7 +123,7 @@ def test_a_refused_plan_has_its_reasons_and_starts_nothing(
         assert isinstance(app.screen, StartScreen)
         assert "nothing is started: the checks say why" in text_of(app)
 
-    assert run_app(act, size=SIZE).actions.engines == []
+    assert run_app(act, size=SIZE).engines == []
 
 
 def test_enter_asks_and_only_a_yes_starts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,11 +132,11 @@ def test_enter_asks_and_only_a_yes_starts(monkeypatch: pytest.MonkeyPatch) -> No
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "enter")
         assert isinstance(app.screen, PlanSummary)
-        assert app.actions.engines == []
+        assert app.engines == []
         await press(pilot, "q", "enter", "enter")
 
     app = run_app(act, size=SIZE)
-    assert len(app.actions.engines) == 1
+    assert len(app.engines) == 1
 
 
 # -- as text ---------------------------------------------------------------------------------------

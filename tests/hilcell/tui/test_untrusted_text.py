@@ -98,7 +98,7 @@ def test_every_screen_shows_hostile_words_and_does_nothing_by_them(
         async with app.run_test(size=SIZE) as pilot:
             seen = await screens_of(app, pilot)
             assert app.is_running
-        assert (app.recorded.stops, app.actions.engines) == (0, [])
+        assert (app.recorded.stops, app.engines) == (0, [])
         assert {command for command, _ in app.recorded.asked} <= {"answer"}
         return seen
 
