@@ -83,13 +83,6 @@ def statements(text: str) -> Iterator[Statement]:
         start += len(whole) + 1
 
 
-def comments(text: str) -> Iterator[str]:
-    for line in text.split("\n"):
-        for match in _QUIET.finditer(line):
-            if match.group().startswith("#"):
-                yield match.group()[1:]
-
-
 def split(text: str) -> list[str]:
     """Split arguments at commas outside of all brackets; raises `UrScriptError`."""
     parts, depth, begin = list[str](), 0, 0
@@ -179,7 +172,8 @@ class Program(programs.Program):
     @property
     def remarks(self) -> list[str]:
         """Return the comments of the file."""
-        return list(comments(self.text))
+        quiet = (each for line in self.text.split("\n") for each in _QUIET.findall(line))
+        return [each[1:] for each in quiet if each.startswith("#")]
 
     def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
         """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6), in {B}, and a
@@ -211,16 +205,13 @@ def _nearest(position: Array, before_rad: Array) -> list[float]:
     vector = to_rotvec(poses_from_zyx(position[None])[0, :3, :3])
     angle = float(np.linalg.norm(vector))
     other = vector * (1.0 - 2.0 * np.pi / angle) if angle else vector
-    nearer = min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad)))
-    found: list[float] = nearer.tolist()
-    return found
+    return list(min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad))))
 
 
 def read_program(file: str, text: str) -> Program:
     """Return the program; raises `SettingsError` with all that is refused, by line."""
-    reader = _Reader(list(statements(text)))
-    problems = reader.read()
-    if problems:
+    reader = _Reader()
+    if problems := reader.read(list(statements(text))):
         raise SettingsError(file, [f"{file} {problem}" for problem in problems])
     if not reader.targets:
         raise SettingsError(
@@ -254,13 +245,12 @@ class _Reader:
     _ASSIGN = re.compile(
         r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII
     )
-    _CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
+    _CALL = re.compile(r"(\w+)\s*\(\s*(.*)\)", re.ASCII)
     _NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
 
-    def __init__(self, found: list[Statement]) -> None:
+    def __init__(self) -> None:
         self.targets: dict[str, Target] = {}
         self.tcp: Target | None = None
-        self._found = found
         self._poses: dict[str, Target] = {}
         self._assigned: dict[str, list[int]] = defaultdict(list)
         self._functions = set[str]()
@@ -268,11 +258,11 @@ class _Reader:
         self._open = list[int]()  # lines of the blocks that a statement stands in
         self._main = 0  # the line of the first def
 
-    def read(self) -> list[str]:
+    def read(self, found: list[Statement]) -> list[str]:
         """Return what is refused, by line."""
         problems = dict[int, str]()
         for take in (self._name, self._use):
-            for statement in self._found:
+            for statement in found:
                 try:
                     if statement.line not in problems:
                         take(statement)
@@ -296,7 +286,7 @@ class _Reader:
         return notes
 
     def _name(self, statement: Statement) -> None:
-        """Collect the names that a statement defines."""
+        """Collect the names that a statement defines; refuse those that have a meaning already."""
         code = statement.code
         if ";" in code or code.count('"') % 2:
             raise UrScriptError("expected one statement a line, and strings that end on it")
@@ -305,47 +295,39 @@ class _Reader:
             self._functions.add(match[1])
             for parameter in filter(None, (each.strip() for each in match[2].split(","))):
                 self._assigned[parameter].append(statement.line)
+            if match[1] in (*self.HARMLESS, *self.MOTIONS, "set_tcp"):
+                raise UrScriptError(f"it gives {match[1]} another meaning")
         elif (match := self._ASSIGN.fullmatch(code)) and not self._BRANCH.fullmatch(code):
             self._assigned[match[1]].append(statement.line)
             numbers = pose(match[3], statement.start + match.start(3))
             if numbers is not None and match[2] is None:
                 self._poses.setdefault(match[1], Target(match[1], statement.line, numbers))
-
-    def _use(self, statement: Statement) -> None:
-        code = statement.code
         for word, _ in self._NAME.findall(code):
             if word in ("thread", "run", "join", "kill", "enter_critical", "exit_critical"):
                 raise UrScriptError(f"{word}: several threads may move the robot at once")
-        plain = r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*"
-        if self._block(statement) or re.fullmatch(plain, code, re.ASCII):
-            return
-        if match := self._ASSIGN.fullmatch(code):
-            self._assign(match[1], match[2] or "", match[3])
-        elif match := self._CALL.fullmatch(code):
-            self._call(statement, match)
-        elif code.startswith("return "):
-            self._check(code)
-        else:
-            raise UrScriptError("it is no statement that hilcell reads")
 
-    def _block(self, statement: Statement) -> bool:
-        """Whether the statement opens or ends a block; raises `UrScriptError`."""
+    def _use(self, statement: Statement) -> None:
         code = statement.code
-        if match := self._DEF.fullmatch(code):
-            if match[1] in (*self.HARMLESS, *self.MOTIONS, "set_tcp"):
-                raise UrScriptError(f"it gives {match[1]} another meaning")
+        plain = r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*"
+        if self._DEF.fullmatch(code):
             self._main = self._main or statement.line
+            self._open.append(statement.line)
         elif match := self._BRANCH.fullmatch(code):
             self._check(match[1])
-        elif code != "end":
-            return False
-        elif not self._open:
-            raise UrScriptError("no block is open")
-        if code == "end":
+            if not code.startswith("elif"):
+                self._open.append(statement.line)
+        elif code == "end":
+            if not self._open:
+                raise UrScriptError("no block is open")
             self._open.pop()
-        elif not code.startswith("elif"):
-            self._open.append(statement.line)
-        return True
+        elif match := self._ASSIGN.fullmatch(code):
+            self._assign(match[1], match[2] or "", match[3])
+        elif match := self._CALL.fullmatch(code):
+            self._call(statement, match[1], split(match[2]), statement.start + match.start(2))
+        elif code.startswith("return "):
+            self._check(code)
+        elif not re.fullmatch(plain, code, re.ASCII):
+            raise UrScriptError("it is no statement that hilcell reads")
 
     def _assign(self, name: str, index: str, value: str) -> None:
         if name in self._poses and index:
@@ -354,9 +336,8 @@ class _Reader:
             self._check(value)
         self._check(index)
 
-    def _call(self, statement: Statement, match: re.Match[str]) -> None:
-        name, arguments = match[1], split(match[2])
-        at = statement.start + match.start(2) + len(arguments[0]) - len(arguments[0].lstrip())
+    def _call(self, statement: Statement, name: str, arguments: list[str], at: int) -> None:
+        """Take a call whose first argument begins at the character ``at`` of the file."""
         if name in self.MOTIONS:
             self._move(statement, name, arguments, at)
         elif name == "set_tcp":
