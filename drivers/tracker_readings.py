@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -10,16 +10,21 @@ from msgspec import Meta
 
 from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
-from hilcell.ports import Array, Clock, DeviceRefused, NoReading
+from hilcell.ports import Array, Clock, NoReading
 
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 Positive = Annotated[float, Meta(gt=0)]
 
 
-def another_tracker(serial: str, wanted: str) -> DeviceRefused:
-    """Return the error of a tracker whose serial number is not that of the cell file."""
-    return TRACKER.refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, serial=serial)
+class Garbled(ValueError):
+    """Bytes or text that are no packet, no reply or no value of a tracker's protocol."""
+
+
+def check_serial(serial: str, wanted: str) -> None:
+    """Refuse a tracker whose serial number is not that of the cell file; "" there is any."""
+    if wanted not in ("", serial):
+        raise TRACKER.refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, serial=serial)
 
 
 def with_maker(maker: str, name: str) -> str:
@@ -48,6 +53,14 @@ def check_reflector(reflector: str, known: str, found: str) -> None:
             reflector=reflector,
             known=[known],
         )
+
+
+def form_at(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:
+    """Return the form in which a result (3,) is at its place, "" where it is so in none."""
+    for form, xyz_mm in forms.items():
+        if float(np.linalg.norm(xyz_mm - near_mm)) <= limit_mm:
+            return form
+    return ""
 
 
 def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> NoReading:
@@ -81,17 +94,8 @@ def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
             limit_mm=limit_mm,
             repeats=len(points_mm),
         )
-    if len(points_mm) > 2:
-        _check_alike(points_mm, limit_mm)
-    return std_mm
-
-
-def _check_alike(points_mm: Array, limit_mm: float) -> None:
-    """Refuse repeats (N, 3), N > 2, one of which is far from the others by their own scatter.
-
-    One of many hardly widens the spread of all, yet shifts their mean.
-    """
-    for number, point_mm in enumerate(points_mm):
+    # One of many hardly widens the spread of all, yet shifts their mean.
+    for number, point_mm in enumerate(points_mm if len(points_mm) > 2 else ()):
         others_mm = np.delete(points_mm, number, axis=0)
         off_mm = float(np.linalg.norm(point_mm - others_mm.mean(axis=0)))
         scatter_mm = float(np.linalg.norm(others_mm.std(axis=0, ddof=1)))
@@ -108,6 +112,7 @@ def _check_alike(points_mm: Array, limit_mm: float) -> None:
                 limit_mm=limit_mm,
                 repeats=len(points_mm),
             )
+    return std_mm
 
 
 Answer = TypeVar("Answer")

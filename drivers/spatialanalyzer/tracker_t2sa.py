@@ -33,9 +33,11 @@ from drivers.device_errors import TRACKER
 from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
+    Garbled,
     Positive,
     check_reflector,
     checked_order,
+    form_at,
     misplaced,
     std_of_repeats,
     when_ready,
@@ -50,7 +52,6 @@ from hilcell.ports import (
     Clock,
     DeviceError,
     Identity,
-    NoReading,
     TrackerReading,
     says_simulated,
 )
@@ -89,10 +90,6 @@ ACTS = {
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
 
-class T2saError(Exception):
-    """A line that is no reply, or a text without a position."""
-
-
 @dataclass(frozen=True, slots=True)
 class Reply:
     """One reply; ``code`` is that of the line, ``text`` is cleaned."""
@@ -124,49 +121,38 @@ class Reply:
 
 
 def parse(line: str) -> Reply:
-    """Return a reply; raises `T2saError`."""
+    """Return a reply; raises `Garbled`."""
     found = re.fullmatch(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?", line.strip())
     if found is None:
-        raise T2saError(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
+        raise Garbled(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
     return Reply(found[1] == "ACK", int(found[2]), clean(found[3] or ""))
 
 
 def position_of(reply: Reply, point: str) -> Array:
     """Return the position (3,) in a reply; values that are no numbers or out of reach are NaN.
 
-    Raises `T2saError` where it has none, or is of another point.
+    Raises `Garbled` where it has none, or is of another point.
     """
     axes = r"\bresult:?\s+X:([^;]*);\s*Y:([^;]*);\s*Z:([^;]*)(?:;|$)"
     commas = r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)"
     found = re.search(axes, reply.text) or re.search(commas, reply.text)
     if found is None:
-        raise T2saError(f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}")
+        raise Garbled(f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}")
     if point not in re.split(r"[\s;]+", reply.text[: found.start()]):
-        raise T2saError(f"the answer is not of point {point}: {reply.text[:LONGEST_WORDS]!r}")
-    return np.array([_number(each.strip()) for each in found.groups()])
-
-
-def _number(text: str) -> float:
-    form = r"[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?"
-    value = float(text) if re.fullmatch(form, text) else math.nan
+        raise Garbled(f"the answer is not of point {point}: {reply.text[:LONGEST_WORDS]!r}")
+    form = r"\s*[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?\s*"
+    values = [float(each) if re.fullmatch(form, each) else math.nan for each in found.groups()]
     # Beyond 1e9 it is beyond the reach of any tracker, in whichever unit.
-    return value if abs(value) < 1e9 else math.nan
+    return np.array([value if abs(value) < 1e9 else math.nan for value in values])
 
 
-def other_form(xyz_mm: Array, named_mm: Array, near_mm: Array, limit_mm: float) -> str:
-    """Return the form in which a result is right, "" where it is wrong in each.
-
-    ``named_mm`` (3,) is the named point through which it was measured, ``near_mm`` the place.
-    """
-    forms = {
+def other_forms(xyz_mm: Array, named_mm: Array) -> dict[str, Array]:
+    """Return places (3,) that a result may mean; it was measured through the point ``named_mm``."""
+    return {
         "in inches": 25.4 * xyz_mm,
         "in metres": 1000.0 * xyz_mm,
         "as a deviation from the named point": named_mm + xyz_mm,
     }
-    for form, at_mm in forms.items():
-        if float(np.linalg.norm(at_mm - near_mm)) <= limit_mm:
-            return form
-    return ""
 
 
 class T2saBridge:
@@ -201,11 +187,9 @@ class T2saBridge:
         if not reply.accepted:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
-            kind = NoReading if again else DeviceError
-            act, fields = ACTS.get(alarm, ACT), {"status": reply.code}
-            raise kind(
-                alarm, TRACKER.name, self._spoken(command), reply.found, act=act, fields=fields
-            )
+            error = TRACKER.no_reading if again else TRACKER.failed
+            act, operation = ACTS.get(alarm, ACT), self._spoken(command)
+            raise error(alarm, operation, reply.found, act=act, status=reply.code)
         return reply
 
     def position(self, command: str, path: str) -> Array:
@@ -216,41 +200,40 @@ class T2saBridge:
         reply = self.ask(f"{command}{path}")
         try:
             return position_of(reply, path.rpartition(";")[2])
-        except T2saError as error:
+        except Garbled as error:
             raise self.lost(str(error), "decode") from error
 
     def exchange(self, command: str) -> Reply:
         """Request once and return the reply; results that nobody asked for are dropped."""
-        limit_s = self._limit_s(command)
-        self._wire().send(command, self._spoken(command))
-        patience = Patience(limit_s)
-        while (reply := self._reply(patience)) is not None:
-            if command.startswith((self.MEASURE, self.POSITION)) or not reply.is_result:
-                return reply
-        if not command.startswith(self.MEASURE):
+        measures = command.startswith(self.MEASURE)
+        asks_result = measures or command.startswith(self.POSITION)
+        reply = self._answer(command, lambda reply: asks_result or not reply.is_result)
+        if reply is not None:
+            return reply
+        if not measures:
             raise self.lost("no answer in time", self._spoken(command))
-        self._give_up()
-        found = f"no answer to {self._spoken(command)} in {limit_s:.1f} s"
-        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
+        # It is halted, and no reply to it may be still to come.
+        self._confirm(self.HALT, lambda reply: reply.accepted and not reply.is_result)
+        self._confirm(self.LASER, lambda reply: reply.is_laser)
+        found = f"no answer to {self._spoken(command)} in {MEASURE_S:.1f} s"
+        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=MEASURE_S)
 
     def lost(self, found: str, operation: str) -> DeviceError:
         """Return the error after which the replies cannot be trusted; the connection is closed."""
         self.close()
         return self._link.broken(operation, found)
 
-    def _give_up(self) -> None:
-        """Halt a measurement that brought no reply, and make sure that none is to come."""
-        self._after(self.HALT, lambda reply: reply.accepted and not reply.is_result)
-        self._after(self.LASER, lambda reply: reply.is_laser)
+    def _confirm(self, command: str, answers: Callable[[Reply], bool]) -> None:
+        if self._answer(command, answers) is None:
+            raise self.lost("no answer in time", self._spoken(command))
 
-    def _after(self, command: str, answers: Callable[[Reply], bool]) -> None:
-        """Request, and drop all replies up to the one that answers."""
+    def _answer(self, command: str, answers: Callable[[Reply], bool]) -> Reply | None:
+        """Request, and drop all replies up to the one that answers; None where none comes."""
         self._wire().send(command, self._spoken(command))
-        patience = Patience(REPLY_S)
-        while (reply := self._reply(patience)) is not None:
-            if answers(reply):
-                return
-        raise self.lost("no answer in time", self._spoken(command))
+        patience = Patience(self._limit_s(command))
+        while (reply := self._reply(patience)) is not None and not answers(reply):
+            pass
+        return reply
 
     def _reply(self, patience: Patience) -> Reply | None:
         """Return the next reply, None when ``patience`` is over; a line that failed is closed."""
@@ -265,7 +248,7 @@ class T2saBridge:
         self.arrived_s = self._clock.pc_s()
         try:
             return parse(line)
-        except T2saError as error:
+        except Garbled as error:
             raise self.lost(str(error), "receive") from error
 
     def _wire(self) -> TextLines:
@@ -349,9 +332,19 @@ class T2saTracker:
         known = options.reflector
         check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
         bridge, points = TRACKER.connected(self._bridge), TRACKER.connected(self._points)
-        named = _Aim(points, near_mm, options.search_mm)
-        count = max(samples, options.repeats)
-        points_mm = np.array([self._single(bridge, named) for _ in range(count)])
+        name, _, beside_mm = points.aim(near_mm, options.search_mm)
+        if not beside_mm <= options.search_mm:
+            raise TRACKER.failed(
+                "HC-T74",
+                "measure",
+                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
+                wanted=f"<= {options.search_mm:.1f} mm (tracker.options.search_mm)",
+                point=name,
+                beside_mm=beside_mm,
+                limit_mm=options.search_mm,
+            )
+        count, others_mm = max(samples, options.repeats), dict[str, Array]()
+        points_mm = np.array([self._single(bridge, near_mm, others_mm) for _ in range(count)])
         std_mm = std_of_repeats(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, count, reflector, None, bridge.arrived_s)
@@ -438,7 +431,8 @@ class T2saTracker:
         for name, listed_mm in points.spread(self.COMPARED):
             found_mm = bridge.position(bridge.POSITION, self._path(name))
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
-                form = other_form(found_mm, np.full(3, np.nan), listed_mm, self.SAME_MM)
+                forms = other_forms(found_mm, np.full(3, np.nan))
+                form = form_at(listed_mm, self.SAME_MM, forms)
                 form = form and f" {form}"
                 raise TRACKER.refused(
                     "HC-T73",
@@ -452,19 +446,22 @@ class T2saTracker:
 
     # -- measuring ----------------------------------------------------------------------------
 
-    def _single(self, bridge: T2saBridge, aim: _Aim) -> Array:
-        """Return one position (3,); where another reflector is found, aim on its far side."""
-        limit_mm = self._options.find_radius_mm
-        off_mm = np.inf
+    def _single(self, bridge: T2saBridge, near_mm: Array, others_mm: dict[str, Array]) -> Array:
+        """Return one position (3,); where another reflector is found, aim on its far side.
+
+        ``others_mm`` are those that were found in its place, by their named points.
+        """
+        limit_mm, search_mm = self._options.find_radius_mm, self._options.search_mm
+        points, off_mm = TRACKER.connected(self._points), np.inf
         for _ in range(self.TRIES):
-            name, named_mm = aim.point()
-            if name in aim.others_mm:
+            name, named_mm, _ = points.aim(near_mm, search_mm, list(others_mm.values()))
+            if name in others_mm:
                 break
             xyz_mm = self._measured(bridge, name, named_mm)
-            off_mm = float(np.linalg.norm(xyz_mm - aim.near_mm))
+            off_mm = float(np.linalg.norm(xyz_mm - near_mm))
             if off_mm <= limit_mm:
                 return xyz_mm
-            if form := other_form(xyz_mm, named_mm, aim.near_mm, limit_mm):
+            if form := form_at(near_mm, limit_mm, other_forms(xyz_mm, named_mm)):
                 raise TRACKER.failed(
                     "HC-T77",
                     "measure",
@@ -473,7 +470,7 @@ class T2saTracker:
                     xyz=xyz_mm.tolist(),
                     form=form,
                 )
-            aim.others_mm[name] = xyz_mm
+            others_mm[name] = xyz_mm
         raise misplaced(off_mm, limit_mm)
 
     def _measured(self, bridge: T2saBridge, name: str, named_mm: Array) -> Array:
@@ -504,30 +501,6 @@ class T2saTracker:
 
     def _path(self, name: str) -> str:
         return f"{self._options.collection};{self._options.group};{name}"
-
-
-class _Aim:
-    """The named point to measure a place through; another one after other reflectors."""
-
-    def __init__(self, points: NamedPoints, near_mm: Array, search_mm: float) -> None:
-        """Raise `DeviceError` for a place beside all points."""
-        self._points, self._search_mm, self.near_mm = points, search_mm, near_mm
-        self.others_mm: dict[str, Array] = {}  # found in its place, by their points
-        name, _, beside_mm = points.aim(near_mm, search_mm)
-        if not beside_mm <= search_mm:
-            raise TRACKER.failed(
-                "HC-T74",
-                "measure",
-                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
-                wanted=f"<= {search_mm:.1f} mm (tracker.options.search_mm)",
-                point=name,
-                beside_mm=beside_mm,
-                limit_mm=search_mm,
-            )
-
-    def point(self) -> tuple[str, Array]:
-        """Return name and position (3,)."""
-        return self._points.aim(self.near_mm, self._search_mm, list(self.others_mm.values()))[:2]
 
 
 def _read(points: str) -> NamedPoints:

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from drivers import supervision
 from drivers.spatialanalyzer import tracker_t2sa
 from drivers.spatialanalyzer import tracker_t2sa as t2sa
-from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saError, T2saTracker
+from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
+from drivers.tracker_readings import Garbled, form_at
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.peers import WireTime, in_thread, wire_time
 from tests.drivers.rail_bed import refusal
@@ -471,7 +472,7 @@ def test_replies(line: str, reply: Reply) -> None:
 
 @pytest.mark.parametrize("line", ["", "READY", "ACK-30 x", "ACK-3000 x", "NAK-300 x", "ERR-30A x"])
 def test_other_lines_are_no_replies(line: str) -> None:
-    with pytest.raises(T2saError):
+    with pytest.raises(Garbled):
         t2sa.parse(line)
 
 
@@ -479,7 +480,7 @@ def test_other_lines_are_no_replies(line: str) -> None:
 def test_any_text_is_a_reply_or_an_error(text: str) -> None:
     try:
         t2sa.parse(text)
-    except T2saError:
+    except Garbled:
         return
     assert text.strip().startswith(("ACK-", "ERR-"))
 
@@ -522,7 +523,7 @@ def test_values_that_are_no_numbers_are_not_finite(x: str) -> None:
     ],
 )
 def test_texts_without_the_points_position_are_refused(body: str) -> None:
-    with pytest.raises(T2saError):
+    with pytest.raises(Garbled):
         t2sa.position_of(t2sa.parse(f"ACK-300 {body}"), "P1")
 
 
@@ -537,4 +538,5 @@ def test_texts_without_the_points_position_are_refused(body: str) -> None:
 )
 def test_forms_of_a_result(xyz: list[float], form: str) -> None:
     named_mm, near_mm = np.array([2500.0, 0, 0]), np.array([2540.0, 0, 0])
-    assert t2sa.other_form(np.array(xyz), named_mm, near_mm, 1.0) == form
+    forms = t2sa.other_forms(np.array(xyz), named_mm)
+    assert form_at(near_mm, 1.0, forms) == form
