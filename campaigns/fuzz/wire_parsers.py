@@ -14,7 +14,7 @@ from typing import Any, cast
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
-from drivers.spatialanalyzer.tracker_t2sa import T2saBridge
+from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
@@ -161,9 +161,13 @@ def reply_samples() -> Iterable[bytes]:
 
 def bridge_replies(data: bytes) -> None:
     """Lines of T2SA: the answers to a setting and to a measurement."""
-    bridge = T2saBridge(Wire(data), WallClock(threading.Event()))
-    bridge.exchange("!SET_SIM:0")
-    bridge.position(T2saBridge.MEASURE, "A;G;P1")
+    options = T2saTracker.Options(
+        host="127.0.0.1", reflector="r", max_std_mm=1.0, find_radius_mm=50.0
+    )
+    tracker = T2saTracker(options, WallClock(threading.Event()))
+    tracker._lines = TextLines(Wire(data), letters=True)
+    tracker._exchange("!SET_SIM:0")
+    tracker._position(T2saTracker.MEASURE, "A;G;P1")
 
 
 def bridge_samples() -> Iterable[bytes]:

@@ -29,9 +29,10 @@ from drivers.device_errors import TRACKER
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     BUSY_PAUSE_S,
+    Garbled,
     Positive,
-    another_tracker,
     check_reflector,
+    check_serial,
     checked_order,
     misplaced,
     std_of_repeats,
@@ -46,7 +47,6 @@ from hilcell.ports import (
     Clock,
     DeviceError,
     Identity,
-    NoReading,
     TrackerReading,
     says_simulated,
 )
@@ -60,26 +60,6 @@ BUSY = frozenset({13, 786, 1293})
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)
 # A name may have the mark of an arcsecond in it, escaped or not: a quote that ends no value.
 _VALUE = re.compile(r'"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*)')
-
-
-class GeocomError(Exception):
-    """Text that is no reply, or no value of the expected kind."""
-
-
-class Code(IntEnum):
-    """Return codes that are looked at."""
-
-    OK = 0
-    NOT_IMPLEMENTED = 5
-    UNCORRECTED = 1283  # with values
-    INACCURATE = 1284  # with values
-
-
-class Program(IntEnum):
-    """Programs of DO_MEASURE."""
-
-    DISTANCE = 1
-    CLEAR = 3
 
 
 class Rpc(IntEnum):
@@ -118,77 +98,68 @@ class Rpc(IntEnum):
         return self in (Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT)
 
     def failed(self, code: int) -> DeviceError:
-        kind = NoReading if self.measures and code not in FAULTS else DeviceError
-        alarm = ALARM_OF.get(code, "HC-T24")
-        act, fields = ACTS.get(alarm, ACT), {"status": code}
-        return kind(alarm, TRACKER.name, self.spoken, status_text(code), act=act, fields=fields)
+        again = self.measures and code not in FAULTS
+        error = TRACKER.no_reading if again else TRACKER.failed
+        alarm, _ = CODES.get(code, UNKNOWN)
+        act = ACTS.get(alarm, ACT)
+        return error(alarm, self.spoken, status_text(code), act=act, status=code)
 
 
-STATUS = {
-    2: "invalid parameter",
-    5: "not implemented",
-    8: "aborted",
-    12: "instrument shuts down",
-    13: "system busy",
-    16: "battery low",
-    18: "battery empty",
-    21: "out of its temperature range",
-    22: "tilted",
-    25: "asleep",
-    27: "no licence for this command",
-    769: "distance meter does not communicate",
-    770: "no signal",
-    775: "distance meter timed out",
-    776: "signal fluctuates",
-    786: "distance meter busy",
-    790: "distance meter not available",
-    791: "distance measurement aborted",
-    819: "signal too weak for its noise",
-    823: "several targets in the distance meter's beam",
-    1283: "not fully corrected",
-    1284: "accuracy not guaranteed",
-    1285: "angles without a distance",
-    1288: "angles without a distance, not fully corrected",
-    1289: "angles without a distance, accuracy not guaranteed",
-    1290: "no angle measurement",
-    1291: "wrong corrections of the distance meter",
-    1292: "distance measurement failed",
-    1293: "measurement busy",
-    8704: "positioning timed out",
-    8706: "angle measurement failed",
-    8707: "motors failed",
-    8708: "position not exact",
-    8709: "deviation could not be determined",
-    8710: "no target found",
-    8711: "several targets found",
-    8712: "bad light or air",
-    8713: "target recognition failed",
-    8714: "target recognition not switched on",
-    3072: "failed",
-    3077: "timed out",
-    3078: "of a wrong form",
-    3079: "versions differ",
-    3080: "request not decoded",
-    3081: "no such command",
-    3108: "instrument asleep",
-    3109: "instrument off",
-    8716: "position outside of the tolerance",
+CODES = {  # alarm and words
+    **dict.fromkeys(range(769, 836), ("HC-T53", "unknown")),
+    **dict.fromkeys(range(8704, 8710), ("HC-T54", "unknown")),
+    2: ("HC-T23", "invalid parameter"),
+    3: ("HC-T23", "unknown"),
+    5: ("HC-T23", "not implemented"),
+    8: ("HC-T24", "aborted"),
+    12: ("HC-T55", "instrument shuts down"),
+    13: ("HC-T21", "system busy"),
+    16: ("HC-T55", "battery low"),
+    18: ("HC-T55", "battery empty"),
+    21: ("HC-T55", "out of its temperature range"),
+    22: ("HC-T20", "tilted"),
+    25: ("HC-T55", "asleep"),
+    27: ("HC-T23", "no licence for this command"),
+    769: ("HC-T53", "distance meter does not communicate"),
+    770: ("HC-T53", "no signal"),
+    775: ("HC-T53", "distance meter timed out"),
+    776: ("HC-T53", "signal fluctuates"),
+    786: ("HC-T21", "distance meter busy"),
+    790: ("HC-T53", "distance meter not available"),
+    791: ("HC-T53", "distance measurement aborted"),
+    819: ("HC-T53", "signal too weak for its noise"),
+    823: ("HC-T53", "several targets in the distance meter's beam"),
+    1283: ("HC-T50", "not fully corrected"),
+    1284: ("HC-T51", "accuracy not guaranteed"),
+    1285: ("HC-T52", "angles without a distance"),
+    1288: ("HC-T52", "angles without a distance, not fully corrected"),
+    1289: ("HC-T52", "angles without a distance, accuracy not guaranteed"),
+    1290: ("HC-T54", "no angle measurement"),
+    1291: ("HC-T06", "wrong corrections of the distance meter"),
+    1292: ("HC-T52", "distance measurement failed"),
+    1293: ("HC-T21", "measurement busy"),
+    1294: ("HC-T52", "unknown"),
+    3072: ("HC-T24", "failed"),
+    3077: ("HC-T24", "timed out"),
+    3078: ("HC-T24", "of a wrong form"),
+    3079: ("HC-T24", "versions differ"),
+    3080: ("HC-T23", "request not decoded"),
+    3081: ("HC-T23", "no such command"),
+    3108: ("HC-T55", "instrument asleep"),
+    3109: ("HC-T55", "instrument off"),
+    8704: ("HC-T54", "positioning timed out"),
+    8706: ("HC-T54", "angle measurement failed"),
+    8707: ("HC-T54", "motors failed"),
+    8708: ("HC-T54", "position not exact"),
+    8709: ("HC-T54", "deviation could not be determined"),
+    8710: ("HC-T11", "no target found"),
+    8711: ("HC-T56", "several targets found"),
+    8712: ("HC-T11", "bad light or air"),
+    8713: ("HC-T11", "target recognition failed"),
+    8714: ("HC-T23", "target recognition not switched on"),
+    8716: ("HC-T54", "position outside of the tolerance"),
 }
-ALARM_OF = {
-    **dict.fromkeys(BUSY, "HC-T21"),
-    **dict.fromkeys((2, 3, 5, 27, 3080, 3081, 8714), "HC-T23"),
-    **dict.fromkeys((12, 16, 18, 21, 25, 3108, 3109), "HC-T55"),
-    22: "HC-T20",
-    **dict.fromkeys(range(769, 786), "HC-T53"),
-    **dict.fromkeys(range(787, 836), "HC-T53"),
-    Code.UNCORRECTED: "HC-T50",
-    Code.INACCURATE: "HC-T51",
-    **dict.fromkeys((1285, 1288, 1289, 1292, 1294), "HC-T52"),
-    1291: "HC-T06",
-    **dict.fromkeys((1290, *range(8704, 8710), 8716), "HC-T54"),
-    **dict.fromkeys((8710, 8712, 8713), "HC-T11"),
-    8711: "HC-T56",
-}
+UNKNOWN = ("HC-T24", "unknown")
 FAULTS = frozenset({2, 3, 5, 12, 18, 22, 25, 27, 778, 779, 790, 1291, *REFUSED_UNREAD, 8707, 8714})
 ACT = "look at the instrument, then resume"
 ACTS = {
@@ -224,40 +195,37 @@ class Reply:
 
 def request(rpc: int, transaction: int, *parameters: float) -> str:
     """Return the line of a request; whole numbers stay whole."""
-    return f"%R1Q,{rpc},{transaction}:{','.join(map(_number, parameters))}"
-
-
-def _number(value: float) -> str:
-    if isinstance(value, int):
-        return str(int(value))
-    text = f"{value:.12f}".rstrip("0")
-    return f"{text}0" if text.endswith(".") else text
+    numbers = (
+        str(int(each)) if isinstance(each, int) else re.sub(r"(\.\d+?)0+$", r"\1", f"{each:.12f}")
+        for each in parameters
+    )
+    return f"%R1Q,{rpc},{transaction}:{','.join(numbers)}"
 
 
 def parse(line: str) -> Reply:
-    """Return the reply in a line; raises `GeocomError`."""
+    """Return the reply in a line; raises `Garbled`."""
     found = re.fullmatch(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?", line)
     if found is None:
-        raise GeocomError(f"no reply: {clean(line[:80])!r}")
+        raise Garbled(f"no reply: {clean(line[:80])!r}")
     communication, transaction, code, text = found.groups()
     values, at = list[str](), 0
     while text is not None and at <= len(text):
         value = _VALUE.match(text, at)
         if value is None or text[value.end() : value.end() + 1] not in ("", ","):
-            raise GeocomError(f"no values: {clean(text[:80])!r}")
+            raise Garbled(f"no values: {clean(text[:80])!r}")
         values.append(value[2] if value[1] is None else re.sub(r'\\(["\\])', r"\1", value[1]))
         at = value.end() + 1
     return Reply(int(communication), int(transaction), int(code), tuple(values))
 
 
 def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
-    """Return ``count`` numbers, perhaps not finite ones; raises `GeocomError`."""
+    """Return ``count`` numbers, perhaps not finite ones; raises `Garbled`."""
     try:
         found = tuple(map(float, values))
     except ValueError:
         found = ()
     if len(found) != count:
-        raise GeocomError(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
+        raise Garbled(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
     return found
 
 
@@ -267,7 +235,7 @@ def possible(values: tuple[float, ...]) -> bool:
 
 
 def status_text(code: int) -> str:
-    return f"code {code} ({STATUS.get(code, 'unknown')})"
+    return f"code {code} ({CODES.get(code, UNKNOWN)[1]})"
 
 
 def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
@@ -281,19 +249,15 @@ def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
     return MM_PER_M * np.array(xyz_m)
 
 
-def class_std_mm(xyz_mm: Array, along_mm: float, across_rad: float) -> Array:
-    """Return the standard deviations (3,) at a position, of a length along and angles across."""
-    range_mm = float(np.linalg.norm(xyz_mm))
-    along_2 = (xyz_mm / range_mm) ** 2
-    return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
-
-
 class LeicaGeocomTracker:
     """Satisfies `hilcell.ports.Tracker`."""
 
     TRANSACTIONS = 2**15
     ABORT = "c"  # ends a motion or measurement; answered by "?"
+    CLEAR, DISTANCE = 3, 1  # programs of DO_MEASURE
     AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
+    NOT_IMPLEMENTED = 5
+    UNCORRECTED = (1283, 1284)  # not fully, or of no accuracy; with values
     NOWHERE_MM = np.full(3, np.nan)
     DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
     TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
@@ -337,9 +301,13 @@ class LeicaGeocomTracker:
                     f" ({self.temperature_c:g}): a wet bulb is never warmer than the air"
                 )
 
-        def accuracy(self, range_m: float) -> tuple[float, float]:
-            along_mm = self.distance_mm + self.distance_ppm * 1e-3 * range_m
-            return along_mm, self.angle_arcsec * (math.pi / 648_000)
+        def std_mm(self, xyz_mm: Array) -> Array:
+            """Return the standard deviations (3,) of one reading at a position (3,)."""
+            range_mm = float(np.linalg.norm(xyz_mm))
+            along_mm = self.distance_mm + self.distance_ppm * 1e-3 * (range_mm / MM_PER_M)
+            across_rad = self.angle_arcsec * (math.pi / 648_000)
+            along_2 = (xyz_mm / range_mm) ** 2
+            return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -370,14 +338,11 @@ class LeicaGeocomTracker:
         self._prove()
         self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
+        std_mm = options.std_mm(points_mm[0])
         if samples > 1:
             std_mm = std_of_repeats(points_mm, options.max_std_mm)
-        else:
-            range_m = float(np.linalg.norm(points_mm[0])) / MM_PER_M
-            std_mm = class_std_mm(points_mm[0], *options.accuracy(range_m))
-        return TrackerReading(
-            points_mm.mean(axis=0), std_mm, samples, reflector, None, self._arrived_s
-        )
+        mean_mm = points_mm.mean(axis=0)
+        return TrackerReading(mean_mm, std_mm, samples, reflector, None, self._arrived_s)
 
     def stop(self) -> None:
         if self._lines is not None:
@@ -409,8 +374,7 @@ class LeicaGeocomTracker:
         if not math.isfinite(serial_value):
             raise self._lost(f"serial number {serial_value}", "connect")
         serial = f"{serial_value:.0f}"
-        if options.serial not in ("", serial):
-            raise another_tracker(serial, options.serial)
+        check_serial(serial, options.serial)
         name = clean(",".join(self._stated(Rpc.GET_NAME).values))
         if not name.strip():
             raise self._lost("it does not tell its name", "connect")
@@ -435,11 +399,11 @@ class LeicaGeocomTracker:
         set_to("prism constant", Rpc.SET_PRISM_CONSTANT, Rpc.GET_PRISM_CONSTANT, prism_m)
         set_to("distance mode", Rpc.SET_EDM_MODE, Rpc.GET_EDM_MODE, options.edm_mode)
         read = Rpc.GET_ANGLE_CORRECTIONS
-        if self._exchange(read, (), self.REPLY_S).code != Code.NOT_IMPLEMENTED:
+        if self._exchange(read, (), self.REPLY_S).code != self.NOT_IMPLEMENTED:
             set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *self.CORRECTED)
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
-        self._ask(Rpc.DO_MEASURE, Program.CLEAR, self.AUTOMATIC_TILT)
+        self._ask(Rpc.DO_MEASURE, self.CLEAR, self.AUTOMATIC_TILT)
 
     def _set_checked(self, what: str, write: Rpc, read: Rpc, *wanted: float) -> None:
         """Write a setting where it reads differently, and believe it only when it reads back.
@@ -522,7 +486,7 @@ class LeicaGeocomTracker:
     def _measured(self) -> Reply:
         """Return angles and a new distance, which reading it makes an old one."""
         options = self._options
-        for program in (Program.CLEAR, Program.DISTANCE):
+        for program in (self.CLEAR, self.DISTANCE):
             self._ask(Rpc.DO_MEASURE, program, self.AUTOMATIC_TILT)
         wait_ms = self.DISTANCE_MS + round(1000 * options.reading_s)
         reply = self._ask(
@@ -564,8 +528,8 @@ class LeicaGeocomTracker:
         limit_s = limit_s or self.REPLY_S
         ask = partial(self._exchange, rpc, parameters, limit_s)
         reply = when_ready(ask, lambda reply: reply.code in BUSY, limit_s, self._clock)
-        uncorrected = reply.code in (Code.UNCORRECTED, Code.INACCURATE)
-        if reply.communication or (reply.code != Code.OK and not (accepted and uncorrected)):
+        uncorrected = reply.code in self.UNCORRECTED
+        if reply.communication or (reply.code and not (accepted and uncorrected)):
             raise rpc.failed(reply.communication or reply.code)
         return reply
 
@@ -607,7 +571,7 @@ class LeicaGeocomTracker:
         self._arrived_s = self._clock.pc_s()
         try:
             reply = parse(line)
-        except GeocomError as error:
+        except Garbled as error:
             raise self._lost(str(error), "receive") from error
         if reply.communication not in (0, *REFUSED_UNREAD):
             found = f"communication {status_text(reply.communication)}"
@@ -617,7 +581,7 @@ class LeicaGeocomTracker:
     def _decoded(self, reply: Reply, size: int) -> tuple[float, ...]:
         try:
             return numbers(reply.values, size)
-        except GeocomError as error:
+        except Garbled as error:
             raise self._lost(str(error), "decode") from error
 
     def _lost(self, found: str, operation: str) -> DeviceError:

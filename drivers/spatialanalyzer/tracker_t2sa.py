@@ -42,7 +42,6 @@ from drivers.tracker_readings import (
     std_of_repeats,
     when_ready,
 )
-from drivers.wires.link import Link
 from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
 from hilcell.cell.settings import SettingsError
@@ -155,120 +154,11 @@ def other_forms(xyz_mm: Array, named_mm: Array) -> dict[str, Array]:
     }
 
 
-class T2saBridge:
-    """An open connection. One thread asks; ``stop`` may come from any thread."""
-
-    HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
-    MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
-
-    def __init__(self, link: Link, clock: Clock) -> None:
-        self._clock = clock
-        # A date in the PC's own format may hold letters of any alphabet.
-        self._lines: TextLines | None = TextLines(link, letters=True)
-        self._link, self.address = link, link.address
-        self._stopped = False
-        self.arrived_s = 0.0
-
-    def stop(self) -> None:
-        """Halt the measurement under way, without waiting for an answer."""
-        lines, self._stopped = self._lines, True
-        if lines is not None:
-            lines.send(self.HALT, "stop")
-
-    def close(self) -> None:
-        """Close the connection; a second close does nothing."""
-        self._lines = None
-        self._link.close()
-
-    def ask(self, command: str) -> Reply:
-        """Request, again while the bridge is busy; raises the error of a refusal."""
-        ask, limit_s = partial(self.exchange, command), self._limit_s(command)
-        reply = when_ready(ask, lambda each: each.code == BUSY, limit_s, self._clock, BUSY_PAUSE_S)
-        if not reply.accepted:
-            alarm, _ = CODES.get(reply.code, UNKNOWN)
-            again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
-            error = TRACKER.no_reading if again else TRACKER.failed
-            act, operation = ACTS.get(alarm, ACT), self._spoken(command)
-            raise error(alarm, operation, reply.found, act=act, status=reply.code)
-        return reply
-
-    def position(self, command: str, path: str) -> Array:
-        """Return the position (3,) that a command brings for a point, given by its path.
-
-        Values that are no numbers are NaN.
-        """
-        reply = self.ask(f"{command}{path}")
-        try:
-            return position_of(reply, path.rpartition(";")[2])
-        except Garbled as error:
-            raise self.lost(str(error), "decode") from error
-
-    def exchange(self, command: str) -> Reply:
-        """Request once and return the reply; results that nobody asked for are dropped."""
-        measures = command.startswith(self.MEASURE)
-        asks_result = measures or command.startswith(self.POSITION)
-        reply = self._answer(command, lambda reply: asks_result or not reply.is_result)
-        if reply is not None:
-            return reply
-        if not measures:
-            raise self.lost("no answer in time", self._spoken(command))
-        # It is halted, and no reply to it may be still to come.
-        self._confirm(self.HALT, lambda reply: reply.accepted and not reply.is_result)
-        self._confirm(self.LASER, lambda reply: reply.is_laser)
-        found = f"no answer to {self._spoken(command)} in {MEASURE_S:.1f} s"
-        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=MEASURE_S)
-
-    def lost(self, found: str, operation: str) -> DeviceError:
-        """Return the error after which the replies cannot be trusted; the connection is closed."""
-        self.close()
-        return self._link.broken(operation, found)
-
-    def _confirm(self, command: str, answers: Callable[[Reply], bool]) -> None:
-        if self._answer(command, answers) is None:
-            raise self.lost("no answer in time", self._spoken(command))
-
-    def _answer(self, command: str, answers: Callable[[Reply], bool]) -> Reply | None:
-        """Request, and drop all replies up to the one that answers; None where none comes."""
-        self._wire().send(command, self._spoken(command))
-        patience = Patience(self._limit_s(command))
-        while (reply := self._reply(patience)) is not None and not answers(reply):
-            pass
-        return reply
-
-    def _reply(self, patience: Patience) -> Reply | None:
-        """Return the next reply, None when ``patience`` is over; a line that failed is closed."""
-        try:
-            line = self._wire().receive(patience)
-        except DeviceError:
-            self.close()
-            raise
-        self._clock.check()  # the answer to a stop is none to a request
-        if line is None:
-            return None
-        self.arrived_s = self._clock.pc_s()
-        try:
-            return parse(line)
-        except Garbled as error:
-            raise self.lost(str(error), "receive") from error
-
-    def _wire(self) -> TextLines:
-        if self._lines is None or self._stopped:
-            self._clock.check()
-            found = "not connected" if self._lines is None else "stopped"
-            raise TRACKER.failed("HC-T34", "use", found)
-        return self._lines
-
-    def _limit_s(self, command: str) -> float:
-        return MEASURE_S if command.startswith(self.MEASURE) else REPLY_S
-
-    @staticmethod
-    def _spoken(command: str) -> str:
-        return command.partition(":")[0].strip("!?").lower().replace("_", " ")
-
-
 class T2saTracker:
     """Satisfies `hilcell.ports.Tracker`."""
 
+    HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
+    MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
     WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
     COMPARED = 5  # points of the list, from the first to the last
     SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
@@ -300,9 +190,11 @@ class T2saTracker:
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
-        self._bridge: T2saBridge | None = None
+        self._lines: TextLines | None = None
+        self._stopped = False
         self._points: NamedPoints | None = None
         self._last_mm: Array | None = None
+        self._arrived_s = 0.0
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -313,14 +205,15 @@ class T2saTracker:
             self._points = _read(options.points)
         points = self._points  # whichever it is, the job is compared with it
         link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
-        bridge = self._bridge = T2saBridge(link, self._clock)
+        # A date in the PC's own format may hold letters of any alphabet.
+        self._lines, self._stopped = TextLines(link, letters=True), False
         with on_failure(self.close):
-            state = self._ready(bridge)
-            self._set_up(bridge)
-            self._compare(bridge, points)
+            state = self._ready()
+            self._set_up()
+            self._compare(points)
         model = f"{clean(options.instrument)}, by SpatialAnalyzer"
         serial, simulated = clean(options.plate), says_simulated(state)
-        return [Identity(TRACKER.name, model, serial, bridge.address, simulated, "tracker")]
+        return [Identity(TRACKER.name, model, serial, link.address, simulated, "tracker")]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times.
@@ -331,7 +224,8 @@ class T2saTracker:
         options = self._options
         known = options.reflector
         check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
-        bridge, points = TRACKER.connected(self._bridge), TRACKER.connected(self._points)
+        self._wire()
+        points = TRACKER.connected(self._points)
         name, _, beside_mm = points.aim(near_mm, options.search_mm)
         if not beside_mm <= options.search_mm:
             raise TRACKER.failed(
@@ -344,25 +238,27 @@ class T2saTracker:
                 limit_mm=options.search_mm,
             )
         count, others_mm = max(samples, options.repeats), dict[str, Array]()
-        points_mm = np.array([self._single(bridge, near_mm, others_mm) for _ in range(count)])
+        points_mm = np.array([self._single(near_mm, others_mm) for _ in range(count)])
         std_mm = std_of_repeats(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
-        return TrackerReading(mean_mm, std_mm, count, reflector, None, bridge.arrived_s)
+        return TrackerReading(mean_mm, std_mm, count, reflector, None, self._arrived_s)
 
     def stop(self) -> None:
-        if self._bridge is not None:
-            self._bridge.stop()
+        """Halt the measurement under way, without waiting for an answer."""
+        self._stopped = True
+        if self._lines is not None:
+            self._lines.send(self.HALT, "stop")
 
     def close(self) -> None:
-        if self._bridge is not None:
-            self._bridge.close()
-        self._bridge = None
+        if self._lines is not None:
+            self._lines.link.close()
+        self._lines = None
 
     # -- connecting ---------------------------------------------------------------------------
 
-    def _ready(self, bridge: T2saBridge) -> str:
+    def _ready(self) -> str:
         """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
-        ask, limit_s = partial(bridge.exchange, bridge.STATUS), MEASURE_S
+        ask, limit_s = partial(self._exchange, self.STATUS), MEASURE_S
         reply = when_ready(ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S)
         if not reply.is_ready:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
@@ -376,14 +272,14 @@ class T2saTracker:
             )
         return reply.text
 
-    def _set_up(self, bridge: T2saBridge) -> None:
+    def _set_up(self) -> None:
         options = self._options
-        simulation = bridge.exchange("!SET_SIM:0")
+        simulation = self._exchange("!SET_SIM:0")
         if not simulation.accepted:
             raise TRACKER.refused(
                 "HC-T71", "switch simulation off", simulation.found, status=simulation.code
             )
-        self._warm(bridge)
+        self._warm()
         settings = {
             "station lock": "!SET_STATION_LOCK:1",
             "power lock": f"SET_POWER_LOCK:{int(options.power_lock)}",
@@ -393,7 +289,7 @@ class T2saTracker:
         if options.working_frame:
             settings["working frame"] = f"!SET_WORKING_FRAME:{options.working_frame}"
         for what, command in settings.items():
-            reply = bridge.exchange(command)
+            reply = self._exchange(command)
             if not reply.accepted:
                 raise TRACKER.refused(
                     "HC-T06",
@@ -405,16 +301,16 @@ class T2saTracker:
                     status=reply.code,
                 )
 
-    def _warm(self, bridge: T2saBridge) -> None:
+    def _warm(self) -> None:
         """Switch the laser on where it is off, and wait until it has warmed up."""
-        state = bridge.ask(bridge.LASER).text
+        state = self._ask(self.LASER).text
         if "LOFF" in state:
-            bridge.ask("!LST:1")
-            state = bridge.ask(bridge.LASER).text
+            self._ask("!LST:1")
+            state = self._ask(self.LASER).text
         ends_s = self._clock.now_s() + self.WARM_S
         while "WARM" in state and self._clock.now_s() < ends_s:
             self._clock.wait(self.WARM_LOOK_S)
-            state = bridge.ask(bridge.LASER).text
+            state = self._ask(self.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
             raise TRACKER.failed(
@@ -426,10 +322,10 @@ class T2saTracker:
                 state=state,
             )
 
-    def _compare(self, bridge: T2saBridge, points: NamedPoints) -> None:
+    def _compare(self, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
         for name, listed_mm in points.spread(self.COMPARED):
-            found_mm = bridge.position(bridge.POSITION, self._path(name))
+            found_mm = self._position(self.POSITION, self._path(name))
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
                 forms = other_forms(found_mm, np.full(3, np.nan))
                 form = form_at(listed_mm, self.SAME_MM, forms)
@@ -446,7 +342,7 @@ class T2saTracker:
 
     # -- measuring ----------------------------------------------------------------------------
 
-    def _single(self, bridge: T2saBridge, near_mm: Array, others_mm: dict[str, Array]) -> Array:
+    def _single(self, near_mm: Array, others_mm: dict[str, Array]) -> Array:
         """Return one position (3,); where another reflector is found, aim on its far side.
 
         ``others_mm`` are those that were found in its place, by their named points.
@@ -457,7 +353,7 @@ class T2saTracker:
             name, named_mm, _ = points.aim(near_mm, search_mm, list(others_mm.values()))
             if name in others_mm:
                 break
-            xyz_mm = self._measured(bridge, name, named_mm)
+            xyz_mm = self._measured(name, named_mm)
             off_mm = float(np.linalg.norm(xyz_mm - near_mm))
             if off_mm <= limit_mm:
                 return xyz_mm
@@ -473,9 +369,9 @@ class T2saTracker:
             others_mm[name] = xyz_mm
         raise misplaced(off_mm, limit_mm)
 
-    def _measured(self, bridge: T2saBridge, name: str, named_mm: Array) -> Array:
+    def _measured(self, name: str, named_mm: Array) -> Array:
         """Return the position (3,) of the reflector that is found from a named point."""
-        xyz_mm = bridge.position(bridge.MEASURE, self._path(name))
+        xyz_mm = self._position(self.MEASURE, self._path(name))
         if not bool(np.all(np.isfinite(xyz_mm))):
             raise TRACKER.no_reading(
                 "HC-T14", "measure", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm)
@@ -501,6 +397,95 @@ class T2saTracker:
 
     def _path(self, name: str) -> str:
         return f"{self._options.collection};{self._options.group};{name}"
+
+    # -- the bridge ---------------------------------------------------------------------------
+
+    def _ask(self, command: str) -> Reply:
+        """Request, again while the bridge is busy; raises the error of a refusal."""
+        ask, limit_s = partial(self._exchange, command), self._limit_s(command)
+        reply = when_ready(ask, lambda each: each.code == BUSY, limit_s, self._clock, BUSY_PAUSE_S)
+        if not reply.accepted:
+            alarm, _ = CODES.get(reply.code, UNKNOWN)
+            again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
+            error = TRACKER.no_reading if again else TRACKER.failed
+            act, operation = ACTS.get(alarm, ACT), self._spoken(command)
+            raise error(alarm, operation, reply.found, act=act, status=reply.code)
+        return reply
+
+    def _position(self, command: str, path: str) -> Array:
+        """Return the position (3,) that a command brings for a point, given by its path.
+
+        Values that are no numbers are NaN.
+        """
+        reply = self._ask(f"{command}{path}")
+        try:
+            return position_of(reply, path.rpartition(";")[2])
+        except Garbled as error:
+            raise self._lost(str(error), "decode") from error
+
+    def _exchange(self, command: str) -> Reply:
+        """Request once and return the reply; results that nobody asked for are dropped."""
+        measures = command.startswith(self.MEASURE)
+        asks_result = measures or command.startswith(self.POSITION)
+        reply = self._answer(command, lambda reply: asks_result or not reply.is_result)
+        if reply is not None:
+            return reply
+        if not measures:
+            raise self._lost("no answer in time", self._spoken(command))
+        # It is halted, and no reply to it may be still to come.
+        self._confirm(self.HALT, lambda reply: reply.accepted and not reply.is_result)
+        self._confirm(self.LASER, lambda reply: reply.is_laser)
+        found = f"no answer to {self._spoken(command)} in {MEASURE_S:.1f} s"
+        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=MEASURE_S)
+
+    def _lost(self, found: str, operation: str) -> DeviceError:
+        """Return the error after which the replies cannot be trusted; the connection is closed."""
+        error = TRACKER.connected(self._lines).link.broken(operation, found)
+        self.close()
+        return error
+
+    def _confirm(self, command: str, answers: Callable[[Reply], bool]) -> None:
+        if self._answer(command, answers) is None:
+            raise self._lost("no answer in time", self._spoken(command))
+
+    def _answer(self, command: str, answers: Callable[[Reply], bool]) -> Reply | None:
+        """Request, and drop all replies up to the one that answers; None where none comes."""
+        self._wire().send(command, self._spoken(command))
+        patience = Patience(self._limit_s(command))
+        while (reply := self._reply(patience)) is not None and not answers(reply):
+            pass
+        return reply
+
+    def _reply(self, patience: Patience) -> Reply | None:
+        """Return the next reply, None when ``patience`` is over; a line that failed is closed."""
+        try:
+            line = self._wire().receive(patience)
+        except DeviceError:
+            self.close()
+            raise
+        self._clock.check()  # the answer to a stop is none to a request
+        if line is None:
+            return None
+        self._arrived_s = self._clock.pc_s()
+        try:
+            return parse(line)
+        except Garbled as error:
+            raise self._lost(str(error), "receive") from error
+
+    def _wire(self) -> TextLines:
+        if self._lines is None or self._stopped:
+            self._clock.check()
+        lines = TRACKER.connected(self._lines)
+        if self._stopped:
+            raise TRACKER.failed("HC-T34", "use", "stopped")
+        return lines
+
+    def _limit_s(self, command: str) -> float:
+        return MEASURE_S if command.startswith(self.MEASURE) else REPLY_S
+
+    @staticmethod
+    def _spoken(command: str) -> str:
+        return command.partition(":")[0].strip("!?").lower().replace("_", " ")
 
 
 def _read(points: str) -> NamedPoints:

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from drivers import supervision
 from drivers.leica import tracker_geocom as geocom
-from drivers.leica.tracker_geocom import GeocomError, LeicaGeocomTracker, Reply, Rpc
+from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
+from drivers.tracker_readings import Garbled
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.geocom_peer import GeocomPeer
 from tests.drivers.peers import WireTime, in_thread, wire_time
@@ -638,13 +639,13 @@ def test_a_name_may_have_the_mark_of_an_arcsecond_in_it(text: str, values: tuple
     ["", "?", "%R1P,0,1", "%R1P,0:0", "%R1P,0,-1:0", "%R1P,a,1:0", "%R1Q,0,1:", '%R1P,0,1:0,"a"b'],
 )
 def test_other_lines_are_no_replies(line: str) -> None:
-    with pytest.raises(GeocomError):
+    with pytest.raises(Garbled):
         geocom.parse(line)
 
 
 @pytest.mark.parametrize("values", [(), ("1", "2"), ("1", "2", "three"), ("1", "2", "")])
 def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -> None:
-    with pytest.raises(GeocomError, match="3"):
+    with pytest.raises(Garbled, match="3"):
         geocom.numbers(values, 3)
 
 
@@ -652,7 +653,7 @@ def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -
 def test_any_text_is_a_reply_or_an_error(text: str) -> None:
     try:
         geocom.parse(text)
-    except GeocomError:
+    except Garbled:
         return
     assert text.startswith("%R1P,")
 
@@ -677,6 +678,14 @@ def test_angles_lead_back_to_their_place(x: float, y: float, z: float) -> None:
 
 
 def test_the_class_of_accuracy_is_a_length_along_and_an_angle_across() -> None:
-    arcsec = math.pi / 648_000
-    std_mm = geocom.class_std_mm(np.array([10_000.0, 0.0, 0.0]), 0.6, 1.0 * arcsec)
+    options = Quick.Options(
+        channel="socket://127.0.0.1:1",
+        reflector="r",
+        max_std_mm=1.0,
+        find_radius_mm=50.0,
+        angle_arcsec=1.0,
+        distance_mm=0.5,
+        distance_ppm=10.0,
+    )
+    std_mm = options.std_mm(np.array([10_000.0, 0.0, 0.0]))
     np.testing.assert_allclose(std_mm, [0.6, 0.0485, 0.0485], atol=1e-4)
