@@ -12,6 +12,10 @@ Error = TypeVar("Error", bound=DeviceError)
 Wire = TypeVar("Wire")
 
 
+class Garbled(ValueError):
+    """Bytes or text that are no packet, no reply or no value of a device's protocol."""
+
+
 @dataclass(frozen=True, slots=True)
 class Errors(Generic[Error]):
     """Makes errors of one class for one kind of device; ``fields`` are the values behind words."""

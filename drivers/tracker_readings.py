@@ -10,15 +10,11 @@ from msgspec import Meta
 
 from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
-from hilcell.ports import Array, Clock, NoReading
+from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, NoReading
 
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 Positive = Annotated[float, Meta(gt=0)]
-
-
-class Garbled(ValueError):
-    """Bytes or text that are no packet, no reply or no value of a tracker's protocol."""
 
 
 def check_serial(serial: str, wanted: str) -> None:
@@ -53,6 +49,28 @@ def check_reflector(reflector: str, known: str, found: str) -> None:
             reflector=reflector,
             known=[known],
         )
+
+
+def not_kept(
+    setting: str, read: object, written: object, why: str = "", act: str = ""
+) -> DeviceRefused:
+    """Return the error of a setting that does not read as it was written."""
+    return TRACKER.refused(
+        "HC-T06",
+        f"set {setting}",
+        f"reads back as {read}{why}",
+        wanted=f"{written}",
+        act=act,
+        setting=setting,
+        read=read,
+        written=written,
+    )
+
+
+def changed(setting: str, found: str, kept: str, act: str = "") -> DeviceError:
+    """Return the error of a setting that is another one than before."""
+    operation = f"read {setting} again"
+    return TRACKER.failed("HC-T06", operation, found, wanted=kept, act=act, setting=setting)
 
 
 def form_at(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:

@@ -25,6 +25,7 @@ from drivers.canopen.cia import NodeState
 from drivers.canopen.nodes import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
+from drivers.device_errors import Garbled
 from drivers.kuka import krl, robot_c3
 from drivers.kuka.program_krl.files import read_program
 from drivers.leica import emscon
@@ -98,7 +99,7 @@ def tracker(data: bytes) -> None:
                 emscon.decode_tracker_name,
                 emscon.Reflector.decode,
             ):
-                with suppress(emscon.EmsconError):
+                with suppress(Garbled):
                     decode(packet.body)
 
 
@@ -358,7 +359,7 @@ def screen_samples() -> Iterable[bytes]:
 PARSERS = {
     parser.name: parser
     for parser in (
-        Parser("tracker", tracker, (emscon.EmsconError,), tracker_samples),
+        Parser("tracker", tracker, (Garbled,), tracker_samples),
         Parser("robot", robot, (robot_c3.C3Error, krl.KrlError), robot_samples),
         Parser("sdo", sdo_replies, (HilcellError,), sdo_samples),
         Parser("can", can_frames, (HilcellError, can.CanError), can_samples),

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
+from drivers.device_errors import Garbled
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
@@ -209,7 +210,7 @@ def script_samples() -> Iterable[bytes]:
 # Name, how bytes are handed over, what it may raise, samples.
 WIRE_PARSERS = (
     ("eki", documents, (HilcellError,), document_samples),
-    ("rtde", packages, (rtde.RtdeError,), package_samples),
+    ("rtde", packages, (Garbled,), package_samples),
     ("geocom", replies, (HilcellError,), reply_samples),
     ("t2sa", bridge_replies, (HilcellError,), bridge_samples),
     ("strip", strip_answers, (HilcellError,), strip_samples),

@@ -21,30 +21,20 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.device_errors import TRACKER
-from hilcell.ports import DeviceError, NoReading
+from drivers.device_errors import TRACKER, Garbled
+from drivers.tracker_readings import changed, not_kept
+from hilcell.ports import DeviceError
 
 SMALLEST, LARGEST = 12, 65536  # bytes of a packet
 FARTHEST = 1e9  # in every unit beyond the reach of any tracker; figures above are no positions
 
 
 class Layout:
-    """Numbers and names in the bodies of commands and replies."""
+    """Numbers in the bodies of commands and replies that are no settings."""
 
-    UNITS = Struct("<5I")
     ENVIRONMENT = Struct("<3d")
-    NUMBER = Struct("<i")
-    STATIONARY = Struct("<ii")
-    SEARCH = Struct("<di")
     DISTANCE = Struct("<d")
     POSITION = Struct("<3di")
-    CONTINUOUS = Struct("<4i")  # separation ms, number of points, use region, region type
-    SYSTEM_SETTINGS = Struct("<3i")  # weather monitor, transformation, orientation in use, ...
-    ORIENTATION = Struct("<6d")  # of the station: three lengths, three angles
-    TRANSFORMATION = Struct("<7d")  # three lengths, three angles, scale
-    SYSTEM_STATUS = Struct("<IIII iii Iii")
-    TRACKER_INFO = Struct("<I64s")
-    REFLECTOR = Struct("<iiId64s")
 
 
 class Value:
@@ -57,10 +47,6 @@ class Value:
     FIRST_FACE, SECOND_FACE = 1, 2  # ES_TrackerFace
 
 
-class EmsconError(ValueError):
-    """Bytes that are no packet of the interface."""
-
-
 class Type(IntEnum):
     """Kinds of packets (ES_DataType)."""
 
@@ -68,79 +54,78 @@ class Type(IntEnum):
     ERROR = 1
     SINGLE_RESULT = 2
     MULTI_RESULT = 3
-    REFLECTOR_POSITION = 7
     STATUS_CHANGE = 8
 
 
 class Command(IntEnum):
-    """Commands used here (ES_Command)."""
+    """Commands used here (ES_Command), besides those that read and write a `Setting`."""
 
     GET_SYSTEM_STATUS = 1
-    SET_UNITS = 5
-    GET_UNITS = 6
     INITIALIZE = 7
-    GET_ORIENTATION = 13
-    GET_TRANSFORMATION = 15
     GET_ENVIRONMENT = 21
-    SET_MEASUREMENT_MODE = 24
-    GET_MEASUREMENT_MODE = 25
-    SET_COORDINATE_SYSTEM = 26
-    GET_COORDINATE_SYSTEM = 27
-    SET_STATIONARY = 28
-    GET_STATIONARY = 29
-    SET_CONTINUOUS_TIME = 30
-    GET_CONTINUOUS_TIME = 31
-    SET_REFLECTOR = 40
-    GET_REFLECTOR = 41
     GET_REFLECTORS = 42
-    SET_SEARCH = 43
-    GET_SEARCH = 44
-    GET_SYSTEM_SETTINGS = 48
     START_MEASUREMENT = 49
     STOP_MEASUREMENT = 52
     CHANGE_FACE = 53
     GO_POSITION = 55
     FIND_REFLECTOR = 63
-    GET_FACE = 98
     GET_TRACKER_INFO = 132
-
-    @property
-    def spoken(self) -> str:
-        return self.name.lower().replace("_", " ")
-
-    def failed(self, status: int) -> DeviceError:
-        known = STATUS.get(status, UNKNOWN)
-        kind = NoReading if known.recoverable else DeviceError
-        act = "look at the tracker, then resume"
-        if known.alarm == "HC-T11":
-            act = "clear the beam or seat the reflector, then resume"
-        fields = {"status": status}
-        return kind(
-            known.alarm, TRACKER.name, self.spoken, status_text(status), act=act, fields=fields
-        )
 
 
 class Change(IntEnum):
-    """Status changes that matter here (ES_SystemStatusChange)."""
+    """Status changes that matter here (ES_SystemStatusChange), besides those of a `Setting`."""
 
-    SEARCH = 4
-    UNITS = 6
-    REFLECTOR = 7
-    SYSTEM_SETTINGS = 8
     COMPENSATION = 11
-    COORDINATE_SYSTEM = 12
-    ORIENTATION = 15
-    TRANSFORMATION = 16
-    MEASUREMENT_MODE = 17
-    STATIONARY = 18
-    CONTINUOUS_TIME = 19
     NOT_READY = 25
-    READY = 27
-    FIRST_FACE = 30
-    SECOND_FACE = 31
     PROCESSOR_CLOSING = 997
     SERVER_CLOSING = 998
     SERVER_STARTED = 999
+
+
+class Setting(Enum):
+    """A setting: its words, the commands that read and write it, news of its change, its layout.
+
+    The face and what makes the frame are not written here.
+    """
+
+    UNITS = "units", 6, 5, {6}, "<5I"
+    COORDINATE_SYSTEM = "coordinate system", 27, 26, {12}, "<i"
+    MEASUREMENT_MODE = "measurement mode", 25, 24, {17}, "<i"
+    STATIONARY = "stationary parameters", 29, 28, {18}, "<ii"
+    # Separation in ms, number of points, use of a region, its type.
+    CONTINUOUS_TIME = "continuous time parameters", 31, 30, {19}, "<4i"
+    SEARCH = "search", 44, 43, {4}, "<di"
+    REFLECTOR = "reflector", 41, 40, {7}, "<i"
+    FACE = "face", 98, 0, {30, 31}, "<i"
+    # Followed by other settings of the system.
+    SYSTEM_SETTINGS = "weather monitor, transformation and orientation in use", 48, 0, {8}, "<3i"
+    ORIENTATION = "station orientation", 13, 0, {15}, "<6d"  # three lengths, three angles
+    TRANSFORMATION = "transformation", 15, 0, {16}, "<7d"  # three lengths, three angles, scale
+
+    def __init__(self, words: str, read: int, write: int, changes: set[int], layout: str) -> None:
+        self.words, self.read, self.write = words, read, write
+        self.changes, self.layout = changes, Struct(layout)
+
+
+SPOKEN = {
+    **{int(each): each.name for each in Command},
+    **{each.write: f"set {each.name}" for each in Setting if each.write},
+    **{each.read: f"get {each.name}" for each in Setting},
+}
+
+
+def spoken(command: int) -> str:
+    return SPOKEN[command].lower().replace("_", " ")
+
+
+def failed(command: int, status: int) -> DeviceError:
+    """Return the error of a command that is refused."""
+    known = STATUS.get(status, UNKNOWN)
+    error = TRACKER.no_reading if known.recoverable else TRACKER.failed
+    act = "look at the tracker, then resume"
+    if known.alarm == "HC-T11":
+        act = "clear the beam or seat the reflector, then resume"
+    return error(known.alarm, spoken(command), status_text(status), act=act, status=status)
 
 
 class Status(NamedTuple):
@@ -235,26 +220,19 @@ class Multi:
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the samples in a packet's body; raises `EmsconError` or `struct.error`."""
+        """Return the samples in a packet's body; raises `Garbled` or `struct.error`."""
         header = Struct("<IiII3d")
         status, count, _mode, _try_mode, *_air = header.unpack_from(body)
         layout = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
         if count != (len(body) - header.size) / layout.itemsize:
-            raise EmsconError(f"{count} samples are announced in {len(body)} bytes")
+            raise Garbled(f"{count} samples are announced in {len(body)} bytes")
         samples = np.frombuffer(body, layout, offset=header.size)
         bad = samples["status"][samples["status"] != 0]
         device_s = samples["s"] + samples["us"] * 1e-6
         return cls(status or int(bad[0] if len(bad) else 0), device_s, samples["xyz"].copy())
 
 
-@dataclass(frozen=True, slots=True)
-class Other:
-    """A packet of a kind that is not used here."""
-
-    kind: int
-
-
-Packet = Reply | Failure | StatusChange | Single | Multi | Other
+Packet = Reply | Failure | StatusChange | Single | Multi
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,8 +249,8 @@ class SystemStatus:
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the body of the reply to GetSystemStatus; raises `EmsconError`."""
-        values = unpack(Layout.SYSTEM_STATUS, body)
+        """Return the body of the reply to GetSystemStatus; raises `Garbled`."""
+        values = unpack(Struct("<IIII iii Iii"), body)
         major, minor, build, weather, _flags, serial = values[4:]
         return cls(values[1], f"{major}.{minor}.{build}", weather, serial)
 
@@ -288,12 +266,12 @@ class Reflector:
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the body of one reply to GetReflectors; raises `EmsconError`."""
-        total, number, _kind, offset_mm, name = unpack(Layout.REFLECTOR, body)
+        """Return the body of one reply to GetReflectors; raises `Garbled`."""
+        total, number, _kind, offset_mm, name = unpack(Struct("<iiId64s"), body)
         return cls(total, number, offset_mm, _text(name))
 
 
-def encode(command: Command, body: bytes = b"") -> bytes:
+def encode(command: int, body: bytes = b"") -> bytes:
     return struct.pack("<III", SMALLEST + len(body), Type.COMMAND, command) + body
 
 
@@ -328,23 +306,24 @@ class PacketReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that are complete now; after an `EmsconError` the stream is lost."""
+        """Return the packets that are complete now; after an `Garbled` the stream is lost."""
         self._buffer += data
-        packets = []
+        packets = list[Packet]()
         header = Struct("<II")
         while len(self._buffer) >= header.size:
             size, kind = header.unpack_from(self._buffer)
             if not SMALLEST <= size <= LARGEST:
-                raise EmsconError(f"a packet of {size} bytes is announced")
+                raise Garbled(f"a packet of {size} bytes is announced")
             if len(self._buffer) < size:
                 break
-            packets.append(decode(kind, bytes(self._buffer[header.size : size])))
+            packet = decode(kind, bytes(self._buffer[header.size : size]))
+            packets += [] if packet is None else [packet]
             del self._buffer[:size]
         return packets
 
 
-def decode(kind: int, body: bytes) -> Packet:
-    """Return the packet of type ``kind`` whose bytes after the header are ``body``."""
+def decode(kind: int, body: bytes) -> Packet | None:
+    """Return a packet by its type and the bytes after its header; None of a type not used here."""
     try:
         if kind == Type.COMMAND:
             command, status = struct.unpack_from("<II", body)
@@ -358,65 +337,26 @@ def decode(kind: int, body: bytes) -> Packet:
         if kind == Type.MULTI_RESULT:
             return Multi.decode(body)
     except struct.error as error:
-        raise EmsconError(f"a packet of type {kind} with only {len(body)} bytes") from error
-    return Other(kind)
+        raise Garbled(f"a packet of type {kind} with only {len(body)} bytes") from error
+    return None
 
 
 def decode_tracker_name(body: bytes) -> str:
     """Return the name in the body of the reply to GetTrackerInfo."""
-    _kind, name = unpack(Layout.TRACKER_INFO, body)
+    _kind, name = unpack(Struct("<I64s"), body)
     return _text(name)
 
 
 def unpack(layout: Struct, body: bytes) -> tuple[Any, ...]:
-    """Return the values of a reply's body; raises `EmsconError`."""
+    """Return the values of a reply's body; raises `Garbled`."""
     try:
         return layout.unpack_from(body)
     except struct.error as error:
-        raise EmsconError(f"a reply of {len(body)} bytes, {layout.size} expected") from error
+        raise Garbled(f"a reply of {len(body)} bytes, {layout.size} expected") from error
 
 
 def _text(field: bytes) -> str:
     return field.decode("utf-16-le", errors="replace").partition("\0")[0]
-
-
-class Setting(Enum):
-    """A setting in words, with its layout; commands and news of a change bear its name."""
-
-    UNITS = "units", Layout.UNITS
-    COORDINATE_SYSTEM = "coordinate system", Layout.NUMBER
-    MEASUREMENT_MODE = "measurement mode", Layout.NUMBER
-    STATIONARY = "stationary parameters", Layout.STATIONARY
-    CONTINUOUS_TIME = "continuous time parameters", Layout.CONTINUOUS
-    SEARCH = "search", Layout.SEARCH
-    REFLECTOR = "reflector", Layout.NUMBER
-    FACE = "face", Layout.NUMBER
-    SYSTEM_SETTINGS = (
-        "weather monitor, transformation and orientation in use",
-        Layout.SYSTEM_SETTINGS,
-    )
-    ORIENTATION = "station orientation", Layout.ORIENTATION
-    TRANSFORMATION = "transformation", Layout.TRANSFORMATION
-
-    def __init__(self, words: str, layout: Struct) -> None:
-        self.words, self.layout = words, layout
-
-    @property
-    def read(self) -> Command:
-        """Return the command that asks for it."""
-        return Command[f"GET_{self.name}"]
-
-    @property
-    def write(self) -> Command:
-        """Return the command that sets it; the face and what makes the frame have none here."""
-        return Command[f"SET_{self.name}"]
-
-    @property
-    def changes(self) -> frozenset[Change]:
-        """Return the news that it was changed."""
-        if self is Setting.FACE:
-            return frozenset({Change.FIRST_FACE, Change.SECOND_FACE})
-        return frozenset({Change[self.name]})
 
 
 class EmsconSettings:
@@ -424,8 +364,8 @@ class EmsconSettings:
 
     def __init__(
         self,
-        ask: Callable[[Command, bytes], bytes],
-        numbers_of: Callable[[Command, Struct], tuple[float, ...]],
+        ask: Callable[[int, bytes], bytes],
+        numbers_of: Callable[[int, Struct], tuple[float, ...]],
     ) -> None:
         self._ask, self._numbers_of = ask, numbers_of
         self._kept: dict[Setting, tuple[float, ...]] = {}
@@ -444,15 +384,7 @@ class EmsconSettings:
         found = self._numbers_of(setting.read, setting.layout)
         self._news.difference_update(setting.changes)  # our own; the reading is younger
         if not self._same(found, values):
-            raise TRACKER.refused(
-                "HC-T06",
-                f"set {setting.words}",
-                f"reads back as {found}",
-                wanted=f"{values}",
-                setting=setting.words,
-                read=found,
-                written=values,
-            )
+            raise not_kept(setting.words, found, values)
         self._kept[setting] = values
 
     def keep(self, setting: Setting) -> tuple[float, ...]:
@@ -493,7 +425,7 @@ class EmsconSettings:
     def prove(self) -> None:
         """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
         if Change.COMPENSATION in self._news:
-            raise self._changed("compensation", "it was changed", "the one of before")
+            raise changed("compensation", "it was changed", "the one of before")
         all_of_them = Change.SERVER_STARTED in self._news
         for setting in self._kept:
             if all_of_them or not self._news.isdisjoint(setting.changes):
@@ -504,12 +436,8 @@ class EmsconSettings:
         """Raise `DeviceError` where a setting is no longer the kept one."""
         found, kept = self._numbers_of(setting.read, setting.layout), self._kept[setting]
         if not self._same(found, kept):
-            raise self._changed(setting.words, f"now reads {found}", f"{kept}")
+            raise changed(setting.words, f"now reads {found}", f"{kept}")
 
     @staticmethod
     def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
         return bool(np.allclose(found, expected, rtol=1e-6, atol=1e-6))
-
-    @staticmethod
-    def _changed(name: str, found: str, expected: str) -> DeviceError:
-        return TRACKER.failed("HC-T06", f"read {name} again", found, wanted=expected, setting=name)

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER
+from drivers.device_errors import TRACKER, Garbled
 from drivers.leica import emscon
 from drivers.leica.emscon import (
     Change,
@@ -38,8 +38,9 @@ from drivers.leica.emscon import (
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     Positive,
-    another_tracker,
+    check_serial,
     checked_order,
+    form_at,
     misplaced,
     std_of_repeats,
     when_ready,
@@ -159,16 +160,16 @@ class LeicaEmsconTracker:
     def leave_stream(self) -> None:
         """Stop and put the mode back, without waiting for answers; then connect again."""
         self.stop()
-        mode = Layout.NUMBER.pack(Value.STATIONARY)
-        self._wire().send(emscon.encode(Command.SET_MEASUREMENT_MODE, mode), "stop")
+        mode = Setting.MEASUREMENT_MODE
+        body = mode.layout.pack(Value.STATIONARY)
+        self._wire().send(emscon.encode(mode.write, body), "stop")
 
     # -- connecting ---------------------------------------------------------------------------
 
     def _identify(self) -> Identity:
         status = self._system_status()
-        serial, wanted = str(status.serial), self._options.serial
-        if wanted not in ("", serial):
-            raise another_tracker(serial, wanted)
+        serial = str(status.serial)
+        check_serial(serial, self._options.serial)
         if status.processor != SystemStatus.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
@@ -220,10 +221,10 @@ class LeicaEmsconTracker:
 
         Older controllers do not tell their face.
         """
-        answer = self._request(Command.GET_FACE)
+        answer = self._request(Setting.FACE.read)
         if answer.status or not answer.body:
             return
-        (face,) = self._decoded(lambda reply: emscon.unpack(Layout.NUMBER, reply), answer.body)
+        (face,) = self._unpacked(Setting.FACE.layout, answer.body)
         if face == Value.SECOND_FACE:
             self._turn_to(Value.FIRST_FACE)
         elif face == Value.FIRST_FACE:
@@ -264,21 +265,11 @@ class LeicaEmsconTracker:
         try:
             self._ask(Command.GO_POSITION, body, limit_s=self.MOVE_S)
         except NoReading as first:
-            self._search(near_mm, first)
-
-    def _search(self, near_mm: Array, first: NoReading) -> None:
-        try:
-            self._find(near_mm)
-        except NoReading as second:
-            found = f"{second.found}, after go position: {first.found}"
-            raise NoReading(
-                second.code,
-                TRACKER.name,
-                "find reflector",
-                found,
-                act=second.act,
-                fields=second.fields,
-            ) from second
+            try:
+                self._find(near_mm)
+            except NoReading as second:
+                second.found += f", after go position: {first.found}"
+                raise
 
     def _find(self, near_mm: Array) -> None:
         body = Layout.DISTANCE.pack(float(np.linalg.norm(near_mm)))
@@ -310,7 +301,7 @@ class LeicaEmsconTracker:
             self._find(near_mm)
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
-            raise Command.START_MEASUREMENT.failed(reply.status)
+            raise emscon.failed(Command.START_MEASUREMENT, reply.status)
         self._results = 0
 
     def _check_alone(self) -> None:
@@ -337,10 +328,10 @@ class LeicaEmsconTracker:
         while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Single):
                 if packet.status != 0:
-                    raise Command.START_MEASUREMENT.failed(packet.status)
+                    raise emscon.failed(Command.START_MEASUREMENT, packet.status)
                 return packet
             if isinstance(packet, Failure):
-                raise Command.START_MEASUREMENT.failed(packet.status)
+                raise emscon.failed(Command.START_MEASUREMENT, packet.status)
             if packet == StatusChange(Change.NOT_READY):
                 raise TRACKER.no_reading(
                     "HC-T10", "measure", "the beam broke", act="clear the line of sight"
@@ -381,27 +372,18 @@ class LeicaEmsconTracker:
         units_mm = {
             "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
         }  # fmt: skip
-        for unit, unit_mm in units_mm.items():
-            of_unit_mm = float(np.linalg.norm(unit_mm * np.array(result.xyz) - near_mm))
-            if of_unit_mm <= self._options.find_radius_mm:
-                return TRACKER.failed(
-                    "HC-T18",
-                    "measure",
-                    f"the result {result.xyz} is in {unit}",
-                    wanted="mm",
-                    xyz=result.xyz,
-                    unit=unit,
-                )
-        return misplaced(off_mm, self._options.find_radius_mm)
+        forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
+        radius_mm, xyz = self._options.find_radius_mm, result.xyz
+        if not (unit := form_at(near_mm, radius_mm, forms)):
+            return misplaced(off_mm, radius_mm)
+        found = f"the result {xyz} is in {unit}"
+        return TRACKER.failed("HC-T18", "measure", found, wanted="mm", xyz=xyz, unit=unit)
 
     def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
         points_mm = np.array([result.xyz for result in results])
-        many = len(results) > 1
-        std_mm = (
-            std_of_repeats(points_mm, self._options.max_std_mm)
-            if many
-            else np.array(results[0].std)
-        )
+        std_mm = np.array(results[0].std)
+        if len(results) > 1:
+            std_mm = std_of_repeats(points_mm, self._options.max_std_mm)
         last = results[-1]
         air = Air(last.temperature, last.pressure, last.humidity) if self._air_measured else None
         mean_mm = points_mm.mean(axis=0)
@@ -409,40 +391,43 @@ class LeicaEmsconTracker:
 
     # -- packets ------------------------------------------------------------------------------
 
-    def _ask(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> bytes:
+    def _ask(self, command: int, body: bytes = b"", limit_s: float = 0.0) -> bytes:
         """Send a command and return its reply's body; raises the error of a refusal."""
         reply = self._request(command, body, limit_s)
         if reply.status != 0:
-            raise command.failed(reply.status)
+            raise emscon.failed(command, reply.status)
         return reply.body
 
-    def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
+    def _request(self, command: int, body: bytes = b"", limit_s: float = 0.0) -> Reply:
         """Send a command, again while the server is busy, and return its reply."""
         limit_s = limit_s or self.REPLY_S
 
         def ask() -> Reply:
-            self._wire().send(emscon.encode(command, body), command.spoken)
+            self._wire().send(emscon.encode(command, body), emscon.spoken(command))
             return self._status(command, Patience(limit_s))
 
         return when_ready(ask, lambda reply: reply.status == emscon.BUSY, limit_s, self._clock)
 
-    def _status(self, command: Command, patience: Patience) -> Reply:
+    def _status(self, command: int, patience: Patience) -> Reply:
         """Return the reply to ``command``, refused or not; older results on the way are dropped."""
         while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
-                raise self._lost(f"a reply to command {packet.command} came", command.spoken)
-        raise self._lost("no answer in time", command.spoken)
+                found = f"a reply to command {packet.command} came"
+                raise self._lost(found, emscon.spoken(command))
+        raise self._lost("no answer in time", emscon.spoken(command))
 
-    def _numbers_of(self, command: Command, layout: Struct) -> tuple[float, ...]:
-        body = self._ask(command)
+    def _numbers_of(self, command: int, layout: Struct) -> tuple[float, ...]:
+        return self._unpacked(layout, self._ask(command))
+
+    def _unpacked(self, layout: Struct, body: bytes) -> tuple[float, ...]:
         return self._decoded(lambda reply: emscon.unpack(layout, reply), body)
 
     def _decoded(self, decode: Callable[[bytes], T], body: bytes) -> T:
         try:
             return decode(body)
-        except emscon.EmsconError as error:
+        except Garbled as error:
             raise self._lost(str(error), "decode") from error
 
     def next_packet(self, patience: Patience) -> Packet | None:
@@ -454,7 +439,7 @@ class LeicaEmsconTracker:
             self._arrived_s = self._clock.pc_s()
             try:
                 self._packets.extend(self._reader.feed(data))
-            except emscon.EmsconError as error:
+            except Garbled as error:
                 raise self._lost(str(error), "receive") from error
         packet = self._packets.popleft()
         if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
@@ -518,19 +503,32 @@ class EmsconStream:
     def __enter__(self) -> Self:
         """Catch the reflector and set the mode."""
         self._tracker.point_at(self._near_mm, self._reflector)
+        settings = self._tracker.settings
         try:
-            settings = self._tracker.settings
             settings.write(Setting.MEASUREMENT_MODE, Value.CONTINUOUS_TIME)
             parameters = (self._separation_ms, Value.UNTIL_STOPPED, 0, 0)
             settings.write(Setting.CONTINUOUS_TIME, *parameters)
         except BaseException as error:  # also a stop: no stream's mode is left behind
-            self._restore(error)
+            self.__exit__(type(error), error, None)
             raise
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """End the stream; the tracker measures at rest again."""
-        self._restore(error)
+        """End the stream: the tracker measures at rest again.
+
+        A stop is not waited for, and the next connect reads the mode back.
+        """
+        try:
+            if isinstance(error, Stopped):
+                self._tracker.leave_stream()
+                return
+            if self._running:
+                self._stop()
+            self._tracker.settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
+        except HilcellError as failure:  # a stop, too, would hide the error
+            if error is None:
+                raise
+            error.add_note(f"the stream was not ended: {failure}; the next connect ends it")
 
     def kickoff(self) -> None:
         self._emptied_s = self._clock.now_s()
@@ -575,7 +573,7 @@ class EmsconStream:
             if isinstance(packet, Reply | Failure) and packet.command == Command.STOP_MEASUREMENT:
                 self._running = False
                 if packet.status != 0:
-                    raise Command.STOP_MEASUREMENT.failed(packet.status)
+                    raise emscon.failed(Command.STOP_MEASUREMENT, packet.status)
                 return packets
             packets.append(packet)
         raise TRACKER.failed(
@@ -585,7 +583,7 @@ class EmsconStream:
     def _samples(self, packet: Packet) -> list[Multi]:
         """Return the packet's samples; raises the error of any other packet."""
         if isinstance(packet, Failure):
-            raise Command.START_MEASUREMENT.failed(packet.status)
+            raise emscon.failed(Command.START_MEASUREMENT, packet.status)
         if packet == StatusChange(Change.NOT_READY):
             raise TRACKER.no_reading(
                 "HC-T10", "stream", "the beam broke", act="clear the line of sight"
@@ -593,7 +591,7 @@ class EmsconStream:
         if not isinstance(packet, Multi) or not len(packet.device_s):
             return []
         if packet.status != 0:
-            raise Command.START_MEASUREMENT.failed(packet.status)
+            raise emscon.failed(Command.START_MEASUREMENT, packet.status)
         self._check(packet)
         return [packet]
 
@@ -635,17 +633,3 @@ class EmsconStream:
         """Return the packets since a look before ``looked_s`` that found nothing left."""
         after_s, by_s, self._emptied_s = self._emptied_s, self._clock.now_s(), looked_s
         return [StreamBlock(each.device_s, each.xyz, after_s, by_s) for each in samples]
-
-    def _restore(self, error: BaseException | None) -> None:
-        """Put the mode back; a stop is not waited for, and the next connect reads it back."""
-        try:
-            if isinstance(error, Stopped):
-                self._tracker.leave_stream()
-                return
-            if self._running:
-                self._stop()
-            self._tracker.settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
-        except HilcellError as failure:  # a stop, too, would hide the error
-            if error is None:
-                raise
-            error.add_note(f"the stream was not ended: {failure}; the next connect ends it")

@@ -25,16 +25,17 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER
+from drivers.device_errors import TRACKER, Garbled
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     BUSY_PAUSE_S,
-    Garbled,
     Positive,
+    changed,
     check_reflector,
     check_serial,
     checked_order,
     misplaced,
+    not_kept,
     std_of_repeats,
     when_ready,
     with_maker,
@@ -421,16 +422,8 @@ class LeicaGeocomTracker:
                 refusal = f", {error.found}"
             found = self._numbers(read, len(wanted))
         if not self._same(found, wanted):
-            raise TRACKER.refused(
-                "HC-T06",
-                f"set {what}",
-                f"reads back as {found}{refusal}",
-                wanted=f"{wanted}",
-                act="set it at the instrument, or correct tracker.options; then resume",
-                setting=what,
-                read=found,
-                written=wanted,
-            )
+            act = "set it at the instrument, or correct tracker.options; then resume"
+            raise not_kept(what, found, wanted, refusal, act)
         self._kept[what] = read, wanted
 
     def _prove(self) -> None:
@@ -441,14 +434,8 @@ class LeicaGeocomTracker:
                 continue
             found = self._numbers(read, len(kept))  # a character may have been lost
             if not self._same(found, kept):
-                raise TRACKER.failed(
-                    "HC-T06",
-                    f"read {what} again",
-                    f"now reads {found}",
-                    wanted=f"{kept}",
-                    act="changed at the instrument? resume sets it again, or correct the cell file",
-                    setting=what,
-                )
+                act = "changed at the instrument? resume sets it again, or correct the cell file"
+                raise changed(what, f"now reads {found}", f"{kept}", act)
 
     # -- measuring ----------------------------------------------------------------------------
 

@@ -29,11 +29,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER
+from drivers.device_errors import TRACKER, Garbled
 from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
-    Garbled,
     Positive,
     check_reflector,
     checked_order,

@@ -30,7 +30,7 @@ from typing import Self
 
 import numpy as np
 
-from drivers.device_errors import ROBOT
+from drivers.device_errors import ROBOT, Garbled
 from drivers.motion_limits import unwell
 from drivers.supervision import Patience, go_on, looks, on_failure
 from drivers.wires.tcp import TcpLink
@@ -65,10 +65,6 @@ class Kind(IntEnum):
     PAUSE = 80
 
 
-class RtdeError(ValueError):
-    """Bytes that are no package of the protocol, or not the expected one."""
-
-
 def encode(kind: Kind, payload: bytes = b"") -> bytes:
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
@@ -91,7 +87,7 @@ class Recipe:
         """Return the recipe that an answer sets up; types may be ``NOT_FOUND`` or ``IN_USE``."""
         types = tuple(payload[1:].decode("ascii", "replace").split(","))
         if not payload or len(types) != len(names):
-            raise RtdeError(f"{len(types)} types for {len(names)} fields")
+            raise Garbled(f"{len(types)} types for {len(names)} fields")
         return cls(payload[0], tuple(names), types)
 
     def lacking(self, why: str) -> list[str]:
@@ -108,10 +104,10 @@ class Recipe:
         ]
 
     def decode(self, payload: bytes) -> dict[str, Numbers]:
-        """Return the numbers of a data package by field; raises `RtdeError`, also for NaN."""
+        """Return the numbers of a data package by field; raises `Garbled`, also for NaN."""
         layout = self._layout
         if len(payload) != layout.size or payload[0] != self.number:
-            raise RtdeError(
+            raise Garbled(
                 f"a data package of {len(payload)} bytes by recipe {payload[:1].hex() or 'none'} "
                 f"came, expected {layout.size} bytes by recipe {self.number:02x}"
             )
@@ -124,7 +120,7 @@ class Recipe:
         if not math.isfinite(sum(flat)):
             for name, each in found.items():
                 if not all(map(math.isfinite, each)):
-                    raise RtdeError(f"{name} is {', '.join(map(str, each))}")
+                    raise Garbled(f"{name} is {', '.join(map(str, each))}")
         return found
 
     def encode(self, values: Mapping[str, Numbers]) -> bytes:
@@ -145,12 +141,12 @@ class Packages:
         self._bytes = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield type and payload of each package that ``data`` completes; raises `RtdeError`."""
+        """Yield type and payload of each package that ``data`` completes; raises `Garbled`."""
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
             if not _HEAD.size <= size <= self.LONGEST:
-                raise RtdeError(
+                raise Garbled(
                     f"a package of {size} bytes, {_HEAD.size} to {self.LONGEST} are possible"
                 )
             if len(self._bytes) < size:
@@ -240,10 +236,10 @@ class UrState:
 
     @classmethod
     def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
-        """Return the state that a data package's numbers mean; raises `RtdeError`."""
+        """Return the state that a data package's numbers mean; raises `Garbled`."""
         for name in (*_SIX, *_TOOL):
             if not sum(map(abs, numbers[name])) <= 1e6:  # m, rad, rad/s
-                raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
+                raise Garbled(f"{name} is {', '.join(map(str, numbers[name]))}")
         joints, speeds, tcp = (np.array(numbers[name]) for name in _SIX)
         return cls(
             after_s,
@@ -442,7 +438,7 @@ class UrLink:
         answer = self._ask(kind, Recipe.request(kind, names, head))
         try:
             recipe = Recipe.from_answer(names, answer)
-        except RtdeError as error:
+        except Garbled as error:
             raise self._link.broken("set up", str(error)) from error
         if lacking := recipe.lacking("NOT_FOUND"):
             raise self._unsupported(f"the controller has no {', '.join(lacking)}")
@@ -462,7 +458,7 @@ class UrLink:
             data = self._link.receive(self.SIZE, Patience(0.0 if last else self.LOOK_S))
             try:
                 self._arrived.extend(self._packages.feed(data))
-            except RtdeError as error:
+            except Garbled as error:
                 raise self._no_rtde(kind, str(error)) from error
             while self._arrived:
                 found, payload = self._arrived.popleft()
@@ -504,7 +500,7 @@ class UrLink:
                 if kind == Kind.DATA:
                     numbers = self._outputs.decode(payload)
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
-        except RtdeError as error:
+        except Garbled as error:
             wanted, act = "a state of the robot", "restart the controller; resume"
             self._failure = ROBOT.failed("HC-B26", "receive", str(error), wanted=wanted, act=act)
         except DeviceError as error:

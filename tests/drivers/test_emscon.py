@@ -12,18 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import supervision
+from drivers.device_errors import Garbled
 from drivers.leica import emscon
 from drivers.leica.emscon import (
     Command,
-    EmsconError,
     Failure,
     Layout,
     Multi,
-    Other,
     Packet,
     PacketReader,
     Reflector,
     Reply,
+    Setting,
     Single,
     StatusChange,
     SystemStatus,
@@ -52,13 +52,13 @@ RESULT = bytes.fromhex("9c0000000200000000000000") + struct.pack(
             "14000000000000003f000000000000000070a740",
         ),
         (
-            Command.SET_CONTINUOUS_TIME,
-            Layout.CONTINUOUS.pack(10, Value.UNTIL_STOPPED, 0, 0),
+            Setting.CONTINUOUS_TIME.write,
+            Setting.CONTINUOUS_TIME.layout.pack(10, Value.UNTIL_STOPPED, 0, 0),
             "1c000000000000001e0000000a000000000000000000000000000000",
         ),
     ],
 )
-def test_commands_are_the_published_bytes(command: Command, body: bytes, expected: str) -> None:
+def test_commands_are_the_published_bytes(command: int, body: bytes, expected: str) -> None:
     assert emscon.encode(command, body).hex() == expected
 
 
@@ -68,11 +68,35 @@ def test_commands_are_the_published_bytes(command: Command, body: bytes, expecte
         ("10000000000000003100000000000000", Reply(49, 0, b"")),
         ("1000000001000000310000001a000000", Failure(49, 26)),
         ("0c000000080000001b000000", StatusChange(27)),
-        ("0c000000630000001b000000", Other(0x63)),
     ],
 )
 def test_packets_are_the_published_bytes(data: str, expected: Packet) -> None:
     assert PacketReader().feed(bytes.fromhex(data)) == [expected]
+
+
+def test_a_packet_of_another_type_is_passed_over() -> None:
+    other, used = "0c000000630000001b000000", "0c000000080000001b000000"
+    assert PacketReader().feed(bytes.fromhex(other + used)) == [StatusChange(27)]
+
+
+def test_settings_are_read_and_written_by_the_published_commands() -> None:
+    """ES_Command and ES_SystemStatusChange: what reads, what writes, and the news of a change."""
+    assert {each.name: (each.read, each.write, *sorted(each.changes)) for each in Setting} == {
+        "UNITS": (6, 5, 6),
+        "COORDINATE_SYSTEM": (27, 26, 12),
+        "MEASUREMENT_MODE": (25, 24, 17),
+        "STATIONARY": (29, 28, 18),
+        "CONTINUOUS_TIME": (31, 30, 19),
+        "SEARCH": (44, 43, 4),
+        "REFLECTOR": (41, 40, 7),
+        "FACE": (98, 0, 30, 31),
+        "SYSTEM_SETTINGS": (48, 0, 8),
+        "ORIENTATION": (13, 0, 15),
+        "TRANSFORMATION": (15, 0, 16),
+    }
+    assert emscon.spoken(Setting.MEASUREMENT_MODE.read) == "get measurement mode"
+    assert emscon.spoken(Setting.UNITS.write) == "set units"
+    assert emscon.spoken(Command.GO_POSITION) == "go position"
 
 
 def test_a_result_is_the_published_bytes() -> None:
@@ -103,7 +127,7 @@ def test_samples_are_read_from_packets_in_pieces(cut: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 3, -1, 2**31 - 1])
 def test_a_wrong_number_of_samples_is_no_packet(count: int) -> None:
-    with pytest.raises(EmsconError, match=str(count)):
+    with pytest.raises(Garbled, match=str(count)):
         PacketReader().feed(MULTI[:12] + struct.pack("<i", count) + MULTI[16:])
 
 
@@ -115,13 +139,14 @@ def test_the_status_of_any_sample_is_that_of_all(at: int) -> None:
 
 
 def test_an_independent_peer_reads_our_settings() -> None:
+    millimetres, mode = Setting.UNITS, Setting.STATIONARY
     units = cesapi.SetUnitsCT()
-    units.unpack(emscon.encode(Command.SET_UNITS, Layout.UNITS.pack(*Value.MILLIMETRES)))
+    units.unpack(emscon.encode(millimetres.write, millimetres.layout.pack(*Value.MILLIMETRES)))
     assert units.unitsSettings.lenUnitType == cesapi.ES_LU_Millimeter
     assert units.unitsSettings.angUnitType == cesapi.ES_AU_Radian
     assert units.unitsSettings.pressUnitType == cesapi.ES_PU_Mbar
     stationary = cesapi.SetStationaryModeParamsCT()
-    stationary.unpack(emscon.encode(Command.SET_STATIONARY, Layout.STATIONARY.pack(500, 1)))
+    stationary.unpack(emscon.encode(mode.write, mode.layout.pack(500, 1)))
     assert stationary.stationaryModeData.lMeasTime == 500
     assert stationary.stationaryModeData.bUseADM == 1
     go = cesapi.GoPositionCT()
@@ -150,19 +175,19 @@ def test_an_independent_peers_replies_are_read() -> None:
 
 @pytest.mark.parametrize("size", [0, 4, 11, 65537, 2**31, 2**32 - 1])
 def test_impossible_lengths_are_refused(size: int) -> None:
-    with pytest.raises(EmsconError, match=str(size)):
+    with pytest.raises(Garbled, match=str(size)):
         PacketReader().feed(struct.pack("<II", size, 8))
 
 
 @pytest.mark.parametrize(("kind", "size"), [(0, 12), (1, 12), (2, 152)])
 def test_packets_too_short_for_their_type_are_refused(kind: int, size: int) -> None:
-    with pytest.raises(EmsconError, match=str(kind)):
+    with pytest.raises(Garbled, match=str(kind)):
         PacketReader().feed(struct.pack("<II", size, kind) + bytes(size - 8))
 
 
 def test_short_bodies_are_refused() -> None:
-    with pytest.raises(EmsconError):
-        emscon.unpack(Layout.UNITS, bytes(8))
+    with pytest.raises(Garbled):
+        emscon.unpack(Setting.UNITS.layout, bytes(8))
 
 
 @settings(max_examples=40)
@@ -183,7 +208,7 @@ def test_any_slicing_gives_the_same_packets(data: st.DataObject, packets: list[b
 def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
     try:
         packets = PacketReader().feed(data)
-    except EmsconError:
+    except Garbled:
         return
     assert 12 * len(packets) <= len(data)
 

@@ -17,9 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import supervision
+from drivers.device_errors import Garbled
 from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
-from drivers.tracker_readings import Garbled
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.geocom_peer import GeocomPeer
 from tests.drivers.peers import WireTime, in_thread, wire_time

@@ -13,10 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import supervision
+from drivers.device_errors import Garbled
 from drivers.spatialanalyzer import tracker_t2sa
 from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
-from drivers.tracker_readings import Garbled, form_at
+from drivers.tracker_readings import form_at
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.peers import WireTime, in_thread, wire_time
 from tests.drivers.rail_bed import refusal

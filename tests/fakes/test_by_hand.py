@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from drivers.leica.emscon import Command, Layout, Value, encode
+from drivers.leica.emscon import Command, Layout, Setting, Value, encode
 from fakes.faults import Faults
 from fakes.host import truth_of
 from fakes.leica.emscon_server import EmsconDevice
@@ -70,7 +70,7 @@ def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
     at = plant.tracker.reflectors()["F1"]
     for packet in (
         encode(Command.INITIALIZE),
-        encode(Command.SET_UNITS, Layout.UNITS.pack(*Value.MILLIMETRES)),
+        encode(Setting.UNITS.write, Setting.UNITS.layout.pack(*Value.MILLIMETRES)),
         encode(Command.GO_POSITION, Layout.POSITION.pack(*at, 1)),
     ):
         *_, answer = device.handle(packet)

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.leica.tracker_geocom import class_std_mm
+from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from hilcell.cell.file import Cell, Nest, Station, load_cell
 from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.model.frame import Frame
@@ -24,6 +24,15 @@ NOISE_MM = 0.01  # of one reading, 1 sigma
 LEAN_RAD = 1e-4  # of the slide at the far stations
 FAR = ("S300", "S1900")
 ALONG_MM, ARCSEC_RAD = 0.6, float(np.radians(1.0 / 3600.0))  # of a total station
+INSTRUMENT = LeicaGeocomTracker.Options(
+    channel="socket://127.0.0.1:1",
+    reflector="r",
+    max_std_mm=1.0,
+    find_radius_mm=50.0,
+    angle_arcsec=1.0,
+    distance_mm=ALONG_MM,
+    distance_ppm=0.0,
+)
 
 
 class Slide(FakeBench):
@@ -69,7 +78,7 @@ class TotalStationSlide(Slide):
 
     def _point(self, id: PointId, xyz_mm: Array, **robot: Any) -> None:
         if id.kind not in ("slide", "three"):  # single readings state what the instrument says
-            robot["std_mm"] = class_std_mm(xyz_mm + 1.0, ALONG_MM, ARCSEC_RAD).tolist()
+            robot["std_mm"] = INSTRUMENT.std_mm(xyz_mm + 1.0).tolist()
         super()._point(id, xyz_mm, **robot)
 
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
