@@ -107,14 +107,10 @@ class _Course:
         return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
 
     def _happened(self, event: Event | OtherEvent) -> str:
-        """Return an event as a sentence, in the screen's words: a step with what it measures."""
+        """Return an event as a sentence, in the screen's words."""
         match event:
             case StepBegun(name=name):
-                planned = [step.name for step in self.facts.inputs.steps if step.points]
-                parts = [each for each in self.facts.procedure.parts if each.name in planned]
-                measures = {each.name: f": {each.measures}" for each in parts}
-                step = step_words(name, has_rail=self.facts.cell.has_rail)
-                words = f"{step}{measures.get(name, '')}"
+                words = step_words(name, has_rail=self.facts.cell.has_rail)
             case PosesChosen():
                 words = f"poses chosen: {self._chosen_poses_words(self.facts, event)}"
             case _:
