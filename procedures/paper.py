@@ -36,7 +36,6 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
-from hilcell.geometry.inverse import reachable
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import (
@@ -377,13 +376,10 @@ class Compared:
     @staticmethod
     def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
         """Return which points (N, 3) in {W} which station serves, (N, S): robot and tracker."""
-        poses, robot, tracker = matrix(_tool(cell), points_mm), cell.robot, cell.tracker
-        home_rad, limits_rad = np.radians(robot.home_deg), robot.margin_limits_rad
+        poses, robot = matrix(_tool(cell), points_mm), cell.robot.nominal()
+        tracker = cell.tracker
         bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
-        ok = np.column_stack([
-            reachable(robot.arm(), inverse(base) @ poses, robot.status, limits_rad, home_rad)
-            for base in bases
-        ])  # fmt: skip
+        ok = np.column_stack([robot.reachable(inverse(base) @ poses) for base in bases])
         range_mm = np.linalg.norm(points_mm - tracker.pose.matrix()[:3, 3], axis=1)
         seen = (range_mm >= tracker.min_range_mm + tracker.find_radius_mm) & (
             range_mm <= tracker.max_range_mm - tracker.find_radius_mm

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Protocol, Self, TypedDict
+from typing import Self, TypedDict
 
 import numpy as np
 
@@ -123,31 +123,13 @@ class FitResult(TypedDict):
     seconds: float
 
 
-class Method(Protocol):
-    """Predicts measured positions."""
-
-    @property
-    def base(self) -> Array:
-        """Return the base in the tracker's frame (4, 4)."""
-
-    @property
-    def smr_mm(self) -> Mapping[str, Array]:
-        """Return the reflectors (3,) on the flange."""
-
-    def predict(self, rows: Measurements) -> tuple[Array, Array]:
-        """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
-
-    @property
-    def freedom(self) -> float:
-        """Return the degrees of freedom of the covariances' estimate."""
-
-
 @dataclass(frozen=True, eq=False)
 class AtPoints:
     """Nominal positions and the errors that an error model predicts there, by reflector.
 
-    Each reflector has a model of its own, learnt from its own rows: nominal poses in {B}, errors
-    with the tracker's axes.
+    ``freedom`` are the degrees of freedom of the covariances' estimate. Each reflector has
+    a model of its own, learnt from its own rows: nominal poses in {B}, errors with the tracker's
+    axes.
     """
 
     placement: Placement
@@ -167,13 +149,16 @@ class AtPoints:
 
     @property
     def base(self) -> Array:
+        """Return the base in the tracker's frame (4, 4)."""
         return self.placement.T_L_B
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
+        """Return the reflectors (3,) on the flange."""
         return self.placement.smr_mm
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
+        """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
         poses, found_mm = self.placement.nominal(rows), self.placement.predicted_mm(rows)
         covariance_mm2 = np.empty((len(rows), 3, 3))
         of_row = np.array(rows.target)
@@ -308,6 +293,9 @@ class FittedArm:
     @property
     def _found(self) -> Estimate | WithResidual:
         return self.residual or self.estimate
+
+
+Method = AtPoints | FittedArm
 
 
 @dataclass(frozen=True, eq=False)

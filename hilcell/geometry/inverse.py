@@ -256,46 +256,6 @@ def inverse_kinematics(arm: Arm, poses: ArrayLike, status: int) -> Array:
     return joints
 
 
-def posture(
-    arm: Arm, poses: ArrayLike, status: int, limits_rad: Array, reference_rad: ArrayLike
-) -> Array:
-    """Return joints (..., 6) as `inverse_kinematics`, turned towards a reference within limits.
-
-    Raises `ReachError` also where a joint leaves ``limits_rad`` (2, 6).
-    """
-    joints = nearest_turns(inverse_kinematics(arm, poses, status), limits_rad, reference_rad)
-    degrees, limits = np.degrees(joints.reshape(-1, 6)), np.degrees(limits_rad)
-    bad = np.argwhere(~((joints >= limits_rad[0]) & (joints <= limits_rad[1])).reshape(-1, 6))
-    if len(bad):
-        named = ", ".join(
-            f"pose {n + 1} A{j + 1} {degrees[n, j]:.2f} deg "
-            f"(limits {limits[0, j]:.2f} .. {limits[1, j]:.2f})"
-            for n, j in bad[:NAMED]
-        )
-        raise ReachError(
-            f"{len(set(bad[:, 0]))} of {len(degrees)} poses are beyond joint limits: {named}"
-            f"{', ...' if len(bad) > NAMED else ''}; choose another status, target or station"
-        )
-    return joints
-
-
-def reachable(
-    arm: Arm, poses: ArrayLike, status: int, limits_rad: Array, reference_rad: ArrayLike
-) -> Bools:
-    """Return which poses (..., 4, 4) `posture` would accept, (...)."""
-    joints, excess_mm = solved(arm, np.asarray(poses, dtype=float), status)
-    turned = nearest_turns(joints, limits_rad, reference_rad)
-    inside = (turned >= limits_rad[0]) & (turned <= limits_rad[1])
-    ok: Bools = (excess_mm <= ROUNDING_MM) & inside.all(axis=-1)
-    return ok
-
-
-def reach_excess_mm(arm: Arm, poses: ArrayLike, status: int) -> Array:
-    """Return by how many mm the wrist centre is too far (or too near), (...); 0 if reachable."""
-    excess_mm = solved(arm, np.asarray(poses, dtype=float), status)[1]
-    return np.where(excess_mm <= ROUNDING_MM, 0.0, excess_mm)
-
-
 @dataclass(frozen=True, eq=False)
 class NominalRobot:
     """A nominal arm, the status bits of its posture, limits (2, 6) and home joints (6,) in rad."""
@@ -305,13 +265,44 @@ class NominalRobot:
     limits_rad: Array
     reference_rad: Array
 
-    def joints_for(self, poses: Array) -> Array:
-        """Return joints (N, 6) in rad for {T} in {B} (N, 4, 4); raises `ReachError`."""
-        return posture(self.arm, poses, self.status, self.limits_rad, self.reference_rad)
+    def excess_mm(self, poses: ArrayLike) -> Array:
+        """Return by how many mm the wrist centre is too far or too near, (...); 0 in reach."""
+        excess_mm = solved(self.arm, np.asarray(poses, dtype=float), self.status)[1]
+        return np.where(excess_mm <= ROUNDING_MM, 0.0, excess_mm)
 
-    def reachable(self, poses: Array) -> Bools:
-        """Return which poses (N, 4, 4) `joints_for` accepts, (N,)."""
-        return reachable(self.arm, poses, self.status, self.limits_rad, self.reference_rad)
+    def nearest(self, poses: ArrayLike) -> Array:
+        """Return joints (..., 6) as `inverse_kinematics`, turned towards the home: within limits
+        if possible.
+        """
+        joints = inverse_kinematics(self.arm, poses, self.status)
+        return nearest_turns(joints, self.limits_rad, self.reference_rad)
+
+    def joints_for(self, poses: ArrayLike) -> Array:
+        """Return `nearest`; raises `ReachError` also where a joint leaves its limits."""
+        joints = self.nearest(poses)
+        degrees, limits = np.degrees(joints.reshape(-1, 6)), np.degrees(self.limits_rad)
+        bad = np.argwhere(~self._within(joints).reshape(-1, 6))
+        if len(bad):
+            named = ", ".join(
+                f"pose {n + 1} A{j + 1} {degrees[n, j]:.2f} deg "
+                f"(limits {limits[0, j]:.2f} .. {limits[1, j]:.2f})"
+                for n, j in bad[:NAMED]
+            )
+            raise ReachError(
+                f"{len(set(bad[:, 0]))} of {len(degrees)} poses are beyond joint limits: {named}"
+                f"{', ...' if len(bad) > NAMED else ''}; choose another status, target or station"
+            )
+        return joints
+
+    def reachable(self, poses: ArrayLike) -> Bools:
+        """Return which poses (..., 4, 4) `joints_for` accepts, (...)."""
+        joints, excess_mm = solved(self.arm, np.asarray(poses, dtype=float), self.status)
+        turned = nearest_turns(joints, self.limits_rad, self.reference_rad)
+        return np.asarray((excess_mm <= ROUNDING_MM) & self._within(turned).all(axis=-1))
+
+    def _within(self, joints_rad: Array) -> Bools:
+        low_rad, high_rad = self.limits_rad
+        return np.asarray((joints_rad >= low_rad) & (joints_rad <= high_rad))
 
 
 def nearest_turns(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike) -> Array:

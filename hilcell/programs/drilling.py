@@ -29,7 +29,7 @@ from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import posture, reachable, status_of
+from hilcell.geometry.inverse import NominalRobot, status_of
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
@@ -60,7 +60,7 @@ class Drilling:
         count = 1 + int(np.ceil(self.standoff_mm / self.STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(command, back_mm)
-        reached = reachable(self.arm, poses, *self._posture)
+        reached = self._robot.reachable(poses)
         if bad := np.flatnonzero(~reached.all(axis=1)).tolist():
             lines = (
                 f"{names[n]}: beyond the arm's reach or a joint limit from "
@@ -73,18 +73,19 @@ class Drilling:
                 "shorten it (--standoff, or standoff_mm of the tool), or move the part",
                 code="HC-C10",
             )
-        return posture(self.arm, poses, *self._posture)
+        return self._robot.joints_for(poses)
 
     @property
-    def _posture(self) -> tuple[int, Array, Array]:
+    def _robot(self) -> NominalRobot:
         robot = self.cell.robot
-        return robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
+        home_rad = np.radians(robot.home_deg)
+        return NominalRobot(self.arm, robot.status, robot.margin_limits_rad, home_rad)
 
     def drawn_back_rad(self, command: Array) -> Iterator[Array]:
         """Yield the joints (6,) in reach behind a command's stand-off, nearest first."""
-        back_mm, known = self.standoff_mm + np.array(self.DRAWN_BACK_MM), self._posture
+        back_mm, robot = self.standoff_mm + np.array(self.DRAWN_BACK_MM), self._robot
         (poses,) = self._drawn_back(command[None], back_mm)
-        yield from posture(self.arm, poses[reachable(self.arm, poses, *known)], *known)
+        yield from robot.joints_for(poses[robot.reachable(poses)])
 
     def _drawn_back(self, command: Array, back_mm: Array) -> Array:
         """Return poses (N, K, 4, 4) in {B}, drawn back (K,) along z from commands (N, 6) in {W}."""

@@ -24,7 +24,6 @@ from hilcell.compensation.grid import ROUNDING_MM
 from hilcell.compensation.targets import unit_hint
 from hilcell.errors import MOST_LISTED, indented
 from hilcell.geometry.frames import inverse, zyx_from_pose
-from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
@@ -216,11 +215,10 @@ def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
 
 def _room_rad(cell: Cell, poses: Array) -> Array:
     """Return the room to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
-    arm, limits = cell.robot.arm(), cell.robot.margin_limits_rad
+    robot, limits = cell.robot.nominal(), cell.robot.margin_limits_rad
     room = np.full(poses.shape[:-2], -np.inf)
-    there = reach_excess_mm(arm, poses, cell.robot.status) == 0
-    joints = inverse_kinematics(arm, poses[there], cell.robot.status)
-    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+    there = robot.excess_mm(poses) == 0
+    joints = robot.nearest(poses[there])
     inside = np.minimum(joints - limits[0], limits[1] - joints).min(axis=-1)
     room[there] = np.where(inside >= 0, np.minimum(inside, np.abs(joints[:, 4])), inside)
     return room
@@ -305,19 +303,17 @@ class _Unreached:
         range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
         if not low <= range_mm <= high:
             return f"tracker range {range_mm:.0f} mm, expected {low:.0f} .. {high:.0f} mm"
-        arm, status = cell.robot.arm(), cell.robot.status
+        robot, limits = cell.robot.nominal(), cell.robot.margin_limits_rad
         seen = hole.reflector_poses()[0]
         poses = np.stack([_in_base(cell, station, seen) for station in stations])
-        excess_mm = reach_excess_mm(arm, poses, status)
+        excess_mm = robot.excess_mm(poses)
         if excess_mm.min() > 0:
             at = int(excess_mm.min(axis=1).argmin())
             return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
         room = _room_rad(cell, poses)
         best = int(room.argmax())
         station = stations[best // room.shape[1]]
-        limits = cell.robot.margin_limits_rad
-        joints = inverse_kinematics(arm, poses.reshape(-1, 4, 4)[best], status)
-        joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+        joints = robot.nearest(poses.reshape(-1, 4, 4)[best])
         worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
         low, high = np.degrees(limits[:, worst])
         return (

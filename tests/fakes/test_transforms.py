@@ -11,7 +11,7 @@ from fakes.truth.transforms import Chain, components, frame, inverse, rotation, 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose
 from hilcell.geometry import frames
-from hilcell.geometry.inverse import joint_jacobian, posture, status_of
+from hilcell.geometry.inverse import joint_jacobian, status_of
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
 
@@ -77,9 +77,7 @@ def test_solve_finds_the_joints_of_the_starts_posture(cell: Cell) -> None:
     poses = np.tile(centre, (8, 1, 1))
     poses[:, :3, 3] += 450.0 * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
     robot = cell.robot
-    closed = posture(
-        robot.arm(), poses, robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
-    )
+    closed = robot.nominal().joints_for(poses)
     found = chain.solve(poses, np.radians([0.0, -75.0, 100.0, 0.0, -40.0, 0.0]))
     np.testing.assert_allclose(found, closed, atol=1e-9)
 

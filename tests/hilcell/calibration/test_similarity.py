@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from hilcell.calibration.grid import Pairs, binned
 from hilcell.cell.file import load_cell
-from hilcell.geometry.inverse import posture
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.jacobian import PARAMETERS, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 
@@ -43,7 +43,7 @@ def fixed_joints(rng: np.random.Generator, count: int = 300) -> np.ndarray:
     """Return joints of random points of the cube, all with one orientation and status."""
     poses = np.tile(CELL.grid.centre.matrix(), (count, 1, 1))
     poses[:, :3, 3] += rng.uniform(-450, 450, (count, 3))
-    return posture(ARM, poses, CELL.robot.status, LIMITS, HOME)
+    return NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(poses)
 
 
 def clouds(rng: np.random.Generator) -> np.ndarray:
@@ -101,4 +101,4 @@ def same_point(rng: np.random.Generator) -> np.ndarray:
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(roll)
     turn[:, 1, 0], turn[:, 0, 1], turn[:, 2, 2] = np.sin(roll), -np.sin(roll), 1.0
     turned[:, :3, :3] = turned[:, :3, :3] @ turn
-    return posture(ARM, turned, CELL.robot.status, LIMITS, HOME)
+    return NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(turned)

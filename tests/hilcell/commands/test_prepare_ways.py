@@ -13,7 +13,7 @@ import pytest
 from hilcell.calibration.tip import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx
-from hilcell.geometry.inverse import posture
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 from hilcell.programs.plan import Volume
@@ -83,10 +83,9 @@ def motions(
         for name, numbers in POINT.findall((folder / f"{station}.dat").read_text("latin-1"))
     }
     names = list(points)
-    joints = posture(
-        arm, inverse(base) @ np.array(list(points.values())), robot.status,
-        robot.margin_limits_rad - np.radians([[1.0], [-1.0]]), home_rad,
-    )  # fmt: skip
+    limits_rad = robot.margin_limits_rad - np.radians([[1.0], [-1.0]])
+    nominal = NominalRobot(arm, robot.status, limits_rad, home_rad)
+    joints = nominal.joints_for(inverse(base) @ np.array(list(points.values())))
     joints_rad = dict(zip(names, joints, strict=True)) | {"XHOME": np.radians(robot.safe_deg)}
     here_rad = joints_rad["XHOME"]
     for word, name in MOTION.findall((folder / f"{station}.src").read_text("latin-1")):

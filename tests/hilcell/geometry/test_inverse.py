@@ -11,13 +11,11 @@ from scipy.spatial.transform import Rotation
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.inverse import (
+    NominalRobot,
     ReachError,
     inverse_kinematics,
     joint_jacobian,
     nearest_turns,
-    posture,
-    reach_excess_mm,
-    reachable,
     refined,
     status_of,
 )
@@ -73,7 +71,7 @@ def test_joints_return_by_their_status(design: Arm, seed: int, sign: list[float]
 def test_every_reachable_status_is_a_posture_of_the_pose(design: Arm, seed: int) -> None:
     poses = forward(design, joints_of(seed, 5))
     for status in range(8):
-        ok = reach_excess_mm(design, poses, status) == 0
+        ok = NominalRobot(design, status, LIMITS, HOME).excess_mm(poses) == 0
         joints = inverse_kinematics(design, poses[ok], status)
         np.testing.assert_allclose(forward(design, joints), poses[ok], atol=1e-7)
         assert (status_of(design, joints) == status).all()
@@ -81,11 +79,13 @@ def test_every_reachable_status_is_a_posture_of_the_pose(design: Arm, seed: int)
 
 def test_home_of_the_paper_cell_has_status_6() -> None:
     assert status_of(ARM, HOME) == 6
-    np.testing.assert_allclose(posture(ARM, forward(ARM, HOME), 6, LIMITS, HOME), HOME, atol=1e-9)
+    np.testing.assert_allclose(
+        NominalRobot(ARM, 6, LIMITS, HOME).joints_for(forward(ARM, HOME)), HOME, atol=1e-9
+    )
 
 
 def test_whole_cube_keeps_within_limits_in_status_6() -> None:
-    joints = posture(ARM, cube(), 6, LIMITS, HOME)
+    joints = NominalRobot(ARM, 6, LIMITS, HOME).joints_for(cube())
     room = np.radians(15.0)
     assert ((joints > LIMITS[0] + room) & (joints < LIMITS[1] - room)).all()
     assert np.ptp(joints[:, 3]) < np.radians(75)  # no half turns of A4 from target to target
@@ -96,7 +96,7 @@ def test_message_names_the_first_unreachable_poses_and_by_how_much() -> None:
     with pytest.raises(ReachError, match="pose 2"):
         inverse_kinematics(ARM, poses, 6)
     wrist_mm = np.hypot(9000 - 127 - 215 - 330, 1000 + 98 - 645)
-    excess = reach_excess_mm(ARM, poses, 6)
+    excess = NominalRobot(ARM, 6, LIMITS, HOME).excess_mm(poses)
     assert excess[0] == excess[2] == 0
     assert excess[1] == pytest.approx(wrist_mm - 1150 - np.hypot(115, 1220), abs=1e-6)
 
@@ -104,19 +104,22 @@ def test_message_names_the_first_unreachable_poses_and_by_how_much() -> None:
 def test_nan_is_never_reachable() -> None:
     pose = cube()[0]
     pose[0, 3] = np.nan
-    assert not reachable(ARM, pose, 6, LIMITS, HOME)
+    assert not NominalRobot(ARM, 6, LIMITS, HOME).reachable(pose)
     with pytest.raises(ReachError):
         inverse_kinematics(ARM, pose, 6)
     with pytest.raises(ReachError):
-        posture(ARM, pose, 6, LIMITS, HOME)
+        NominalRobot(ARM, 6, LIMITS, HOME).joints_for(pose)
 
 
-def test_limits_are_named() -> None:
-    joints = np.radians([0.0, -90, 90, 0, -30, 0])
+@pytest.mark.parametrize(("end", "limit_deg"), [(1, 80.0), (0, 100.0)])
+def test_limits_are_named(end: int, limit_deg: float) -> None:
+    pose = forward(ARM, np.radians([0.0, -90, 90, 0, -30, 0]))
     tight = LIMITS.copy()
-    tight[1, 2] = np.radians(80)
+    tight[end, 2] = np.radians(limit_deg)
+    robot = NominalRobot(ARM, 6, tight, HOME)
+    assert not robot.reachable(pose)
     with pytest.raises(ReachError, match=r"pose 1 A3 90\.00 deg"):
-        posture(ARM, forward(ARM, joints), 6, tight, HOME)
+        robot.joints_for(pose)
 
 
 def test_status_out_of_range_is_refused() -> None:
@@ -159,7 +162,7 @@ def test_refined_inverse_of_a_crooked_arm(seed: int) -> None:
         alpha_rad=ARM.alpha_rad + rng.normal(0, 2e-3, 6),
         beta_rad=rng.normal(0, 2e-3, 6),
     )
-    start = posture(ARM, cube(), 6, LIMITS, HOME)
+    start = NominalRobot(ARM, 6, LIMITS, HOME).joints_for(cube())
     joints, arrived = refined(true, cube(), start)
     assert arrived.all()
     np.testing.assert_allclose(forward(true, joints), cube(), atol=1e-6)

@@ -10,7 +10,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.surroundings import KeepOut
 from hilcell.cell.tables import Pose
 from hilcell.geometry.frames import apply
-from hilcell.geometry.inverse import posture
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import forward, link_transforms
 from hilcell.ports import Array
 from hilcell.programs.drilling import Clearance, Part
@@ -64,7 +64,9 @@ def straight(*boxes: KeepOut, aside_mm: float = 0.0) -> str:
     poses = np.tile(T, (11, 1, 1))
     poses[:, :3, 3] += np.linspace(100.0, 0.0, 11)[:, None] * outward
     robot = CELL.robot
-    joints_rad = posture(ARM, poses, robot.status, robot.margin_limits_rad, HOME_RAD)
+    joints_rad = NominalRobot(ARM, robot.status, robot.margin_limits_rad, HOME_RAD).joints_for(
+        poses
+    )
     holes = apply(T_W_B, T[None, :3, 3])
     normals = np.array([T_W_B[:3, :3] @ outward])
     if aside_mm:

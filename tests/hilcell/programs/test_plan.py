@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import Station, load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
-from hilcell.geometry.inverse import posture, reachable
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import Holes, tools_against
 from hilcell.programs.plan import along_rail, plan, ratio, reach
@@ -49,7 +49,7 @@ def wall(seed: int, count: int, half_width_mm: float = 2000.0) -> Holes:
 def reaches(station: Station, holes: Holes, number: int) -> bool:
     """Whether any turn of the tool brings it to the hole, judged pose by pose."""
     back = inverse(CELL.layout.nominal_base(station.rail_mm))
-    ok = reachable(ARM, back @ holes.poses()[number], CELL.robot.status, LIMITS, HOME)
+    ok = NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).reachable(back @ holes.poses()[number])
     return bool(ok.any())
 
 
@@ -90,7 +90,7 @@ def test_poses_are_within_limits_and_drill_against_the_normal(seed: int, count: 
     for each in plan(CELL, holes).stations:
         poses = np.array([pose_from_zyx(*row) for row in each.poses])
         back = inverse(CELL.layout.nominal_base(each.station.rail_mm))
-        posture(ARM, back @ poses, CELL.robot.status, LIMITS, HOME)
+        NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(back @ poses)
         for pose, name in zip(poses, each.holes, strict=True):
             number = holes.names.index(name)
             np.testing.assert_allclose(pose[:3, 3], holes.points_mm[number], atol=1e-9)
@@ -104,8 +104,8 @@ def test_the_turn_with_most_room_is_taken() -> None:
     for number in range(10):
         rooms = []
         for pose in holes.poses()[number]:
-            if reachable(ARM, back @ pose, CELL.robot.status, LIMITS, HOME):
-                joints = posture(ARM, back @ pose, CELL.robot.status, LIMITS, HOME)
+            if NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).reachable(back @ pose):
+                joints = NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(back @ pose)
                 to_limits = np.minimum(joints - LIMITS[0], LIMITS[1] - joints).min()
                 rooms.append(min(to_limits, abs(joints[4])))
             else:
