@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -140,10 +141,7 @@ class AxisSweeps:
         record = session.log.streams[key]
         data = read_stream(session.folder, record)
         T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world(record.set_up)
-        return SweepStream(
-            data.device_s, apply(T_B_L, data.xyz_mm), data.window_s, data.joints_rad, data.asked_s,
-            data.stamped_s,
-        )  # fmt: skip
+        return replace(data, xyz_mm=apply(T_B_L, data.xyz_mm))
 
     def _record(self, session: CellSession, order: SweepOrder) -> None:
         """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""

@@ -32,7 +32,7 @@ class SweepStream:
     RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
 
     device_s: Array  # (N,) the tracker's own clock
-    xyz_mm: Array  # (N, 3) in {B}
+    xyz_mm: Array  # (N, 3) in {B}; as the file has it, in the tracker's frame
     window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
     joints_rad: Array  # (M, 6)
     asked_s: Array  # (M, 2) the cell's clock before and after each exchange

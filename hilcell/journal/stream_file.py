@@ -19,16 +19,16 @@ import os
 import re
 import secrets
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilcell.identification.motion import SweepStream
 from hilcell.journal.journal import FETCH, StorageError, is_there
 from hilcell.model.events import StreamRecorded
-from hilcell.ports import Array, JointSample, NoReading, StreamBlock
+from hilcell.ports import JointSample, NoReading, StreamBlock
 
 FORM = 1  # of the file; to be raised whenever its arrays change
 FOLDER = "streams"
@@ -40,18 +40,6 @@ JOINTS = np.dtype(
     [("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8"), ("device_s", "<f8")]
 )
 Rows = NDArray[np.void]
-
-
-@dataclass(frozen=True)
-class StreamData:
-    """A stream, read back: samples of the tracker and joints of the robot, in order of time."""
-
-    device_s: Array  # (N,) the tracker's own clock
-    xyz_mm: Array  # (N, 3) the tracker's frame
-    window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
-    joints_rad: Array  # (M, 6)
-    asked_s: Array  # (M, 2) the cell's clock before and after each exchange
-    stamped_s: Array  # (M,) the controller's own clock; NaN where it does not say
 
 
 class StreamFile:
@@ -170,8 +158,11 @@ class StreamFile:
         )
 
 
-def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
-    """Return a stream by its journal's record; raises `StorageError` where it is another's."""
+def read_stream(run_folder: Path, record: StreamRecorded) -> SweepStream:
+    """Return a stream, in the tracker's frame, by its journal's record.
+
+    Raises `StorageError` where it is another's.
+    """
     path = run_folder / FOLDER / Path(record.file).name
     if record.form != FORM:
         raise StorageError(
@@ -197,7 +188,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
         rows = np.lib.format.read_array(source, allow_pickle=False)
         found[rows.dtype].append(rows)
     samples, joints = (np.concatenate(found[kind]) for kind in (SAMPLES, JOINTS))
-    return StreamData(
+    return SweepStream(
         samples["device_s"],
         samples["xyz_mm"],
         np.column_stack([samples["after_s"], samples["by_s"]]),

@@ -7,42 +7,40 @@ displayed reading is no interlock. It may be old; motions take their own.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Generic, TypeVar
+from functools import partial
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 
+from hilcell import ports
 from hilcell.cell.devices import Devices, streams_of, sweeps_of, turning_over
+from hilcell.cell.file import Cell, Station
 from hilcell.errors import DriverDefect, HilcellError, with_place
-from hilcell.ports import (
-    Array,
-    Clock,
-    DeviceError,
-    Identity,
-    LinkStatistics,
-    NoReading,
-    Rail,
-    RailReading,
-    Robot,
-    RobotReading,
-    Stream,
-    StripLost,
-    Sweep,
-    Tracker,
-    TrackerReading,
+from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, StripLost
+from hilcell.run.control import DeviceStatus, Interlock
+from hilcell.run.interlocks import (
+    RAIL_BLOCKED,
+    ROBOT_BLOCKED,
+    TOO_OLD,
+    Blocked,
+    check_held,
+    check_safe_pose,
+    check_still,
 )
-from hilcell.run.control import DeviceStatus
 
-D = TypeVar("D", Rail, Robot, Tracker)
-Reading = TypeVar("Reading", RailReading, RobotReading, TrackerReading)
+D = TypeVar("D", ports.Rail, ports.Robot, ports.Tracker)
+Reading = TypeVar("Reading", ports.RailReading, ports.RobotReading, ports.TrackerReading)
 
 
-class DeviceMonitor:
+class DeviceMonitor(Generic[Reading]):
     """The known state of one device: written by the worker alone, read by any thread."""
 
-    def __init__(self, device: str, clock: Clock) -> None:
+    def __init__(self, device: str, kind: type[Reading], clock: Clock) -> None:
         self._device, self._clock = device, clock
+        self._kind: type[Reading] = kind
+        self._reading: Reading | None = None  # the last one
         self.moving = False
         self.reason = ""  # why the device is lost
         self.error: DeviceError | None = None  # by which it is
@@ -79,16 +77,16 @@ class DeviceMonitor:
             except Exception as error:  # whatever a driver raises is its defect
                 raise DriverDefect(self._device, with_place(error)) from error
 
-    def sound(self, found: Reading, kind: type[Reading]) -> Reading:
-        """Return what a driver returned as a reading; raises `DriverDefect` where it is none."""
-        if not isinstance(found, kind):
-            problem = f"its driver returned {type(found).__name__}, expected {kind.__name__}"
+    def take(self, found: Reading) -> None:
+        """Take what a driver returned as a reading; raises `DriverDefect` where it is none."""
+        if not isinstance(found, self._kind):
+            problem = f"its driver returned {type(found).__name__}, expected {self._kind.__name__}"
             raise DriverDefect(self._device, problem)
         ahead_s = found.taken_s - self._clock.pc_s()
         if ahead_s > 0.0:  # NaN is refused where its age is judged
             problem = f"a reading is {ahead_s:.3f} s ahead of now; taken_s is clock.pc_s()"
             raise DriverDefect(self._device, problem)
-        return found
+        self._reading = found
 
     def identified(self, found: object) -> list[Identity]:
         """Return the identities; raises `DriverDefect` for anything but a list of them."""
@@ -96,6 +94,20 @@ class DeviceMonitor:
             return found
         problem = f"connect returned {type(found).__name__}, expected a list of Identity"
         raise DriverDefect(self._device, problem)
+
+    def known(self, operation: str) -> Reading:
+        """Return the last reading; raises `Blocked` where the device moves or it is old."""
+        device, name, reading = self._device, self._device.lower(), self._reading
+        if self.moving:
+            code = "HC-R41" if device == "Rail" else "HC-B31"
+            raise Blocked(code, device, operation, f"the {name} is moving", wanted="at rest")
+        if reading is None:
+            raise Blocked(TOO_OLD[device], device, operation, f"the {name} was not read yet")
+        age_s = self._clock.pc_s() - reading.taken_s
+        if not -0.001 <= age_s <= 5.0:  # it is read again before anything moves
+            found = f"the {name} was last read {age_s:.0f} s ago"
+            raise Blocked(TOO_OLD[device], device, operation, found, fields={"age_s": age_s})
+        return reading
 
     def status(self) -> DeviceStatus:
         state, age_s = "unknown", None
@@ -105,18 +117,26 @@ class DeviceMonitor:
         return DeviceStatus(state, age_s, self.text, self.reason)
 
 
+Monitor: TypeAlias = (
+    DeviceMonitor[ports.RailReading]
+    | DeviceMonitor[ports.RobotReading]
+    | DeviceMonitor[ports.TrackerReading]
+)
+
+
 class CellMonitor:
     """The monitors of a cell's devices, and the devices as the run uses them."""
 
     REFRESH_S = 0.5
 
-    def __init__(self, devices: Devices, clock: Clock, *, has_rail: bool = True) -> None:
-        self._has_rail = has_rail
-        self.rail, self.strip = DeviceMonitor("Rail", clock), DeviceMonitor("Strip", clock)
-        self.robot = DeviceMonitor("Robot", clock)
-        self.tracker = DeviceMonitor("Tracker", clock)
-        self.rail_reading: RailReading | None = None
-        self.robot_reading: RobotReading | None = None
+    def __init__(self, devices: Devices, clock: Clock, cell: Cell) -> None:
+        self._cell = cell
+        self.rail = DeviceMonitor("Rail", ports.RailReading, clock)
+        self.strip = DeviceMonitor("Strip", ports.RailReading, clock)
+        self.robot = DeviceMonitor("Robot", ports.RobotReading, clock)
+        self.tracker = DeviceMonitor("Tracker", ports.TrackerReading, clock)
+        self._monitors: dict[str, Monitor] = {"rail": self.rail, "strip": self.strip}
+        self._monitors |= {"robot": self.robot, "tracker": self.tracker}
         self.devices = Devices(
             _WatchedRail(devices.rail, self.rail, self),
             _WatchedRobot(devices.robot, self.robot, self),
@@ -143,28 +163,28 @@ class CellMonitor:
     @property
     def lost(self) -> dict[str, DeviceError]:
         """Return, by name, the devices that did not answer when they were last asked."""
-        monitors = {"rail": self.rail, "robot": self.robot, "tracker": self.tracker}
-        return {name: each.error for name, each in monitors.items() if each.error is not None}
+        devices = {name: each for name, each in self._monitors.items() if name != "strip"}
+        return {name: each.error for name, each in devices.items() if each.error is not None}
 
-    def take_rail(self, reading: RailReading) -> RailReading:
+    def take_rail(self, reading: ports.RailReading) -> ports.RailReading:
         """Show a reading of the rail, which carries the strip's."""
-        self.rail_reading = self.rail.sound(reading, RailReading)
+        self.rail.take(reading)
         how = "power on" if reading.powered else "held"
         moves = "" if reading.still else f", {reading.velocity_mm_s:.1f} mm/s"
         self.rail.show(f"{reading.position_mm:.2f} mm, {how}{moves}", reading.taken_s)
         self.strip.show(f"{reading.strip_mm:.2f} mm", reading.taken_s)
         return reading
 
-    def take_robot(self, reading: RobotReading) -> RobotReading:
-        self.robot_reading = self.robot.sound(reading, RobotReading)
+    def take_robot(self, reading: ports.RobotReading) -> ports.RobotReading:
+        self.robot.take(reading)
         joints = " ".join(f"{value:.1f}" for value in np.degrees(reading.joints_rad))
         still = "at rest" if reading.still else "moves"
         self.robot.show(f"{still} at {joints} deg", reading.taken_s)
         return reading
 
-    def take_tracker(self, reading: TrackerReading) -> TrackerReading:
+    def take_tracker(self, reading: ports.TrackerReading) -> ports.TrackerReading:
         """Show a reading of the tracker; raises `DriverDefect` for other shapes than (3,)."""
-        self.tracker.sound(reading, TrackerReading)
+        self.tracker.take(reading)
         shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
         if shapes != ((3,), (3,)):
             found = " and ".join(map(str, shapes))
@@ -176,15 +196,42 @@ class CellMonitor:
         return reading
 
     def status(self) -> dict[str, DeviceStatus]:
-        of_rail = {"rail": self.rail, "strip": self.strip} if self._has_rail else {}
-        monitors = of_rail | {"robot": self.robot, "tracker": self.tracker}
-        return {name: monitor.status() for name, monitor in monitors.items()}
+        left_out = () if self._cell.has_rail else ("rail", "strip")
+        return {n: each.status() for n, each in self._monitors.items() if n not in left_out}
+
+    def interlocks(self, station: Station | None) -> list[Interlock]:
+        """Return for each interlock what blocks it, as far as it is known; ``station`` is held."""
+
+        def held(operation: str) -> None:
+            if self._cell.has_rail:
+                check_held(self._cell, self.rail.known(operation), station, operation)
+
+        def parked() -> None:
+            check_safe_pose(self._cell, self.robot.known(RAIL_BLOCKED))
+
+        def at_rest() -> None:
+            operation = "measurement blocked"
+            held(operation)
+            check_still(self.robot.known(operation), operation)
+
+        checks = [("rail move", parked)] if self._cell.has_rail else []
+        checks += [("robot move", partial(held, ROBOT_BLOCKED)), ("measurement", at_rest)]
+        return [_judged(*check) for check in checks]
+
+
+def _judged(name: str, check: Callable[[], None]) -> Interlock:
+    try:
+        check()
+    except Blocked as blocked:
+        wanted = f", wanted {blocked.wanted}" if blocked.wanted else ""
+        return Interlock(name, blocked.found + wanted, blocked.code)
+    return Interlock(name)
 
 
 class _Watched(Generic[D]):
     """A device as the run uses it. Its statistics, stop and close are not watched."""
 
-    def __init__(self, device: D, own: DeviceMonitor, monitor: CellMonitor) -> None:
+    def __init__(self, device: D, own: Monitor, monitor: CellMonitor) -> None:
         self._device: D = device
         self._own, self._monitor = own, monitor
 
@@ -202,7 +249,7 @@ class _Watched(Generic[D]):
         self._device.close()
 
 
-class _WatchedRail(_Watched[Rail]):
+class _WatchedRail(_Watched[ports.Rail]):
     """Satisfies `hilcell.ports.Rail`."""
 
     @contextmanager
@@ -224,11 +271,11 @@ class _WatchedRail(_Watched[Rail]):
         with self._call(moving=True):
             self._device.move_to(position_mm)
 
-    def settle(self) -> RailReading:
+    def settle(self) -> ports.RailReading:
         with self._call(moving=True):
             return self._monitor.take_rail(self._device.settle())
 
-    def read(self) -> RailReading:
+    def read(self) -> ports.RailReading:
         with self._call():
             return self._monitor.take_rail(self._device.read())
 
@@ -236,42 +283,42 @@ class _WatchedRail(_Watched[Rail]):
         with self._call():
             self._device.hold()
 
-    def statistics(self) -> LinkStatistics:
+    def statistics(self) -> ports.LinkStatistics:
         return self._device.statistics()
 
 
-class _WatchedRobot(_Watched[Robot]):
+class _WatchedRobot(_Watched[ports.Robot]):
     """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
 
-    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+    def move_to(self, joints_rad: Array, speed_percent: float) -> ports.RobotReading:
         with self._call(moving=True):
             return self._monitor.take_robot(self._device.move_to(joints_rad, speed_percent))
 
     @contextmanager
-    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[Sweep]:
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[ports.Sweep]:
         sweeps = sweeps_of(self._device)
         with self._own.watch(moving=True), sweeps.sweep(axis, end_rad, speed_rad_s) as sweep:
             yield sweep
 
-    def read(self) -> RobotReading:
+    def read(self) -> ports.RobotReading:
         with self._call():
             return self._monitor.take_robot(self._device.read())
 
 
-class _WatchedTracker(_Watched[Tracker]):
+class _WatchedTracker(_Watched[ports.Tracker]):
     """Satisfies `hilcell.ports.Tracker`, and `Streams` and `TwoFaces` where its tracker does."""
 
-    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> ports.TrackerReading:
         with self._call():
             return self._monitor.take_tracker(self._device.measure(near_mm, reflector, samples))
 
-    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> ports.TrackerReading:
         turning = turning_over(self._device)
         with self._call():
             return self._monitor.take_tracker(turning.measure_back(near_mm, reflector, samples))
 
     @contextmanager
-    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[ports.Stream]:
         streams = streams_of(self._device)
         with self._own.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
             yield stream

@@ -17,11 +17,9 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.model.events import ReadingTime
 from hilcell.ports import Array, Clock, DeviceError, RailReading, RobotReading
-from hilcell.run.control import Interlock
 
 SAFE_POSE_TOLERANCE_DEG = 0.1
 RAIL_BLOCKED, ROBOT_BLOCKED = "rail move blocked", "robot move blocked"
-MEASURE_BLOCKED = "measurement blocked"
 TOO_OLD = {"Rail": "HC-R40", "Robot": "HC-B30"}  # a reading, by device
 
 
@@ -94,7 +92,7 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
 
 def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     """Refuse a robot that moves or is not at its safe pose."""
-    _check_still(robot, RAIL_BLOCKED, wanted="at rest at its safe pose")
+    check_still(robot, RAIL_BLOCKED, wanted="at rest at its safe pose")
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
         worst = int(np.argmax(np.nan_to_num(off_deg, nan=np.inf)))
@@ -115,10 +113,11 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
 def check_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
     """Refuse a robot that moves: where its next motion starts is unknown."""
     check_age("Robot", ROBOT_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
-    _check_still(robot, ROBOT_BLOCKED)
+    check_still(robot, ROBOT_BLOCKED)
 
 
-def _check_still(robot: RobotReading, operation: str, wanted: str = "at rest") -> None:
+def check_still(robot: RobotReading, operation: str, wanted: str = "at rest") -> None:
+    """Refuse a robot that moves."""
     if not robot.still:
         raise Blocked("HC-B31", "Robot", operation, "the robot is moving", wanted=wanted)
 
@@ -182,65 +181,3 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
             wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
             fields={"axis": axis + 1, "angle_deg": np.degrees(joints_rad[axis])},
         )
-
-
-# -- for faces ------------------------------------------------------------------------------------
-
-
-def overview(
-    cell: Cell,
-    rail: RailReading | None,
-    robot: RobotReading | None,
-    *,
-    rail_moves: bool,
-    robot_moves: bool,
-    station: Station | None,
-    now_s: float,
-) -> list[Interlock]:
-    """Return for each interlock its name and what blocks it, for faces.
-
-    By last readings, devices that move now, and the station that is held.
-    """
-
-    def held(operation: str) -> None:
-        if cell.has_rail:
-            reading = _known("Rail", operation, rail, rail_moves, now_s)
-            check_held(cell, reading, station, operation)
-
-    def parked() -> None:
-        check_safe_pose(cell, _known("Robot", RAIL_BLOCKED, robot, robot_moves, now_s))
-
-    def at_rest() -> None:
-        held(MEASURE_BLOCKED)
-        _check_still(_known("Robot", MEASURE_BLOCKED, robot, robot_moves, now_s), MEASURE_BLOCKED)
-
-    of_rail = [_judged("rail move", parked)] if cell.has_rail else []
-    return [
-        *of_rail,
-        _judged("robot move", lambda: held(ROBOT_BLOCKED)),
-        _judged("measurement", at_rest),
-    ]
-
-
-def _known(device: str, operation: str, reading: R | None, moves: bool, now_s: float) -> R:
-    """Return a device's last reading, unless it moves now or the reading says nothing any more."""
-    name = device.lower()
-    if moves:
-        code = "HC-R41" if device == "Rail" else "HC-B31"
-        raise Blocked(code, device, operation, f"the {name} is moving", wanted="at rest")
-    if reading is None:
-        raise Blocked(TOO_OLD[device], device, operation, f"the {name} was not read yet")
-    age_s = now_s - reading.taken_s
-    if not -0.001 <= age_s <= 5.0:  # it is read again before anything moves
-        found = f"the {name} was last read {age_s:.0f} s ago"
-        raise Blocked(TOO_OLD[device], device, operation, found, fields={"age_s": age_s})
-    return reading
-
-
-def _judged(name: str, check: Callable[[], None]) -> Interlock:
-    try:
-        check()
-    except Blocked as blocked:
-        wanted = f", wanted {blocked.wanted}" if blocked.wanted else ""
-        return Interlock(name, blocked.found + wanted, blocked.code)
-    return Interlock(name)

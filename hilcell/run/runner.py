@@ -45,7 +45,6 @@ from hilcell.model.events import (
 from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status
-from hilcell.run.interlocks import overview
 from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import RunPlan
@@ -187,15 +186,7 @@ class Runner:
             pausing=asked and state in ("checking", "running"),
             devices=monitor.status(),
             link=asdict(self._worker.devices.rail.statistics()),
-            interlocks=overview(
-                self._plan.cell,
-                monitor.rail_reading,
-                monitor.robot_reading,
-                rail_moves=monitor.rail.moving,
-                robot_moves=monitor.robot.moving,
-                station=None if session is None else session.held,
-                now_s=self._clock.pc_s(),
-            ),
+            interlocks=monitor.interlocks(None if session is None else session.held),
             prompt=self._worker.prompt(),
             retakes=list(self.log.retakes),
         )

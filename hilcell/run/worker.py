@@ -181,7 +181,7 @@ class Worker:
         *,
         unattended: bool,
     ) -> None:
-        self.monitor = CellMonitor(devices, clock, has_rail=plan.cell.has_rail)
+        self.monitor = CellMonitor(devices, clock, plan.cell)
         self.devices = self.monitor.devices
         self.gate = PauseGate(lambda: send(AtRest()))
         self.asking = Asking(clock)

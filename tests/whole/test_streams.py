@@ -16,9 +16,10 @@ import pytest
 from fakes.simulator import Control, PaperCell
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
+from hilcell.identification.motion import SweepStream
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
-from hilcell.journal.stream_file import FOLDER, StreamData, read_stream
+from hilcell.journal.stream_file import FOLDER, read_stream
 from hilcell.ports import Array, DeviceError, NoReading, Stopped
 from tests.fakes.wires import C3Client, EmsconClient, connected
 from tests.whole.sweeper import KEY, START_RAD, Engine, engine, order
@@ -86,7 +87,7 @@ def files(folder: Path) -> list[str]:
     return sorted(path.suffix for path in (folder / FOLDER).glob("*"))
 
 
-def swept(cell: Cell, folder: Path, degrees: float = 4.0) -> tuple[StreamData, Engine]:
+def swept(cell: Cell, folder: Path, degrees: float = 4.0) -> tuple[SweepStream, Engine]:
     with engine(cell.address, folder) as found:
         record = found.bench.sweep(order(cell.near_mm, degrees))
         return read_stream(folder, record), found
@@ -109,7 +110,7 @@ def test_a_sweep_is_recorded_whole(tmp_path: Path, speed: float) -> None:
     assert found.log.streams[KEY].samples == len(data.device_s)
 
 
-def check_one_motion(data: StreamData) -> None:
+def check_one_motion(data: SweepStream) -> None:
     # The reflector turns about axis 1 as fast as the joint does: both streams tell one motion.
     axis_rad = data.joints_rad[:, 0]
     middle_s = data.asked_s.mean(axis=1)

@@ -33,7 +33,7 @@ class Board:
         assert isinstance(bare.robot, DeskRobot)
         assert isinstance(bare.tracker, DeskTracker)
         self.rail, self.robot, self.tracker = bare.rail, bare.robot, bare.tracker
-        self.monitor = CellMonitor(bare, self.clock)
+        self.monitor = CellMonitor(bare, self.clock, CELL)
         self.devices = self.monitor.devices
 
     def of(self, name: str) -> DeviceStatus:
@@ -60,9 +60,8 @@ def test_a_robot_that_sweeps_moves(board: Board) -> None:
         def sweep(self, *order: float) -> Iterator[Any]:
             yield order
 
-    monitor = CellMonitor(
-        Devices(board.rail, Sweeping(CELL, board.clock), board.tracker), board.clock
-    )
+    devices = Devices(board.rail, Sweeping(CELL, board.clock), board.tracker)
+    monitor = CellMonitor(devices, board.clock, CELL)
     moving = []
     with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
         moving.append(monitor.robot.moving)

@@ -9,14 +9,16 @@ import pytest
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import RailReading, RobotReading
 from hilcell.run.control import Interlock
+from hilcell.run.device_status import CellMonitor
 from hilcell.run.interlocks import (
     Blocked,
     check_joint_limits,
     check_strip,
-    overview,
     rail_may_move,
     robot_may_move,
 )
+from tests.clocks import DrivenClock
+from tests.hilcell.run.rig import desk
 
 CELL = load_cell("paper")
 S1100 = CELL.station_named("S1100")
@@ -111,15 +113,16 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
 
 
 def seen_now(cell: Cell, **changes: Any) -> list[Interlock]:
-    values: dict[str, Any] = {
-        "rail": rail(),
-        "robot": robot(),
-        "rail_moves": False,
-        "robot_moves": False,
-        "station": S1100,
-        "now_s": 10.1,
-    }
-    return overview(cell, **(values | changes))
+    values: dict[str, Any] = {"rail": rail(), "robot": robot(), "station": S1100} | changes
+    clock = DrivenClock(pc_at_s=10.1)
+    monitor = CellMonitor(desk(cell, clock), clock, cell)
+    if values["rail"] is not None:
+        monitor.take_rail(values["rail"])
+    if values["robot"] is not None:
+        monitor.take_robot(values["robot"])
+    monitor.rail.moving = values.get("rail_moves", False)
+    monitor.robot.moving = values.get("robot_moves", False)
+    return monitor.interlocks(values["station"])
 
 
 def blocked(**changes: Any) -> set[str]:

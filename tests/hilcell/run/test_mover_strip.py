@@ -132,7 +132,7 @@ def test_a_frozen_strip_is_not_believed_before_it_is_where_the_drive_is(
 
 def test_a_strip_that_is_lost_in_a_pause_is_shown_as_lost(bed: Bed) -> None:
     rail = rail_of(bed)
-    monitor = CellMonitor(bed.devices, bed.clock)
+    monitor = CellMonitor(bed.devices, bed.clock, CELL)
     rail.dirty = 1
     with pytest.raises(StripLost):
         monitor.devices.rail.read()
