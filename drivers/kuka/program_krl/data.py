@@ -160,16 +160,10 @@ class Datum:
         external = {name: number(name, fields[name]) for name in EXTERNAL if name in fields}
         return pose(self.name, fields) | external
 
-    def status(self) -> int | None:
-        """Return S where it is stated; raises `KrlError`."""
+    def bits(self) -> dict[str, int]:
+        """Return S and T where they are stated; raises `KrlError`."""
         fields = self.fields()
-        return self._bits("S", fields["S"]) if "S" in fields else None
-
-    def posture(self) -> int | None:
-        """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
-        fields = self.fields()
-        stated = {name: self._bits(name, fields[name]) for name in MOST if name in fields}
-        return stated["S"] if len(stated) == len(MOST) else None
+        return {name: self._bits(name, fields[name]) for name in MOST if name in fields}
 
     @staticmethod
     def _bits(name: str, tokens: Sequence[Token]) -> int:

@@ -33,7 +33,7 @@ from drivers.kuka.program_krl.data import (
 )
 from drivers.kuka.program_krl.flow import ExternalRule, Stop, kept_postures
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
-from drivers.kuka.program_krl.program import DATA, Kept, Program, Target
+from drivers.kuka.program_krl.program import DATA, Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.program_text import source_text
 from hilcell.cell.settings import SettingsError, unreadable
@@ -75,18 +75,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     reader.read()
     if reader.problems:
         raise SettingsError(source, reader.problems)
-    texts = {source: text} | ({name: content} if data else {})
-    targets, external = list(reader.targets.values()), reader.external
-    return Program(
-        texts,
-        targets,
-        reader.notes() + external.notes(),
-        reader.strokes(),
-        reader.base(),
-        reader.tool(),
-        external.slide(),
-        reader.kept(),
-    )
+    return reader.program({source: text} | ({name: content} if data else {}))
 
 
 class _Surely:
@@ -198,7 +187,7 @@ class _Reader:
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
         try:
-            self.problems += self.external.problems()
+            self.problems += self._external.problems()
         except KrlError as error:
             self.problems.append(f"{self._file}: {error}")
         self._check_called()
@@ -223,7 +212,28 @@ class _Reader:
             f"{more}; copy both files of the program into one folder"
         )
 
-    def strokes(self) -> list[Stroke]:
+    def program(self, texts: dict[str, str]) -> Program:
+        """Return what was read from ``texts``, by file name."""
+        base, tool, external = self._frames.base, self._frames.tool, self._external
+        stated_base = stated_tool = None
+        if base is not None and base.values is not None:
+            stated_base = StatedBase(f"{self._file} line {base.line}", base.values)
+        if tool is not None:
+            frame = None if tool.values is None else pose_from_zyx(*tool.values)
+            where = f"{self._file} line {tool.line}"
+            stated_tool = StatedTool(where, tool.text, tool.number, frame)
+        return Program(
+            texts,
+            list(self.targets.values()),
+            self._notes() + external.notes(),
+            self._strokes(),
+            stated_base,
+            stated_tool,
+            external.slide(),
+            kept_postures(self._file, self._blocks, self._stops, self.targets),
+        )
+
+    def _strokes(self) -> list[Stroke]:
         """Return the strokes, each from a target that it may start at."""
         keys = list(self.targets)
         found = []
@@ -236,30 +246,11 @@ class _Reader:
         return found
 
     @cached_property
-    def external(self) -> ExternalRule:
+    def _external(self) -> ExternalRule:
         """Return where the external axes stand at the targets."""
         return ExternalRule(self._file, self._blocks, self._stops, self.targets)
 
-    def kept(self) -> list[Kept]:
-        """Return the targets that are reached in the posture of a motion before."""
-        return kept_postures(self._file, self._blocks, self._stops, self.targets)
-
-    def base(self) -> StatedBase | None:
-        """Return the base whose place the program states."""
-        base = self._frames.base
-        if base is None or base.values is None:
-            return None
-        return StatedBase(f"{self._file} line {base.line}", base.values)
-
-    def tool(self) -> StatedTool | None:
-        """Return the tool that the program sets."""
-        tool = self._frames.tool
-        if tool is None:
-            return None
-        frame = None if tool.values is None else pose_from_zyx(*tool.values)
-        return StatedTool(f"{self._file} line {tool.line}", tool.text, tool.number, frame)
-
-    def notes(self) -> list[str]:
+    def _notes(self) -> list[str]:
         """Return the parts that were left as they are, and those that reach further."""
         used = {target.name for target in self.targets.values()}
         shared = [
@@ -400,15 +391,14 @@ class _Reader:
             stops.append(Stop(key, values, target.status))
 
     def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
-        posture = status = None
         try:
-            numbers = datum.numbers()
-            if by_joints:
-                posture, status = datum.posture(), datum.status()
+            numbers, bits = datum.numbers(), datum.bits() if by_joints else {}
         except KrlError as error:
             if datum.file == self._file:
                 raise
             raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
+        status = bits.get("S")
+        posture = status if "T" in bits else None
         return Target(datum.name, datum.file, datum.line, numbers, posture, status)
 
     def _check_calls(self, statement: Statement) -> None:

@@ -18,7 +18,7 @@ tool by the frame data that ``FDAT_ACT`` was last set to, whatever was set since
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import NamedTuple
 
 from drivers.kuka.krl import POSE
@@ -63,7 +63,26 @@ class Stated(NamedTuple):
         return self.frame == other.frame
 
 
-RESET, FORM, APPLY = "reset", "form", "apply"  # settings beside those of a base or tool
+class Modal(NamedTuple):
+    """Base and tool in force, None as they were before the program, and those of FDAT_ACT."""
+
+    base: Stated | None = None
+    tool: Stated | None = None
+    form: tuple[Stated, Stated] | None = None
+
+    @property
+    def frames(self) -> Hashable:
+        """Return its frames without where they are set."""
+        found = self.base, self.tool, *(self.form or (None, None))
+        return tuple(None if each is None else each.frame for each in found)
+
+    def by_form(self, form: tuple[Stated, Stated], line: int) -> Modal:
+        """Return base and tool as FDAT_ACT has them, by the statement that changed them."""
+        base, tool = (
+            before if before is not None and before.same(each) else each._replace(line=line)
+            for before, each in zip((self.base, self.tool), form, strict=True)
+        )
+        return Modal(base, tool, form)
 
 
 class FrameRule:
@@ -76,9 +95,8 @@ class FrameRule:
         self._set: dict[str, Stated] = {}
         self._form: tuple[str, int] | None = None  # frame data in force, and their line
         self._forms_used: tuple[str, int] | None = None
-        self._form_base: Stated | None = None
-        self._form_tool: Stated | None = None
-        self.settings: dict[int, list[tuple[str, Stated | str]]] = {}  # by their line
+        self._form_frames: tuple[Stated, Stated] | None = None  # of the first motion by form
+        self._settings: dict[int, list[Callable[[Modal], Modal]]] = {}  # by their line
         self.motions: dict[int, tuple[str, str]] = {}  # by line: base's and tool's form by WITH
         self._changed: dict[str, int] = {}  # names that are assigned, by their first line
         self.frames_used = set[str]()  # of the data list, which stand for a base or tool
@@ -87,11 +105,11 @@ class FrameRule:
 
     @property
     def base(self) -> Stated | None:
-        return self._set.get("base") or self._form_base
+        return self._set.get("base") or (self._form_frames and self._form_frames[0])
 
     @property
     def tool(self) -> Stated | None:
-        return self._set.get("tool") or self._form_tool
+        return self._set.get("tool") or (self._form_frames and self._form_frames[1])
 
     @property
     def by_form(self) -> bool:
@@ -104,7 +122,7 @@ class FrameRule:
         Raises `KrlError`.
         """
         self._unsure, tokens = unsure, statement.tokens
-        self.settings[statement.line] = []
+        self._settings[statement.line] = []
         for at, token in enumerate(tokens):
             if token.word == "BAS" and at + 1 < len(tokens) and tokens[at + 1].text == "(":
                 self._bas(tokens[at + 2 : closing(tokens, at + 1)], statement.line)
@@ -124,13 +142,7 @@ class FrameRule:
             return
         name, set_on = form
         numbers = self._numbers(name)
-        fields = self._data.data[name].fields()
-        self._form_tool = self._form_tool or self._numbered(
-            "tool", fields["TOOL_NO"], line, f"{name}, TOOL_NO", by=f" by {name}"
-        )
-        self._form_base = self._form_base or self._numbered(
-            "base", fields["BASE_NO"], line, f"{name}, BASE_NO", by=f" by {name}"
-        )
+        self._form_frames = self._form_frames or self._numbered_by(name, line)
         if self._set:
             what, stated = next(iter(self._set.items()))
             raise KrlError(
@@ -152,14 +164,25 @@ class FrameRule:
     def of_form(self, name: str, line: int) -> tuple[Stated, Stated]:
         """Return base and tool of frame data, which may be known to other files alone."""
         try:
-            fields = self._data.data[name].fields()
-            return (
-                self._numbered("base", fields["BASE_NO"], line, name, by=f" by {name}"),
-                self._numbered("tool", fields["TOOL_NO"], line, name, by=f" by {name}"),
-            )
+            return self._numbered_by(name, line)
         except (KeyError, KrlError):
             text = f"that of {name or 'FDAT_ACT'}, which is not in these files"
             return Stated(line, text, None), Stated(line, text, None)
+
+    def after(self, line: int, state: Modal) -> Modal:
+        """Return what the statement of a line leaves in force."""
+        for change in self._settings.get(line, ()):
+            state = change(state)
+        return state
+
+    def _numbered_by(self, name: str, line: int) -> tuple[Stated, Stated]:
+        """Return base and tool of frame data; raises `KeyError`, `KrlError`."""
+        fields = self._data.data[name].fields()
+        tool, base = (
+            self._numbered(what, fields[number], line, f"{name}, {number}", by=f" by {name}")
+            for what, number in (("tool", "TOOL_NO"), ("base", "BASE_NO"))
+        )
+        return base, tool
 
     def _numbers(self, name: str) -> str:
         datum = self._data.data.get(name)
@@ -191,9 +214,15 @@ class FrameRule:
                 "them"
             )
         elif first == "#INITMOV":
-            self.settings[line].append((RESET, ""))
+            self._settings[line].append(lambda state: Modal(form=state.form))
         elif first in ("#FRAMES", "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
-            self.settings[line].append((APPLY, ""))
+            self._settings[line].append(
+                lambda state: (
+                    state.by_form(state.form or self.of_form("", line), line)
+                    if any(state)
+                    else state
+                )
+            )
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:
         if name in NEVER_SET:
@@ -202,8 +231,8 @@ class FrameRule:
         if name == "FDAT_ACT":
             if len(rest) != 2 or rest[0].text != "=" or rest[1].kind != "word":
                 raise KrlError(f"{name}{quoted(rest)} sets a base that is not in the .dat file")
-            self._form = (rest[1].word, line)
-            self.settings[line].append((FORM, rest[1].word))
+            form, _ = self._form = (rest[1].word, line)
+            self._settings[line].append(lambda state: state.by_form(self.of_form(form, line), line))
         elif name == "$IPO_MODE" and text_of(rest) != "=#BASE":
             raise KrlError("$IPO_MODE: the workpiece is carried by the robot")
         elif name in ("$BASE", "$TOOL"):
@@ -265,7 +294,11 @@ class FrameRule:
         return Stated(line, text, stated, None if stated else self.NULL)
 
     def _set_once(self, what: str, stated: Stated) -> None:
-        self.settings[stated.line].append((what, stated))
+        self._settings[stated.line].append(
+            lambda state: (
+                state._replace(base=stated) if what == "base" else state._replace(tool=stated)
+            )
+        )
         known = self._set.get(what)
         if known is not None:
             if known.same(stated):
@@ -310,30 +343,6 @@ def assigned_at(tokens: Sequence[Token], at: int) -> bool:
     return at < len(tokens) and tokens[at].text == "="
 
 
-class Modal(NamedTuple):
-    """Base and tool in force, None as they were before the program, and those of FDAT_ACT."""
-
-    base: Stated | None = None
-    tool: Stated | None = None
-    form: tuple[Stated, Stated] | None = None
-
-    @property
-    def frames(self) -> Hashable:
-        """Return its frames without where they are set."""
-        found = self.base, self.tool, *(self.form or (None, None))
-        return tuple(None if each is None else each.frame for each in found)
-
-    def applied(self, line: int) -> Modal:
-        """Return base and tool as FDAT_ACT has them, by the statement that changed them."""
-        if self.form is None:
-            return self
-        base, tool = (
-            before if before is not None and before.same(each) else each._replace(line=line)
-            for before, each in zip((self.base, self.tool), self.form, strict=True)
-        )
-        return self._replace(base=base, tool=tool)
-
-
 def check_modal(
     file: str, blocks: Mapping[str, Sequence[Statement]], frames: FrameRule
 ) -> list[str]:
@@ -357,7 +366,7 @@ def check_modal(
         )
 
     def step(statement: Statement, before: Modal) -> list[Modal]:
-        line, after = statement.line, _set(frames, statement.line, before)
+        line, after = statement.line, frames.after(statement.line, before)
         if line in frames.motions:
             base, tool = frames.motions[line]
             judge(statement, "tool", frames.of_form(tool, line)[1] if tool else after.tool,
@@ -369,19 +378,3 @@ def check_modal(
 
     Flow(blocks, step, lambda state: state.frames).follow(Modal())
     return [found[line] for line in sorted(found)]
-
-
-def _set(frames: FrameRule, line: int, state: Modal) -> Modal:
-    """Return what the statement of a line leaves in force."""
-    for what, value in frames.settings.get(line, ()):
-        if what == RESET:
-            state = Modal(form=state.form)
-        elif what == FORM:
-            state = state._replace(form=frames.of_form(str(value), line)).applied(line)
-        elif what == APPLY and (state.form or state.base or state.tool):
-            state = state._replace(form=state.form or frames.of_form("", line)).applied(line)
-        elif isinstance(value, Stated) and what == "base":
-            state = state._replace(base=value)
-        elif isinstance(value, Stated):
-            state = state._replace(tool=value)
-    return state

@@ -1,11 +1,11 @@
 """In which base and tool each motion of a KRL program runs, whatever way led to it."""
 
-from unittest.mock import Mock
+from unittest.mock import patch
 
 import pytest
 
-from drivers.kuka.program_krl import frames
 from drivers.kuka.program_krl.files import read_program
+from drivers.kuka.program_krl.frames import FrameRule
 from tests.drivers.program_krl.test_program import P1, P2, one, refusal
 
 DAT = P1 + P2 + "".join(
@@ -113,10 +113,9 @@ def test_an_interrupt_may_change_base_and_tool_at_any_time() -> None:
     assert "drill.src line 5: LIN may run in another" in refusal(body, DAT)
 
 
-def test_branches_cost_the_same_each(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_branches_cost_the_same_each() -> None:
     """600 branches with inline forms took 268 s: each branch was followed for all before it."""
-    steps = Mock(side_effect=frames._set)
-    monkeypatch.setattr(frames, "_set", steps)
+    after = FrameRule.after
     counted = []
     for branches in (20, 40):
         names = range(branches)
@@ -126,9 +125,9 @@ def test_branches_cost_the_same_each(monkeypatch: pytest.MonkeyPatch) -> None:
             f"DECL E6POS XP{n}={{X 1000,Y {n},Z 1200,A 0,B 75,C 0,S 6,T 2}}"
             for n in names
         ]
-        steps.reset_mock()
         src = "\n".join(["DEF p()", *body, "END", ""])
         dat = "\n".join(["DEFDAT p", *data, "ENDDAT"])
-        assert len(read_program("p.src", src, ("p.dat", dat)).targets) == branches
+        with patch.object(FrameRule, "after", autospec=True, side_effect=after) as steps:
+            assert len(read_program("p.src", src, ("p.dat", dat)).targets) == branches
         counted.append(steps.call_count)
     assert counted[1] < 2.2 * counted[0]
