@@ -76,53 +76,61 @@ class Rest:
     alarms: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Unrest:
-    """The most that the polls of the last dwell have shown, in their units."""
-
-    speed: float
-    spread: float
-    strip_spread: int
-
-
 class Standstill:
-    """The polls since the slide last moved, in the cell's time."""
+    """The polls of the last dwell, in the cell's time, and those since the slide last moved."""
 
     HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
         self._polls: deque[tuple[float, Poll]] = deque()
-        self._recent: deque[tuple[float, Poll]] = deque()  # of a dwell, all of them
+        self._still: list[tuple[float, Poll]] = []  # the newest first
 
     def forget(self) -> None:
         """Begin again: the slide is about to move."""
         self._polls.clear()
-        self._recent.clear()
+        self._still = []
 
     def take(self, poll: Poll, now_s: float) -> None:
-        """Take a poll made at ``now_s``, and drop those that no longer count."""
-        self._recent.append((now_s, poll))
-        self._drop_needless(self._recent, now_s)
-        if not abs(poll.velocity) <= self._windows.speed:
-            self._polls.clear()
-            return
-        self._polls.append((now_s, poll))
-        self._drop_moved()
-        self._drop_needless(self._polls, now_s)
+        """Take a poll made at ``now_s``; drop those that neither dwell nor medians need."""
+        polls = self._polls
+        polls.append((now_s, poll))
+        while not now_s - polls[0][0] <= self.HISTORY_S:
+            polls.popleft()
+        while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:
+            polls.popleft()
+        self._still = self._newest_within()
+
+    def _newest_within(self) -> list[tuple[float, Poll]]:
+        """Return the newest polls whose speeds and positions all lie within the windows."""
+        windows, found = self._windows, list[tuple[float, Poll]]()
+        positions: list[float] = []
+        strips: list[int] = []
+        for at_s, poll in reversed(self._polls):
+            positions.append(poll.position)
+            if not poll.alarms:
+                strips.append(poll.strip)
+            if not (
+                abs(poll.velocity) <= windows.speed
+                and max(positions) - min(positions) <= windows.spread
+                and max(strips, default=0) - min(strips, default=0) <= windows.strip_spread
+            ):
+                break
+            found.append((at_s, poll))
+        return found
 
     @property
     def begun(self) -> bool:
         """Whether the speed of the newest poll lies within its window."""
-        return bool(self._polls)
+        return bool(self._still)
 
     @property
     def rest(self) -> Rest | None:
         """Return where the slide stands; None while it moves or is not known to stand."""
-        polls = self._polls
-        if len(polls) < READINGS or not polls[-1][0] - polls[0][0] >= self._windows.dwell_s:
+        still = self._still
+        if len(still) < READINGS or not still[0][0] - still[-1][0] >= self._windows.dwell_s:
             return None
-        last = [poll for _, poll in polls][-READINGS:]
+        last = [poll for _, poll in still[:READINGS]]
         return Rest(
             median(poll.position for poll in last),
             median(poll.strip for poll in last),
@@ -130,40 +138,15 @@ class Standstill:
         )
 
     @property
-    def unrest(self) -> Unrest:
-        """Return why the slide does not stand; raises `ValueError` before the first poll."""
-        polls = [poll for _, poll in self._recent]
+    def unrest(self) -> tuple[float, float, int]:
+        """Return the highest speed of the last dwell, and the spreads of drive and strip.
+
+        Raises `ValueError` before the first poll.
+        """
+        polls = [poll for _, poll in self._polls]
         positions, strips = [poll.position for poll in polls], [poll.strip for poll in polls]
-        return Unrest(
-            max(abs(poll.velocity) for poll in polls),
-            max(positions) - min(positions),
-            max(strips) - min(strips),
-        )
-
-    def _drop_moved(self) -> None:
-        """Keep the newest polls whose positions all lie within the windows."""
-        windows, kept = self._windows, 0
-        positions: list[float] = []
-        strips: list[int] = []
-        for _, poll in reversed(self._polls):
-            positions.append(poll.position)
-            if not poll.alarms:
-                strips.append(poll.strip)
-            if not (
-                max(positions) - min(positions) <= windows.spread
-                and max(strips, default=0) - min(strips, default=0) <= windows.strip_spread
-            ):
-                break
-            kept += 1
-        while len(self._polls) > kept:
-            self._polls.popleft()
-
-    def _drop_needless(self, polls: deque[tuple[float, Poll]], now_s: float) -> None:
-        """Drop polls that are too old, and those that neither dwell nor medians need."""
-        while not now_s - polls[0][0] <= self.HISTORY_S:
-            polls.popleft()
-        while len(polls) > READINGS and now_s - polls[1][0] >= self._windows.dwell_s:
-            polls.popleft()
+        speed = max(abs(poll.velocity) for poll in polls)
+        return speed, max(positions) - min(positions), max(strips) - min(strips)
 
 
 P = TypeVar("P", bound=Poll)

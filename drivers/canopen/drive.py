@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -144,21 +145,16 @@ class Drive:
         operation = "home"
         before = self._prepare(operation, Mode.HOMING)
         self._old_error = before.has(Bit.MODE_ERROR)
+        until = partial(self._until, operation, moving=True)
         self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(Control.START)
-            self._until(
-                operation, "homing started", lambda now: self._homes(before, now), moving=True
-            )
-            attained = Bit.ACKNOWLEDGED | Bit.TARGET_REACHED
-            now = self._until(
-                operation,
+            until("homing started", lambda now: self._homes(before, now))
+            wanted, attained = (
                 "homing attained at standstill",
-                lambda s: s.has(attained),
-                self._limits.homing_s,
-                moving=True,
-                at_rest=True,
+                Bit.ACKNOWLEDGED | Bit.TARGET_REACHED,
             )
+            now = until(wanted, lambda s: s.has(attained), self._limits.homing_s, at_rest=True)
         self._image.control(Control.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise RAIL.failed(
@@ -175,27 +171,17 @@ class Drive:
         operation = f"move to {self._limits.mm(target)}"
         before = self._prepare(operation, Mode.PROFILE_POSITION)
         self._check_limit(operation, before, target)
+        until = partial(self._until, operation, moving=True)
         self._image.control(Control.ENABLE_OPERATION, target)
-        self._until(
-            operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED), moving=True
-        )
+        until("last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
         self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(Control.START, target)
-            self._until(
-                operation, "set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED), moving=True
-            )
+            until("set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED))
             self._image.control(Control.ENABLE_OPERATION, target)
             wanted = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
-            self._until(
-                operation,
-                wanted,
-                lambda now: self._arrived(now, target),
-                planned_s,
-                moving=True,
-                at_rest=True,
-            )
+            until(wanted, lambda now: self._arrived(now, target), planned_s, at_rest=True)
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll.
@@ -286,19 +272,20 @@ class Drive:
                 self.standing.pause()
 
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
-        limits, windows, seen = self._limits, self._limits.windows, self.standing.standstill.unrest
+        limits, windows = self._limits, self._limits.windows
+        speed, spread, strip_spread = self.standing.standstill.unrest
         return RAIL.failed(
             "HC-R43",
             operation,
-            f"the slide does not come to rest: speed {limits.mm(seen.speed)}/s, "
-            f"drive within {limits.mm(seen.spread)}, strip within {seen.strip_spread} counts",
+            f"the slide does not come to rest: speed {limits.mm(speed)}/s, "
+            f"drive within {limits.mm(spread)}, strip within {strip_spread} counts",
             wanted=f"<= {limits.mm(windows.speed)}/s, {limits.mm(windows.spread)} and "
             f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
             act="check the slide for creep and the servo for hunting; where both are well, widen "
             "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
-            speed_mm_s=seen.speed / limits.counts_per_mm,
-            spread_mm=seen.spread / limits.counts_per_mm,
-            strip_spread_counts=seen.strip_spread,
+            speed_mm_s=speed / limits.counts_per_mm,
+            spread_mm=spread / limits.counts_per_mm,
+            strip_spread_counts=strip_spread,
             waited_s=waited_s,
         )
 

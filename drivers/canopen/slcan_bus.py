@@ -100,32 +100,32 @@ class SlcanBus(can.BusABC):
 
     def _taken_command(self, opening: bool = False) -> bool | None:
         """Return whether the gateway takes a command; None where it does not answer."""
-        deadline_s = time.monotonic() + self.ANSWER_S
-        while True:
-            while (found := self._line()) is not None:
-                line, end = found
-                if end == self._BELL:
-                    return False
-                if not line:
-                    return True
-                if opening and _FRAME.fullmatch(line):  # it is open, and there is no answer
-                    self._bytes = line + b"\r" + self._bytes
-                    return None
-            left_s = max(0.0, deadline_s - time.monotonic())
-            if not self._fill(left_s) and not left_s:
-                return None
+        for line, end in self._lines(self.ANSWER_S):
+            if end == self._BELL:
+                return False
+            if not line:
+                return True
+            if opening and _FRAME.fullmatch(line):  # it is open, and there is no answer
+                self._bytes = line + b"\r" + self._bytes
+                break
+        return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        deadline_s = time.monotonic() + (timeout or 0.0)
+        for line, end in self._lines(timeout or 0.0):
+            self.refused += end == self._BELL
+            if (message := self._message(line)) is not None:
+                return message, False
+        return None, False
+
+    def _lines(self, timeout_s: float) -> Iterator[tuple[bytes, bytes]]:
+        """Yield the lines that come within a time, and their ends."""
+        deadline_s = time.monotonic() + timeout_s
         while True:
             while (found := self._line()) is not None:
-                line, end = found
-                self.refused += end == self._BELL
-                if (message := self._message(line)) is not None:
-                    return message, False
+                yield found
             left_s = max(0.0, deadline_s - time.monotonic())
             if not self._fill(left_s) and not left_s:
-                return None, False
+                return
 
     def _fill(self, timeout_s: float) -> bool:
         try:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.canopen.process_image import Snapshot
-from drivers.standstill import Rest, Standstill, Unrest, Windows
+from drivers.standstill import Rest, Standstill, Windows
 from drivers.supervision import Supervision
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
@@ -114,4 +114,4 @@ def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s:
 
 def test_what_keeps_a_slide_from_standing_is_seen() -> None:
     polls = [poll(1000 + 7 * n, 100 - n, (-1) ** n * 600) for n in range(4)]
-    assert after(poll(velocity=9000), *polls, poll(1000, 100)).unrest == Unrest(600, 21, 3)
+    assert after(poll(velocity=9000), *polls, poll(1000, 100)).unrest == (600, 21, 3)
