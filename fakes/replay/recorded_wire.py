@@ -20,7 +20,7 @@ from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 from fakes.replay.dialects import Dialect
 from fakes.replay.event_time import EventTime, following
@@ -151,12 +151,14 @@ class Names:
 class Script:
     """The recorded exchanges of one connection, and how far the driver has got."""
 
+    due_every_s = 0.2
+
     def __init__(
         self,
         recorded: Sequence[Exchange],
         dialect: Dialect,
         time: EventTime,
-        landmarks: Collection[bytes],
+        landmarks: Collection[bytes] = (),
         elsewhere: Mapping[bytes, Exchange] | None = None,
         *,
         cut: bool = False,
@@ -166,32 +168,67 @@ class Script:
         ``elsewhere`` are what was asked on any connection of the wire: one that is idle for longer
         than it was is kept alive by such a question.
 
-        Behind the last question of one that was ``cut``, an earlier answer is not given again.
+        Behind the last question of one that was ``cut``, an earlier answer is not given again; its
+        signs of life go on.
         """
-        self._last_s = recorded[-1].time_s if cut else float("inf")
-        self._dialect, self._time, self._landmarks = dialect, time, landmarks
-        self._elsewhere = elsewhere or {}
-        self.greeting = recorded[0].answers
+        self._recorded, self._dialect, self._time = recorded, dialect, time
+        self._landmarks, self._elsewhere = landmarks, elsewhere or {}
+        self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
+        self._names = Names(self._order)
         self._named: dict[bytes, list[Exchange]] = {}
-        for each in recorded[1:]:
-            self._named.setdefault(dialect.name(each.asked), []).append(each)
-        self._names = Names(self._named)
+        for name, each in zip(self._order[1:], recorded[1:], strict=True):
+            self._named.setdefault(name, []).append(each)
         self._next: Counter[bytes] = Counter()
         self._repeated = 0
         self._cut = False
+        self._last_s = recorded[-1].time_s if cut else float("inf")
         before = [each for each in recorded[1:] if each.time_s < time.stop_s]
         self._last = before[-1] if before else None  # that was asked before the run was stopped
-        self.samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
+        self._samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
+        self._beats: dict[bytes, bytes] = {}  # the last sign of life of each node
+        self._beats_end_s: dict[bytes, float] = {}
+        ends_s = max((each.came_s[-1] for each in recorded if each.came_s), default=0.0)
+        alive_s = 0.5  # after the last sign of life that was recorded
+        for each in recorded:
+            for answer, came_s in zip(each.answers, each.came_s, strict=True):
+                gives = cut and ends_s - came_s < alive_s
+                last_s = float("inf") if gives else came_s + alive_s
+                self._beats_end_s[dialect.beat(answer)] = last_s
+        self._given(recorded[0].answers)  # the greeting
+
+    def due(self) -> list[bytes]:
+        """Return what the device sends by itself: signs of life, the last ones again."""
+        now_s = self._time.now_s
+        return [each for beat, each in self._beats.items() if now_s <= self._beats_end_s[beat]]
+
+    def come(self, now_s: float) -> list[bytes]:
+        """Return the samples of a stream that have come by a time."""
+        count = bisect_right(self._samples, now_s, key=itemgetter(0))
+        return [self._samples.popleft()[1] for _ in range(count)]
+
+    def passed(self) -> None:
+        """Take note of a message that has no part in any exchange."""
 
     def knows(self, asked: bytes) -> bool:
         """Whether a question was recorded, the last one with its answer."""
-        name = self._names.of(self._dialect.name(asked))
+        name = self._name(asked)
         known = name in self._named or bool(self._beside(asked, name))
         return known and not self._cut
 
     def reply(self, asked: bytes) -> list[bytes]:
         """Return the answers to a question, in their pieces; samples behind them come later."""
-        name = self._names.of(self._dialect.name(asked))
+        return self._given(self._answers(asked))
+
+    def _name(self, asked: bytes) -> bytes:
+        return self._names.of(self._dialect.name(asked))
+
+    def _given(self, answers: list[bytes]) -> list[bytes]:
+        """Return answers, of whose signs of life note was taken."""
+        self._beats |= {beat: each for each in answers if (beat := self._dialect.beat(each))}
+        return answers
+
+    def _answers(self, asked: bytes) -> list[bytes]:
+        name = self._name(asked)
         found = self._named.get(name)
         if found is None:
             return self._beside(asked, name)
@@ -206,7 +243,7 @@ class Script:
         self._dialect.heard(asked, taken.asked)
         answers = [self._dialect.answer(asked, taken.asked, each) for each in taken.answers]
         count = taken.awaited(self._dialect)
-        self.samples.extend(zip(taken.came_s[count:], answers[count:], strict=True))
+        self._samples.extend(zip(taken.came_s[count:], answers[count:], strict=True))
         came_s = taken.came_s[0] if count else taken.time_s
         self._time.reach(came_s)
         if taken.time_s >= self._time.stop_s or self._time.stop_s == float("inf"):
@@ -252,7 +289,7 @@ class Script:
         return early if first.time_s < self._time.stop_s else None
 
 
-class Flow:
+class Flow(Script):
     """A connection whose messages come by themselves: those of the last question, in their order.
 
     One that came only after the driver had asked elsewhere, or had taken note of an earlier one,
@@ -260,31 +297,28 @@ class Flow:
     again and again. So the messages are as far as the driver, whichever thread runs first.
     """
 
-    def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
-        self._dialect, self._time, self._recorded = dialect, time, recorded
-        self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
-        self._names = Names(self._order)
-        self._at = self._taken = self._repeated = 0
-        self._asked = b""
-        self._silent = False
+    due_every_s = 0.001
+
+    _at = _sent = 0
+    _asked, _silent = b"", False
 
     def knows(self, asked: bytes) -> bool:
-        """Whether a question was recorded, here or later, the last one with its answer."""
-        name = self._names.of(self._dialect.name(asked))
-        at = self._order.index(name, self._at) if name in self._order[self._at :] else -1
-        return at >= 0 and not self._recorded[at].cut
+        later = self._later(asked)
+        return later is not None and not self._recorded[later].cut
 
-    def ask(self, asked: bytes) -> None:
+    def reply(self, asked: bytes) -> list[bytes]:
         """Go on with the messages that came after a question; with none if it was never asked."""
-        name = self._names.of(self._dialect.name(asked))
-        if name == self._order[self._at]:
-            return
-        self._silent = name not in self._order[self._at :]
-        if not self._silent:
-            self._at, self._taken = self._order.index(name, self._at), 0
-            self._asked, recorded = asked, self._recorded[self._at]
-            self._time.pass_landmark(recorded.time_s)
-            self._dialect.heard(asked, recorded.asked)
+        later = self._later(asked)
+        self._silent = later is None
+        if later is not None and later != self._at:
+            self._at, self._sent, self._asked = later, 0, asked
+            self._time.pass_landmark(self._recorded[later].time_s)
+            self._dialect.heard(asked, self._recorded[later].asked)
+        return []
+
+    def _later(self, asked: bytes) -> int | None:
+        name = self._name(asked)
+        return self._order.index(name, self._at) if name in self._order[self._at :] else None
 
     def passed(self) -> None:
         """Take note of a message that has no part in any exchange, as a question for a fresh state.
@@ -300,18 +334,18 @@ class Flow:
             self._time.reach(next_s)
             self._repeated = 0
 
-    def next(self) -> list[bytes]:
+    def due(self) -> list[bytes]:
         """Return the messages that have come by now, or the next one; none where none comes."""
         recorded = self._recorded[self._at]
-        count, first, now_s = len(recorded.answers), self._taken, self._time.now_s
+        count, first, now_s = len(recorded.answers), self._sent, self._time.now_s
         if self._silent or not count:
             return []
-        while self._taken < count and recorded.came_s[self._taken] <= now_s:
-            self._taken += 1
-        if self._taken == first < count and not self._waits():
+        while self._sent < count and recorded.came_s[self._sent] <= now_s:
+            self._sent += 1
+        if self._sent == first < count and not self._waits():
             self._time.lead(recorded.came_s[first], at_work=self._works())
-            self._taken += 1
-        messages = recorded.answers[first : self._taken]
+            self._sent += 1
+        messages = recorded.answers[first : self._sent]
         if not messages:
             last = recorded.answers[first - 1]
             messages = [last] if self._dialect.repeats(last) else []
@@ -319,7 +353,7 @@ class Flow:
 
     def _waits(self) -> bool:
         """Whether the next message came after something that the driver has not done yet."""
-        recorded, n = self._recorded[self._at], self._taken
+        recorded, n = self._recorded[self._at], self._sent
         if n == 0 or not self._dialect.repeats(recorded.answers[n - 1]):
             return False
         came_s = recorded.came_s[n]
@@ -329,35 +363,8 @@ class Flow:
 
     def _works(self) -> bool:
         """Whether the device is at work on what was asked, by the last message given."""
-        recorded, n = self._recorded[self._at], self._taken
+        recorded, n = self._recorded[self._at], self._sent
         return n > 0 and self._dialect.works(recorded.asked, recorded.answers[n - 1])
-
-
-class Pulse:
-    """Signs of life that a device gives by itself: the last ones again, while it gave any."""
-
-    def __init__(
-        self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime, *, cut: bool = False
-    ) -> None:
-        """One whose recording was ``cut`` while it gave them goes on to."""
-        self._dialect, self._time = dialect, time
-        ends_s = max((each.came_s[-1] for each in recorded if each.came_s), default=0.0)
-        self._last: dict[bytes, bytes] = {}
-        self._ends_s: dict[bytes, float] = {}
-        alive_s = 0.5  # after the last sign of life that was recorded
-        for each in recorded:
-            for answer, came_s in zip(each.answers, each.came_s, strict=True):
-                gives = cut and ends_s - came_s < alive_s
-                self._ends_s[dialect.beat(answer)] = float("inf") if gives else came_s + alive_s
-
-    def take(self, answers: Sequence[bytes]) -> None:
-        """Take note of signs of life among answers."""
-        self._last |= {beat: each for each in answers if (beat := self._dialect.beat(each))}
-
-    def due(self) -> bytes:
-        """Return the signs that are given by now."""
-        now_s = self._time.now_s
-        return b"".join(each for beat, each in self._last.items() if now_s <= self._ends_s[beat])
 
 
 def shown(asked: bytes) -> str:
@@ -383,10 +390,9 @@ class RecordedWire(Server):
         self._dialect, self._time = dialect, time
         self._landmarks = landmarks(self._recorded, dialect)
         asked = [each for one in self._recorded for each in one[1:]]
-        self._elsewhere: dict[bytes, Exchange] = {}  # the first one of each name that was answered
-        for each in sorted(asked, key=attrgetter("time_s")):
-            if each.answers:
-                self._elsewhere.setdefault(dialect.name(each.asked), each)
+        asked.sort(key=attrgetter("time_s"))
+        # of each name the first one that was answered
+        self._elsewhere = {dialect.name(e.asked): e for e in reversed(asked) if e.answers}
         once = [
             each
             for each in asked
@@ -394,7 +400,7 @@ class RecordedWire(Server):
         ]
         self._cut = cut_connections(pieces)
         if any(self._cut):
-            asked_s = max((each.time_s for each in asked), default=self._came_s[-1])
+            asked_s = asked[-1].time_s if asked else self._came_s[-1]
             time.cut_at(self._came_s[-1] if dialect.flows else asked_s, f"{place}:{len(pieces)}")
         self._unopened = not self._recorded
         if self._unopened:
@@ -402,8 +408,7 @@ class RecordedWire(Server):
         time.expect((each.time_s for each in asked), (each.time_s for each in once))
         self._count = itertools.count()
         self._numbers: dict[socket.socket, int] = {}
-        serve = self._serve_flow if dialect.flows else self._serve
-        listener = Listener("recorded wire", serve, limit=100, accepted=self._take_note)
+        listener = Listener("recorded wire", self._serve, limit=100, accepted=self._take_note)
         self.channel = listener.channel
         super().__init__({"channel": self.channel}, listener)
 
@@ -412,72 +417,50 @@ class RecordedWire(Server):
         where = "ends at" if line == count else "has no answer behind"
         self._time.leave(f"the recording {where} {self._place}:{line}: this run {found}")
 
-    def _look_up(self, script: Script | Flow, asked: bytes) -> None:
-        if script.knows(asked):
-            return
-        self._leave(f"asks {shown(asked)}")
-
     def _take_note(self, client: socket.socket) -> None:
         self._numbers[client] = next(self._count)
 
-    def _recorded_for(self, client: socket.socket) -> tuple[Sequence[Exchange], bool]:
-        """Return the exchanges of a connection, and whether the rest of them is missing."""
+    def _player(self, client: socket.socket) -> tuple[Script, list[bytes]]:
+        """Return what plays a connection, and its greeting."""
         number = min(self._numbers.pop(client), len(self._recorded) - 1)
         recorded, cut = self._recorded[number], self._cut[number]
-        if cut and self._unopened:
+        if self._unopened:
             self._leave("opens that wire")
-        return recorded, cut
-
-    def _serve(self, client: socket.socket) -> None:
-        (recorded, cut), sending = self._recorded_for(client), threading.Lock()
-        script = Script(
+        flows = self._dialect.flows
+        player = (Flow if flows else Script)(
             recorded, self._dialect, self._time, self._landmarks, self._elsewhere, cut=cut
         )
-        pulse = Pulse(recorded, self._dialect, self._time, cut=cut)
+        return player, [] if flows else recorded[0].answers
 
-        def send_due(now_s: float) -> None:
+    def _serve(self, client: socket.socket) -> None:
+        (player, greeting), sending = self._player(client), threading.Lock()
+
+        def send(messages: Sequence[bytes]) -> None:
             with sending:
-                while script.samples and script.samples[0][0] <= now_s:
-                    client.sendall(script.samples.popleft()[1])
+                client.sendall(b"".join(messages))
 
-        def send(answers: Sequence[bytes]) -> None:
-            pulse.take(answers)
+        def send_come(now_s: float) -> None:
             with sending:
-                client.sendall(b"".join(answers))
+                client.sendall(b"".join(player.come(now_s)))
 
-        send(script.greeting)
-        beat_s = 0.2  # between two signs of life
-        with self._time.followed_by(send_due):
+        send(greeting)
+        with self._time.followed_by(send_come):
             rest, due_s = b"", 0.0
             while True:
                 if (now_s := time.monotonic()) >= due_s:
-                    due_s = now_s + beat_s
-                    send([pulse.due()])
+                    due_s = now_s + player.due_every_s
+                    send(player.due())
                 if not select.select([client], [], [], due_s - now_s)[0]:
                     continue
                 if not (data := client.recv(self.RECEIVE)):
                     return
                 messages, rest = self._dialect.split_questions(rest + data)
                 for message in messages:
-                    if not self._dialect.unheard(message):
-                        send_due(float("inf"))  # they had come before it was asked
-                        send(script.reply(message))
-                        self._look_up(script, message)
-
-    def _serve_flow(self, client: socket.socket) -> None:
-        flow = Flow(self._recorded_for(client)[0], self._dialect, self._time)
-        rest = b""
-        flow_s = 0.001  # between two messages that come by themselves
-        while True:
-            if select.select([client], [], [], flow_s)[0]:
-                if not (data := client.recv(self.RECEIVE)):
-                    return
-                messages, rest = self._dialect.split_questions(rest + data)
-                for message in messages:
                     if self._dialect.unheard(message):
                         self._dialect.passed(message)
-                        flow.passed()
-                    else:
-                        self._look_up(flow, message)
-                        flow.ask(message)
-            client.sendall(b"".join(flow.next()))
+                        player.passed()
+                        continue
+                    send_come(float("inf"))  # they had come before it was asked
+                    send(player.reply(message))
+                    if not player.knows(message):
+                        self._leave(f"asks {shown(message)}")

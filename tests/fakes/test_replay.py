@@ -20,7 +20,6 @@ from fakes.replay.recorded_wire import (
     Exchange,
     Flow,
     Names,
-    Pulse,
     RecordedWire,
     Script,
     connections,
@@ -132,33 +131,34 @@ def test_the_states_of_a_script_name_the_session_of_the_driver() -> None:
 def test_heartbeats_go_on_while_the_node_gave_any() -> None:
     time, rail = EventTime(), dialects_of("canopen")[""]
     answers = [b"t705105\r", b"t0858\r", b"t706105\r", b"t706105\r"]
-    recorded = [Exchange(b"t000201\r", answers, came_s=[1.0, 1.0, 1.0, 9.0])]
-    pulse = Pulse(recorded, rail, time)
-    assert pulse.due() == b""
-    pulse.take(answers)
-    assert pulse.due() == b"t705105\rt706105\r"
+    recorded = [Exchange(b""), Exchange(b"t000201\r", answers, came_s=[1.0, 1.0, 1.0, 9.0])]
+    script = Script(recorded, rail, time)
+    assert script.due() == []
+    assert script.reply(b"t000201\r") == answers
+    assert script.due() == [b"t705105\r", b"t706105\r"]
     time.reach(5.0)  # the drive had fallen silent
-    assert pulse.due() == b"t706105\r"
+    assert script.due() == [b"t706105\r"]
 
 
 def test_a_node_boots_once() -> None:
     """Its boot-up message would say that the node was reset, where a busy PC takes long."""
     time, rail = EventTime(), dialects_of("canopen")[""]
     answers = [b"t706100\r", b"t70517F\r"]
-    pulse = Pulse([Exchange(b"t000281\r", answers, came_s=[1.0, 1.1])], rail, time)
-    pulse.take(answers)
-    assert pulse.due() == b"t70517F\r"
+    recorded = [Exchange(b""), Exchange(b"t000281\r", answers, came_s=[1.0, 1.1])]
+    script = Script(recorded, rail, time)
+    script.reply(b"t000281\r")
+    assert script.due() == [b"t70517F\r"]
 
 
 def test_heartbeats_go_on_behind_a_cut_of_the_recording() -> None:
     """The other wires go on: a node that was alive at the cut is not to blame."""
     time, rail = EventTime(), dialects_of("canopen")[""]
     answers = [b"t706105\r", b"t705105\r", b"t0858\r"]
-    recorded = [Exchange(b"t000201\r", answers, came_s=[1.0, 8.6, 9.0])]
-    pulse = Pulse(recorded, rail, time, cut=True)
-    pulse.take(answers)
+    recorded = [Exchange(b""), Exchange(b"t000201\r", answers, came_s=[1.0, 8.6, 9.0])]
+    script = Script(recorded, rail, time, cut=True)
+    script.reply(b"t000201\r")
     time.reach(90.0)
-    assert pulse.due() == b"t705105\r"
+    assert script.due() == [b"t705105\r"]
 
 
 @pytest.mark.parametrize("cut", [True, False])
@@ -274,8 +274,9 @@ def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
     start = Exchange(packet(0, 49), answers, 1.0, [1.1, 1.2, 1.3, 9.0])
     script = Script([Exchange(b""), start], tracker, time, ())
     assert script.reply(start.asked) == answers[:2]
-    assert list(script.samples) == [(1.3, answers[2]), (9.0, answers[3])]
     assert time.now_s == 1.1
+    come = [script.come(at_s) for at_s in (1.2, 1.3, 8.9, 9.0)]
+    assert come == [[], [answers[2]], [], [answers[3]]]
 
 
 def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
@@ -341,13 +342,13 @@ def moving(
     time = EventTime()
     time.expect([1.0, *asked_s], [1.0])
     flow = Flow([Exchange(b""), order], states, time)
-    flow.ask(write(1, 500))
+    flow.reply(write(1, 500))
     return flow, time
 
 
 def run(flow: Flow) -> float:
     """Let the controller send, however busy the driver is; return the last state's time."""
-    return max(values(*flow.next())[0] for _ in range(20))
+    return max(values(*flow.due())[0] for _ in range(20))
 
 
 def test_states_wait_for_a_driver_that_was_asking_elsewhere() -> None:
@@ -428,19 +429,19 @@ def test_states_come_by_themselves_and_the_last_one_again() -> None:
         Exchange(write(2, 9), [state(5, 7, 9)], came_s=[2.0]),
     ]
     flow = Flow(recorded, states, EventTime())
-    assert flow.next() == []
-    flow.ask(write(1, 500))
-    found = [values(*flow.next()) for _ in range(5)]
-    flow.ask(write(1, 501))  # a sign of life
-    found.append(values(*flow.next()))
+    assert flow.due() == []
+    flow.reply(write(1, 500))
+    found = [values(*flow.due()) for _ in range(5)]
+    flow.reply(write(1, 501))  # a sign of life
+    found.append(values(*flow.due()))
     times_s, _, counts = zip(*found, strict=True)
     assert times_s == pytest.approx([1.0] + 5 * [1.2], abs=1e-4)
     assert sorted(set(times_s)) == list(times_s)  # the controller's time never stands
     assert sorted(set(counts)) == list(counts)
-    flow.ask(write(2, 502))
-    assert values(*flow.next()) == (5, 7, 9)
-    flow.ask(write(77, 503))
-    assert flow.next() == []  # it was never asked: a device that hangs
+    flow.reply(write(2, 502))
+    assert values(*flow.due()) == (5, 7, 9)
+    flow.reply(write(77, 503))
+    assert flow.due() == []  # it was never asked: a device that hangs
 
 
 @contextmanager
