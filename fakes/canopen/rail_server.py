@@ -16,13 +16,11 @@ from functools import partial
 
 from fakes.canopen.slave import (
     HEADER,
-    INVALID,
     SYNC_COB_ID,
     Abort,
     CanopenSlave,
     Entry,
     ErrorKind,
-    Mapping,
     NodeIdentity,
     ReceivePdo,
     SdoAbortError,
@@ -494,16 +492,11 @@ class RailDrive(CanopenSlave):
         add(0x6502, 0, Entry("I", 1 << 0 | 1 << 5, "ro"))
 
     def _add_pdos(self) -> None:
-        """Lay out the PDOs as the profile's defaults do; all but the first are switched off."""
-        receive, transmit = (None, 0x6060, 0x607A), (None, 0x6061, 0x6064, 0x606C)
-        for number, more in enumerate(receive):
-            mapped: Mapping = ((0x6040, 0), *([(more, 0)] if more else []))
-            cob_id = 0x200 + 0x100 * number + NODE | (INVALID if number else 0)
-            self.receive_pdos.append(ReceivePdo(self.dictionary, number, cob_id, mapped))
-        for number, more in enumerate(transmit):
-            mapped = ((0x6041, 0), *([(more, 0)] if more else []))
-            cob_id = 0x180 + 0x100 * number + NODE | (INVALID if number else 0)
-            self.transmit_pdos.append(TransmitPdo(self.dictionary, number, cob_id, mapped))
+        """Lay out the PDOs as the profile's defaults do."""
+        for number, more in enumerate(((), (0x6060,), (0x607A,))):
+            self.receive_pdos += [ReceivePdo(self.dictionary, NODE, number, (0x6040, *more))]
+        for number, more in enumerate(((), (0x6061,), (0x6064,), (0x606C,))):
+            self.transmit_pdos += [TransmitPdo(self.dictionary, NODE, number, (0x6041, *more))]
 
 
 class RailServer(BusServer):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -261,7 +261,6 @@ class SdoServer:
 
 
 INVALID = 1 << 31
-Mapping = tuple[tuple[int, int], ...]
 
 
 class Pdo:
@@ -274,30 +273,31 @@ class Pdo:
 
     NO_RTR = 1 << 30
     SYNC_TYPES, EVENT_TYPES = range(241), range(254, 256)
+    COMMUNICATION, MAPPING, COB_ID = 0, 0, 0  # of the first, in a kind of PDO
 
     def __init__(
         self,
         dictionary: ObjectDictionary,
-        communication: int,
-        mapping: int,
-        cob_id: int,
-        mapped: Mapping,
+        node: int,
+        number: int,
+        mapped: Sequence[int],
         transmission: int = 255,
     ) -> None:
+        """``mapped`` are objects without sub-indices. All but the first PDO are switched off."""
         self._dictionary = dictionary
+        cob_id = self.COB_ID + 0x100 * number + node | self.NO_RTR | (INVALID if number else 0)
         types = (*self.SYNC_TYPES, *self.EVENT_TYPES)
-        self._cob_id = Entry("I", self.NO_RTR | cob_id, write=self._change_cob_id)
+        self._cob_id = Entry("I", cob_id, write=self._change_cob_id)
         self._type = Entry("B", transmission, allowed=types)
         inhibit, self._timer_ms = Entry("H", 0, write=self._while_invalid), Entry("H", 0)
-        dictionary.add_array(
-            communication, self._cob_id, self._type, inhibit, Entry("B", 0), self._timer_ms
-        )
-        coded = [at << 16 | sub << 8 | 8 * dictionary.entry(at, sub).size for at, sub in mapped]
+        timers = (inhibit, Entry("B", 0), self._timer_ms)
+        dictionary.add_array(self.COMMUNICATION + number, self._cob_id, self._type, *timers)
+        coded = [index << 16 | 8 * dictionary.entry(index, 0).size for index in mapped]
         coded += [0] * (8 - len(coded))
         self._places = [Entry("I", value, write=self._change_mapping) for value in coded]
         self._count = Entry("B", len(mapped), write=self._change_count)
-        for number, entry in enumerate((self._count, *self._places)):
-            dictionary.add(mapping, number, entry)
+        for sub, entry in enumerate((self._count, *self._places)):
+            dictionary.add(self.MAPPING + number, sub, entry)
 
     @property
     def valid(self) -> bool:
@@ -368,18 +368,9 @@ class Pdo:
 class TransmitPdo(Pdo):
     """A PDO that the node sends: on SYNC, on a change, or by its event timer."""
 
-    def __init__(
-        self,
-        dictionary: ObjectDictionary,
-        number: int,
-        cob_id: int,
-        mapped: Mapping,
-        transmission: int = 255,
-    ) -> None:
-        super().__init__(dictionary, 0x1800 + number, 0x1A00 + number, cob_id, mapped, transmission)
-        self._syncs = 0
-        self._sent: bytes | None = None
-        self._sent_s = 0.0
+    COMMUNICATION, MAPPING, COB_ID = 0x1800, 0x1A00, 0x180
+    _syncs, _sent_s = 0, 0.0
+    _sent: bytes | None = None
 
     def rewind(self) -> None:
         """Start again, as on entering OPERATIONAL."""
@@ -416,11 +407,8 @@ class TransmitPdo(Pdo):
 class ReceivePdo(Pdo):
     """A PDO that the node takes: at once, or held back until the next SYNC."""
 
-    def __init__(
-        self, dictionary: ObjectDictionary, number: int, cob_id: int, mapped: Mapping
-    ) -> None:
-        super().__init__(dictionary, 0x1400 + number, 0x1600 + number, cob_id, mapped)
-        self._held: bytes | None = None
+    COMMUNICATION, MAPPING, COB_ID = 0x1400, 0x1600, 0x200
+    _held: bytes | None = None
 
     def take(self, data: bytes) -> bool:
         """Take a frame; False when it is shorter than the mapping."""

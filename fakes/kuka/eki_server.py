@@ -52,11 +52,26 @@ class Queues:
 
     def __init__(self, paths: tuple[str, ...]) -> None:
         self._queues: dict[str, deque[str]] = {path: deque() for path in paths}
+        self._end = f"</{paths[0].partition('/')[0]}>".encode()
+        self._pending = b""
 
-    def clear(self) -> None:
-        """Forget everything, as a channel does that is opened."""
-        for queue in self._queues.values():
-            queue.clear()
+    def look(self, client: socket.socket) -> bool:
+        """Take apart what has come; return whether the client is still there."""
+        try:
+            while select.select([client], [], [], 0)[0]:
+                data = client.recv(RECEIVE)
+                if not data:
+                    return False
+                self.receive(data)
+        except (OSError, Overflow, KrlError):
+            return False  # the interface closes the connection, and keeps what came
+        return True
+
+    def receive(self, data: bytes) -> None:
+        """Take whole documents apart; raises as `add`."""
+        *documents, self._pending = (self._pending + data).split(self._end)
+        for document in documents:
+            self.add(document + self._end)
 
     def add(self, document: bytes) -> None:
         """Take a document apart; raises `Overflow`, or `KrlError` for one that is no XML."""
@@ -240,9 +255,9 @@ class EkiServer(Server):
 
     def _hear_commands(self, client: socket.socket) -> None:
         segments, former = Segments(client.sendall), b""
-        queues, pending = Queues(RECEIVED), b""
+        queues = Queues(RECEIVED)
         while data := client.recv(RECEIVE):
-            pending = _add(queues, pending + data, b"</RobotCommand>")
+            queues.receive(data)
             while queues.waiting():
                 with self._lock:
                     state = self._program.command(queues.take())
@@ -252,13 +267,13 @@ class EkiServer(Server):
                         return
 
     def _serve_stops(self, client: socket.socket) -> None:
-        queues, pending, there = Queues(("RobotStop/@Id", "RobotStop/@Brake")), b"", True
+        queues, there = Queues(("RobotStop/@Id", "RobotStop/@Brake")), True
         cycle_s = 0.06  # of the submit interpreter, with a state in it
         with suppress(ValueError):
             while there:
                 select.select([client], [], [])
                 self._closing.wait(cycle_s)
-                pending, there = _look(client, queues, pending, b"</RobotStop>")
+                there = queues.look(client)
                 self._hear_stops(client, queues, there)
 
     def _hear_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
@@ -282,27 +297,6 @@ class EkiServer(Server):
         again = self._faults.take("robot.glued_reply") is not None
         twice_every = 53
         return former + state if again or segments.sent % twice_every == twice_every - 1 else state
-
-
-def _look(client: socket.socket, queues: Queues, pending: bytes, end: bytes) -> tuple[bytes, bool]:
-    """Take apart what has come; return the rest, and whether the client is still there."""
-    try:
-        while select.select([client], [], [], 0)[0]:
-            data = client.recv(RECEIVE)
-            if not data:
-                return pending, False
-            pending = _add(queues, pending + data, end)
-    except (OSError, Overflow, KrlError):
-        return pending, False  # the interface closes the connection, and keeps what came
-    return pending, True
-
-
-def _add(queues: Queues, received: bytes, end: bytes) -> bytes:
-    """Take whole documents apart; return the rest."""
-    *documents, rest = received.split(end)
-    for document in documents:
-        queues.add(document + end)
-    return rest
 
 
 serve = EkiServer

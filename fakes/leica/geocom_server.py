@@ -15,9 +15,10 @@ import math
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,14 +44,15 @@ class Code(IntEnum):
     ATR_OFF = 8714
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A return code with its values, perhaps after plant time has passed."""
+class Answer(NamedTuple):
+    """A return code with its values."""
 
     code: int = Code.OK
     values: tuple[str, ...] = ()
-    after_s: float = 0.0
-    finish: Callable[[], Answer] | None = None
+
+
+class Aborted(Exception):
+    """The client has ended the request under way."""
 
 
 @dataclass
@@ -67,11 +69,14 @@ class _State:
     measured: tuple[float, float, float] | None = None  # Hz, V, distance
     started: bool = False
     target: str | None = None
-    time_ms: int = field(default=0)
+    time_ms: int = 0
 
 
 class GeocomDevice:
-    """One instrument; ``handle`` takes one request after another."""
+    """One instrument; ``handle`` takes one request after another.
+
+    Whatever takes its time calls ``wait``, which raises `Aborted` where the client does not.
+    """
 
     SERIAL = 884321
     TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
@@ -81,6 +86,7 @@ class GeocomDevice:
         self._instrument, self._faults = site.plant.tracker, site.faults
         self._prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
         self._state = _State()
+        self._wait: Callable[[float], None] = lambda _duration_s: None
         state = self._state
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
@@ -116,12 +122,13 @@ class GeocomDevice:
     def knows(self, rpc: int) -> bool:
         return rpc in self._handlers
 
-    def handle(self, rpc: int, parameters: list[float]) -> Answer:
+    def handle(self, rpc: int, parameters: list[float], wait: Callable[[float], None]) -> Answer:
         if not self.knows(rpc):
             return Answer(Code.NOT_IMPLEMENTED)
         count, handler = self._handlers[rpc]
         if len(parameters) != count or not all(map(math.isfinite, parameters)):
             return Answer(Code.INVALID)
+        self._wait = wait
         return handler(*parameters)
 
     def abort(self) -> None:
@@ -161,24 +168,20 @@ class GeocomDevice:
         state.pointing = (hz % math.tau, v) if not state.face else self._other_face(hz, v)
         state.target = None
 
+        self._wait(self.TURN_S)
         sight_rad = 1e-3  # beside which the distance meter still hits a prism
-
-        def finish() -> Answer:
-            return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
-
-        return Answer(after_s=self.TURN_S, finish=finish)
+        return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
 
     def _change_face(self) -> Answer:
         self._state.face = 1 - self._state.face
-        return Answer(after_s=2 * self.TURN_S, finish=Answer)
+        self._wait(2 * self.TURN_S)
+        return Answer()
 
     def _aim(self, width: float, height: float) -> Answer:
+        """Aim at the reflector closest to the line of sight, within a window."""
         if not self._state.atr:
             return Answer(Code.ATR_OFF)
-        return Answer(after_s=self.AIM_S, finish=lambda: self._lock_on(width, height))
-
-    def _lock_on(self, width: float, height: float) -> Answer:
-        """Aim at the reflector closest to the line of sight, within a window."""
+        self._wait(self.AIM_S)
         self._state.target = None
         hz, v = self._state.pointing
         inside = []
@@ -230,17 +233,13 @@ class GeocomDevice:
 
         It waits for a distance until ``wait_ms``, also for one that never comes.
         """
-        state = self._state
-        if not state.started:
-            if state.measured is None:
-                return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
-            return form(*state.measured)
-        if wait_ms / 1000 < self.DISTANCE_S:
-            return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
-        return Answer(after_s=self.DISTANCE_S, finish=lambda: self._measured(form))
-
-    def _measured(self, form: Callable[..., Answer]) -> Answer:
         state, take = self._state, self._faults.take
+        if not state.started and state.measured is not None:
+            return form(*state.measured)
+        if not state.started or wait_ms / 1000 < self.DISTANCE_S:
+            self._wait(wait_ms / 1000)
+            return form(*state.pointing, 0.0)
+        self._wait(self.DISTANCE_S)
         state.started = False
         if take("tracker.no_distance") is not None:
             return form(*state.pointing, 0.0)
@@ -287,7 +286,8 @@ class GeocomDevice:
         time = str(self._time_ms())
         tilt = self._reals(0.0, 0.0, 0.0).values
         values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
-        return Answer(values=values, after_s=self.ANGLE_S, finish=lambda: Answer(values=values))
+        self._wait(self.ANGLE_S)
+        return Answer(values=values)
 
     def _time_ms(self) -> int:
         self._state.time_ms += 100
@@ -355,20 +355,17 @@ class GeocomServer(Server):
             parameters = [float(each) for each in text.split(b",")] if text else []
         except ValueError:
             return Answer(Code.INVALID)
-        answer = self.device.handle(rpc, parameters)
-        while answer.finish is not None:
-            if not self._let_pass(session, answer.after_s):
-                return Answer(Code.ABORTED)
-            answer = answer.finish()
-        return answer
+        try:
+            return self.device.handle(rpc, parameters, partial(self._let_pass, session))
+        except Aborted:
+            self._abort(session)
+            return Answer(Code.ABORTED)
 
-    def _let_pass(self, session: _Session, duration_s: float) -> bool:
-        """Let plant time pass; return False where it was ended meanwhile."""
+    def _let_pass(self, session: _Session, duration_s: float) -> None:
+        """Let plant time pass; raises `Aborted`."""
         for left_s in self._time.passing(duration_s):
             if session.aborted(left_s):
-                self._abort(session)
-                return False
-        return True
+                raise Aborted
 
     def _abort(self, session: _Session) -> None:
         self.device.abort()

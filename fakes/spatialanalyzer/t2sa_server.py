@@ -333,12 +333,7 @@ class T2saServer(Server):
         elif (answer := self._begin(line)).finish is None:
             self._reply(session, answer)
         else:
-            try:
-                halted = self._answer(session, answer)
-            finally:
-                self._measuring.release()
-            if halted:
-                self._reply(session, Answer())
+            self._measure(session, answer.after_s, answer.finish)
 
     def _begin(self, line: bytes) -> Answer:
         """Return the first answer to a line; a measurement reserves the bridge."""
@@ -351,16 +346,18 @@ class T2saServer(Server):
                 self._halted.clear()
             return answer
 
-    def _answer(self, session: LineSession, answer: Answer) -> bool:
-        """Reply, after plant time where that is due; return whether this client has halted it."""
-        while answer.finish is not None:
-            by_this = self._let_pass(session, answer.after_s)
-            if self._halted.is_set():
-                self._reply(session, refusal(Refusal.HALTED))
-                return by_this
-            answer = answer.finish()
-        self._reply(session, answer)
-        return False
+    def _measure(
+        self, session: LineSession, duration_s: float, finish: Callable[[], Answer]
+    ) -> None:
+        """Reply after plant time, or to the halt that has come meanwhile."""
+        try:
+            halted_by_this = self._let_pass(session, duration_s)
+            halted = self._halted.is_set()
+            self._reply(session, refusal(Refusal.HALTED) if halted else finish())
+        finally:
+            self._measuring.release()
+        if halted_by_this:
+            self._reply(session, Answer())
 
     def _let_pass(self, session: LineSession, duration_s: float) -> bool:
         """Let plant time pass until a halt; return whether that came from this client."""

@@ -18,12 +18,10 @@ from functools import partial
 from typing import ClassVar
 
 from fakes.canopen.slave import (
-    INVALID,
     SYNC_COB_ID,
     CanopenSlave,
     Entry,
     ErrorKind,
-    Mapping,
     NodeIdentity,
     TransmitPdo,
 )
@@ -167,10 +165,9 @@ class RailStrip(CanopenSlave):
         add(0x6506, 0, Entry("H", 0, "ro"))
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
         # The profile's defaults: 6004 by the cyclic timer, and on SYNC (off).
-        position: Mapping = ((0x6004, 0),)
         self.transmit_pdos += [
-            TransmitPdo(self.dictionary, 0, 0x180 + STRIP_NODE, position),
-            TransmitPdo(self.dictionary, 1, 0x280 + STRIP_NODE | INVALID, position, transmission=1),
+            TransmitPdo(self.dictionary, STRIP_NODE, number, (0x6004,), transmission)
+            for number, transmission in enumerate((255, 1))
         ]
 
     def _speed(self) -> int:

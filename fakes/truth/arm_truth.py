@@ -144,7 +144,7 @@ def reference_cube(machine: Machine, chain: Chain) -> tuple[Array, Array]:
 
 def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
     """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
-    axis, on_axis_mm = chain.axis(5, joints_rad)
+    axis, on_axis_mm = chain.lines(joints_rad)[0][5]
     reflector_mm = chain.pose(joints_rad)[:3, 3]
     return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
 

@@ -254,7 +254,7 @@ class ControllerArm:
 
     def status(self, joints_rad: Array) -> int:
         """Return the status of joints (6,)."""
-        lines = self.chain.lines(joints_rad)
+        lines, _ = self.chain.lines(joints_rad)
         (axis_2, shoulder_mm), (axis_3, elbow_mm), (_, wrist_mm) = lines[1], lines[2], lines[4]
         ahead = self._cross(axis_2, np.array([0.0, 0.0, 1.0]))
         bent = self._cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3

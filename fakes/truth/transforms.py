@@ -140,31 +140,25 @@ class Chain:
             last[:3, 3] *= 1.0 + strain
         return product([*self._turns(joints_rad, points_mm), last])
 
-    def axis(self, number: int, joints_rad: Array) -> tuple[Array, Array]:
-        """Return direction (..., 3) and a point (..., 3) of one axis, counted from 0."""
-        return self.lines(joints_rad)[number]
-
-    def lines(self, joints_rad: Array) -> list[tuple[Array, Array]]:
-        """Return direction (..., 3) and a point (..., 3) of each axis."""
-        moved = zip(self._moved(joints_rad)[:-1], self.axes, self.points_mm, strict=True)
-        return [(T[..., :3, :3] @ axis, carried(T, point_mm)) for T, axis, point_mm in moved]
+    def lines(self, joints_rad: Array) -> tuple[list[tuple[Array, Array]], Array]:
+        """Return direction (..., 3) and a point (..., 3) of each axis, and the last frame's."""
+        moved = self._moved(joints_rad)
+        placed = zip(moved[:-1], self.axes, self.points_mm, strict=True)
+        lines = [(T[..., :3, :3] @ axis, carried(T, point_mm)) for T, axis, point_mm in placed]
+        return lines, (moved[-1] @ self.last)[..., :3, 3]
 
     def levers(self, joints_rad: Array) -> Array:
         """Return the vectors (..., 6, 3) from the point on each axis to the last frame."""
-        moved = self._moved(joints_rad)
-        tip_mm = (moved[-1] @ self.last)[..., :3, 3]
-        pairs = zip(moved[:-1], self.points_mm, strict=True)
-        return np.stack([tip_mm - carried(T, point_mm) for T, point_mm in pairs], axis=-2)
+        lines, tip_mm = self.lines(joints_rad)
+        return np.stack([tip_mm - point_mm for _, point_mm in lines], axis=-2)
 
     def jacobian(self, joints_rad: Array) -> Array:
         """Return d(shift in mm, turn in rad) / d(joints) of the last frame, (..., 6, 6)."""
-        moved = self._moved(joints_rad)
-        tip_mm = (moved[-1] @ self.last)[..., :3, 3]
-        columns = []
-        for number, T in enumerate(moved[:-1]):
-            direction = T[..., :3, :3] @ self.axes[number]
-            lever_mm = tip_mm - carried(T, self.points_mm[number])
-            columns.append(np.concatenate([np.cross(direction, lever_mm), direction], axis=-1))
+        lines, tip_mm = self.lines(joints_rad)
+        columns = [
+            np.concatenate([np.cross(direction, tip_mm - point_mm), direction], axis=-1)
+            for direction, point_mm in lines
+        ]
         return np.stack(columns, axis=-1)
 
     def solve(self, poses: Array, start_rad: Array) -> Array:
