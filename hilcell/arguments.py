@@ -1,7 +1,7 @@
 """Signatures of commands: classes whose fields are the arguments, and the readers of their texts.
 
-A field is ``seed: Annotated[int, Argument("of random targets", "N", seed_of)] = 1``; the class is
-the signature from which `hilcell.commands.parser` makes the parser. Readers raise
+A field is ``seed: int = option("of random targets", "N", seed_of, default=1)``; the class is the
+signature from which `hilcell.commands.parser` makes the parser. Readers raise
 `argparse.ArgumentTypeError`.
 """
 
@@ -11,25 +11,81 @@ import argparse
 import math
 import re
 import unicodedata
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import Annotated, NamedTuple, Self, dataclass_transform, get_args, get_type_hints
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self, TypeVar, cast, dataclass_transform, get_type_hints
 
 from hilcell.clean import LONGEST, clean
 
+T = TypeVar("T")
+MISSING: Any = object()  # a default that there is not
 
-@dataclass_transform(kw_only_default=True, frozen_default=True)
+
+class Argument(NamedTuple):
+    """An argument of a command line, as `option` declares it: its field's name, type and default.
+
+    A field of ``bool`` is a switch, a tuple may be given repeatedly, a `Literal` is a choice.
+    ``flags`` take the place of the field's name, and ``switches`` that of a choice's option: their
+    help by word. A ``word`` is given by its place. `MISSING` is no default.
+    """
+
+    help: str
+    metavar: str | None
+    read: Callable[[str], object]
+    default: object
+    flags: tuple[str, ...]
+    word: bool
+    required: bool
+    switches: Mapping[str, str]
+    name: str = ""
+    kind: object = str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of an option, or of the switches of a choice."""
+        if self.switches:
+            return tuple(f"--{word}" for word in self.switches)
+        return self.flags or (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def needed(self) -> bool:
+        """Whether it must be given."""
+        return self.required and self.default is MISSING
+
+
+def option(
+    help: str = "",  # noqa: A002 - as argparse has it
+    metavar: str | None = None,
+    read: Callable[[str], object] = str,
+    *,
+    default: T = MISSING,
+    flags: tuple[str, ...] = (),
+    word: bool = False,
+    required: bool = True,
+    switches: Mapping[str, str] = MappingProxyType({}),
+) -> T:
+    """Declare a field of a signature, an `Argument`; for type checkers it is the field's value."""
+    declared = Argument(help, metavar, read, default, flags, word, required, switches)
+    return cast("T", declared)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(option,))
 class Signature:
     """A frozen dataclass of keywords; `dataclasses` itself would double the time of `--help`."""
 
     def __init__(self, **values: object) -> None:
         of = type(self)
         names = [name for each in of.__mro__ for name in vars(each).get("__annotations__", ())]
-        defaults = {name: getattr(of, name) for name in names if hasattr(of, name)}
-        vars(self).update(defaults | values)
+        declared = {name: getattr(of, name, MISSING) for name in names}
+        defaults = {
+            name: each.default if isinstance(each, Argument) else each
+            for name, each in declared.items()
+        }
+        given = {name: each for name, each in defaults.items() if each is not MISSING}
+        vars(self).update(given | values)
         if vars(self).keys() != {*names}:
             raise TypeError(f"{of.__name__}: expected {', '.join(names)}, got {', '.join(values)}")
 
@@ -59,11 +115,11 @@ class Signature:
             value = values[field.name]
             if value == field.default:
                 continue
-            if field.is_word:
+            if field.word:
                 words.append(written(value))
             elif value is True:
                 options.append(field.names[0])
-            elif isinstance(field.argument, Switches):
+            elif field.switches:
                 options.append(f"--{value}")
             else:
                 given = value if isinstance(value, tuple) else (value,)
@@ -71,74 +127,20 @@ class Signature:
         return [*words, *options]
 
 
-class Argument(NamedTuple):
-    """An option, or a ``word`` of the command line, read by ``read``.
-
-    A field of ``bool`` is a switch, a tuple may be given repeatedly, a `Literal` is a choice. It is
-    ``required`` where the field has no default. ``names`` take the place of the field's name.
-    """
-
-    help: str
-    metavar: str | None = None
-    read: Callable[[str], object] = str
-    names: tuple[str, ...] = ()
-    word: bool = False
-    required: bool = True
-
-
-Word = partial(Argument, word=True)
-Output = partial(Argument, names=("-o", "--output"))
-
-
-class Switches(NamedTuple):
-    """A choice by one switch of several: their help by name."""
-
-    help: dict[str, str]
-
-
-MISSING = object()  # a default that there is not
-
-
-class Field(NamedTuple):
-    """A field of a signature: how it is given, its type, and its default, `MISSING` for none."""
-
-    name: str
-    kind: object
-    argument: Argument | Switches
-    default: object
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of an option, or of the switches of a choice."""
-        if isinstance(self.argument, Switches):
-            return tuple(f"--{word}" for word in self.argument.help)
-        return self.argument.names or (f"--{self.name.replace('_', '-')}",)
-
-    @property
-    def is_word(self) -> bool:
-        """Whether it is given by its place, without a name."""
-        return isinstance(self.argument, Argument) and self.argument.word
-
-    @property
-    def needed(self) -> bool:
-        """Whether it must be given."""
-        return getattr(self.argument, "required", True) and self.default is MISSING
-
-
-def fields_of(takes: type[Signature]) -> Iterator[Field]:
+def fields_of(takes: type[Signature]) -> Iterator[Argument]:
     """Yield the fields of a signature, and of the signatures that are its fields."""
-    for name, hint in get_type_hints(takes, include_extras=True).items():
-        if is_signature(hint):
-            yield from fields_of(hint)
+    for name, kind in get_type_hints(takes).items():
+        if is_signature(kind):
+            yield from fields_of(kind)
         else:
-            kind, argument = get_args(hint)
-            yield Field(name, kind, argument, getattr(takes, name, MISSING))
+            yield getattr(takes, name)._replace(name=name, kind=kind)
 
 
 def is_signature(hint: object) -> bool:
     return isinstance(hint, type) and issubclass(hint, Signature)
 
 
+OUTPUT = ("-o", "--output")
 STROKE_MM = 20.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
@@ -278,47 +280,40 @@ def scheduler_of(text: str) -> str:
 
 # -- arguments of several commands -----------------------------------------------------------------
 
-CellName = Annotated[
-    str, Argument("a built-in name or a TOML path (default: paper, simulated)", "CELL")
-]
-Settings = Annotated[
-    tuple[tuple[str, str], ...],
-    Argument("override one value of the cell file; may be repeated", "KEY=VALUE", assignment,
-             names=("--set",)),
-]  # fmt: skip
-MachineSeed = Annotated[
-    int | None,
-    Argument(
-        "of the simulated machine: robot, rail, tracker (default: the seed; where a run uses a "
-        "calibration, that of the calibrated machine)",
-        "N",
-        seed_of,
-    ),
-]
-Noted = Annotated[str, Argument("kept in the journal", "NAME", noted)]
-RUNS = "folder of runs (default: HILCELL_RUNS, or one for each user)"
-Runs = Annotated[Path, Argument(RUNS, "DIR", folder, required=False)]
-RunName = Annotated[str, Word("a run's name, its beginning, or `last`", "RUN")]
-Json = Annotated[bool, Argument("print JSON: one object")]
-JsonLines = Annotated[bool, Argument("print JSON: one event a line, as journalled")]
-OutOfTolerance = Annotated[
-    bool,
-    Argument("use a calibration whose validation failed, was not made or had another tolerance"),
-]
-NotCurrent = Annotated[
-    bool, Argument("use a calibration that is revoked, superseded or out of date")
-]
-ToolName = Annotated[
-    str,
-    Argument(
-        "the tool of the cell file at whose tip they are given, or `reflector` (default: the "
-        "cell's only tool; the reflector where it has none)",
-        "NAME",
-    ),
-]
-Bounds = Annotated[
-    str,
-    Argument(
-        "also write the 95 % bound of each target's error, and u of its coordinates", "FILE.csv"
-    ),
-]
+CELL = option("a built-in name or a TOML path (default: paper, simulated)", "CELL", default="paper")
+SETTINGS = option(
+    "override one value of the cell file; may be repeated",
+    "KEY=VALUE",
+    assignment,
+    default=(),
+    flags=("--set",),
+)
+MACHINE_SEED = option(
+    "of the simulated machine: robot, rail, tracker (default: the seed; where a run uses a "
+    "calibration, that of the calibrated machine)",
+    "N",
+    seed_of,
+    default=None,
+)
+NOTED = option("kept in the journal", "NAME", noted, default="")
+RUNS_HELP = "folder of runs (default: HILCELL_RUNS, or one for each user)"
+RUNS: Path = option(RUNS_HELP, "DIR", folder, required=False)
+RUN: str = option("a run's name, its beginning, or `last`", "RUN", word=True)
+JSON = option("print JSON: one object", default=False)
+JSON_LINES = option("print JSON: one event a line, as journalled", default=False)
+OUT_OF_TOLERANCE = option(
+    "use a calibration whose validation failed, was not made or had another tolerance",
+    default=False,
+)
+NOT_CURRENT = option("use a calibration that is revoked, superseded or out of date", default=False)
+TOOL = option(
+    "the tool of the cell file at whose tip they are given, or `reflector` (default: the "
+    "cell's only tool; the reflector where it has none)",
+    "NAME",
+    default="",
+)
+BOUNDS = option(
+    "also write the 95 % bound of each target's error, and u of its coordinates",
+    "FILE.csv",
+    default="",
+)

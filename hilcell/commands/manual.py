@@ -18,7 +18,7 @@ from typing import Literal, get_args, get_origin
 import shtab
 
 from hilcell.alarms.catalogue import catalogue
-from hilcell.arguments import MISSING, Argument, Field, Switches, fields_of
+from hilcell.arguments import MISSING, Argument, fields_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
 from hilcell.commands import cli
@@ -133,37 +133,36 @@ def _sections(program: str, commands: cli.Commands) -> Iterator[str]:
             yield from _sections(f"{program} {name}", cli.PLANT)
             continue
         fields = list(fields_of(takes))
-        words = [_given(each) for each in fields if each.is_word or each.needed]
+        words = [_given(each) for each in fields if each.word or each.needed]
         words += ["[OPTIONS]"] * (len(words) < len(fields))
         yield f"```\n{' '.join([program, name, *words])}\n```\n"
         if rows := [row for field in fields for row in _rows(field)]:
             yield "\n".join(["| argument | meaning | default |", "|---|---|---|", *rows, ""])
 
 
-def _given(field: Field) -> str:
-    if isinstance(field.argument, Switches):
+def _given(field: Argument) -> str:
+    if field.switches:
         return f"({' | '.join(field.names)})"
-    if field.is_word:
+    if field.word:
         return _value(field) if field.needed else f"[{_value(field)}]"
     return f"{field.names[0]} {_value(field)}"
 
 
-def _value(field: Field) -> str:
+def _value(field: Argument) -> str:
     if get_origin(field.kind) is Literal:
         return f"{{{','.join(get_args(field.kind))}}}"
-    return (isinstance(field.argument, Argument) and field.argument.metavar) or field.name.upper()
+    return field.metavar or field.name.upper()
 
 
-def _rows(field: Field) -> Iterator[str]:
+def _rows(field: Argument) -> Iterator[str]:
     """Yield the rows of an argument: one, or one for each switch of a choice."""
-    argument = field.argument
-    if isinstance(argument, Switches):
-        for word, text in argument.help.items():
-            yield _row(f"--{word}", text, "one of these")
+    for word, text in field.switches.items():
+        yield _row(f"--{word}", text, "one of these")
+    if field.switches:
         return
     value = "" if field.kind is bool else f" {_value(field)}"
-    given = value.strip() if argument.word else f"{', '.join(field.names)}{value}"
-    meaning, default = argument.help, ""
+    given = value.strip() if field.word else f"{', '.join(field.names)}{value}"
+    meaning, default = field.help, ""
     if field.needed:
         default = "must be given"
     elif len(stated := STATED.findall(meaning)) == 1:

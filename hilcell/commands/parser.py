@@ -17,7 +17,7 @@ from typing import (
     get_type_hints,
 )
 
-from hilcell.arguments import MISSING, Field, Signature, Switches, fields_of, is_signature
+from hilcell.arguments import MISSING, Argument, Signature, fields_of, is_signature
 from hilcell.commands.output import print_message, stdout_checked
 from hilcell.errors import EXIT_REFUSED
 
@@ -54,27 +54,27 @@ class Parser(argparse.ArgumentParser):
                 self._add_field(each)
         return self
 
-    def _add_field(self, field: Field) -> None:
-        name, kind, argument, default = field
-        if isinstance(argument, Switches):
+    def _add_field(self, field: Argument) -> None:
+        name, kind = field.name, field.kind
+        if field.switches:
             group = self.add_mutually_exclusive_group(required=True)
-            for word, text in argument.help.items():
+            for word, text in field.switches.items():
                 group.add_argument(
                     f"--{word}", dest=name, action="store_const", const=word, help=text
                 )
             return
-        options: Json = {"help": argument.help.replace("%", "%%")}
-        if default is not MISSING:
-            options["default"] = default
+        options: Json = {"help": field.help.replace("%", "%%")}
+        if field.default is not MISSING:
+            options["default"] = field.default
         if kind is bool:
             options["action"] = "store_true"
         elif get_origin(kind) is Literal:
             options["choices"] = get_args(kind)
         else:
-            options |= {"metavar": argument.metavar, "type": argument.read}
+            options |= {"metavar": field.metavar, "type": field.read}
         if get_origin(kind) is tuple:
             options |= {"action": "append", "default": []}
-        if argument.word:
+        if field.word:
             self.add_argument(name, nargs=None if field.needed else "?", **options)
         else:
             self.add_argument(*field.names, dest=name, required=field.needed, **options)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from hilcell.arguments import (
-    Argument,
-    CellName,
-    JsonLines,
-    MachineSeed,
-    NotCurrent,
-    Noted,
-    OutOfTolerance,
-    RunName,
-    Runs,
-    Settings,
+    CELL,
+    JSON_LINES,
+    MACHINE_SEED,
+    NOT_CURRENT,
+    NOTED,
+    OUT_OF_TOLERANCE,
+    RUN,
+    RUNS,
+    SETTINGS,
     Signature,
     days,
     finite,
+    option,
     run_name,
     seed_of,
     speed_of,
@@ -35,54 +35,48 @@ if TYPE_CHECKING:
 class Attendance(Signature):
     """The operator, a screen and a recording at a run."""
 
-    unattended: Annotated[bool, Argument("nobody is there to ask")] = False
-    screen: Annotated[
-        bool, Argument("a screen has ordered this: nothing moves before one attends")
-    ] = False
-    record_wire: Annotated[
-        bool, Argument("keep all bytes to and from the devices, with times, beside the journal")
-    ] = False
+    unattended: bool = option("nobody is there to ask", default=False)
+    screen: bool = option(
+        "a screen has ordered this: nothing moves before one attends", default=False
+    )
+    record_wire: bool = option(
+        "keep all bytes to and from the devices, with times, beside the journal", default=False
+    )
 
 
 class Order(Signature):
     """Perform a procedure on a cell."""
 
-    procedure: Annotated[str, Argument("the procedure (default: calibrate)", word=True)] = (
-        "calibrate"
+    procedure: str = option("the procedure (default: calibrate)", default="calibrate", word=True)
+    cell: str = CELL
+    settings: tuple[tuple[str, str], ...] = SETTINGS
+    seed: int = option(
+        "of random targets; of the simulated machine, too, unless it has its own (default: 1)",
+        "N",
+        seed_of,
+        default=1,
     )
-    cell: CellName = "paper"
-    settings: Settings = ()
-    seed: Annotated[
-        int,
-        Argument(
-            "of random targets; of the simulated machine, too, unless it has its own (default: 1)",
-            "N",
-            seed_of,
-        ),
-    ] = 1
-    machine_seed: MachineSeed = None
-    runs: Runs
-    speed: Annotated[
-        float | None,
-        Argument(
-            "of a simulated cell's time: a factor, or as fast as it goes (default: max)",
-            "X|max",
-            speed_of,
-        ),
-    ] = None
+    machine_seed: int | None = MACHINE_SEED
+    runs: Path = RUNS
+    speed: float | None = option(
+        "of a simulated cell's time: a factor, or as fast as it goes (default: max)",
+        "X|max",
+        speed_of,
+        default=None,
+    )
     attendance: Attendance = Attendance()
-    operator: Noted = ""
-    name: Annotated[
-        str | None,
-        Argument(
-            "the run's name and folder (default: made of time and procedure)", "RUN", run_name
-        ),
-    ] = None
-    job: Annotated[str, Argument("kept in the journal", "ID", clean)] = ""
-    accept_out_of_tolerance: OutOfTolerance = False
-    accept_not_current: NotCurrent = False
-    dry_run: Annotated[bool, Argument("check and show the plan; open nothing")] = False
-    json: JsonLines = False
+    operator: str = NOTED
+    name: str | None = option(
+        "the run's name and folder (default: made of time and procedure)",
+        "RUN",
+        run_name,
+        default=None,
+    )
+    job: str = option("kept in the journal", "ID", clean, default="")
+    accept_out_of_tolerance: bool = OUT_OF_TOLERANCE
+    accept_not_current: bool = NOT_CURRENT
+    dry_run: bool = option("check and show the plan; open nothing", default=False)
+    json: bool = JSON_LINES
 
     def check(self, say: Callable[[str], object]) -> NewRun:
         """Return the run, planned; raises `HilcellError` where it must not begin.
@@ -137,20 +131,17 @@ class Order(Signature):
 class Resume(Signature):
     """Continue a run, or a paused one."""
 
-    run: RunName
-    runs: Runs
+    run: str = RUN
+    runs: Path = RUNS
     attendance: Attendance = Attendance()
-    accept_changes: Annotated[
-        bool,
-        Argument(
-            "go on with another device, cell file or version of hilcell; the journal keeps it"
-        ),
-    ] = False
-    retake: Annotated[
-        tuple[str, ...],
-        Argument("re-measure this point; may be repeated; opens a finished run again", "KEY"),
-    ] = ()
-    json: JsonLines = False
+    accept_changes: bool = option(
+        "go on with another device, cell file or version of hilcell; the journal keeps it",
+        default=False,
+    )
+    retake: tuple[str, ...] = option(
+        "re-measure this point; may be repeated; opens a finished run again", "KEY", default=()
+    )
+    json: bool = JSON_LINES
 
     def check(self, folder: Path, log: Log, *, somebody: bool) -> ResumedRun:
         """Return the run that goes on; raises `HilcellError` where nothing is left to be done, or
@@ -209,13 +200,12 @@ class Resume(Signature):
 class Release(Signature):
     """The conditions under which a calibration is used, and where runs are."""
 
-    temperature: Annotated[
-        float | None,
-        Argument("the room's: refuse one further than 2 K from the calibrated", "T_C", finite),
-    ] = None
-    max_age: Annotated[
-        float, Argument("refuse an older calibration (default: 180)", "DAYS", days)
-    ] = 180.0
-    accept_out_of_tolerance: OutOfTolerance = False
-    accept_not_current: NotCurrent = False
-    runs: Runs
+    temperature: float | None = option(
+        "the room's: refuse one further than 2 K from the calibrated", "T_C", finite, default=None
+    )
+    max_age: float = option(
+        "refuse an older calibration (default: 180)", "DAYS", days, default=180.0
+    )
+    accept_out_of_tolerance: bool = OUT_OF_TOLERANCE
+    accept_not_current: bool = NOT_CURRENT
+    runs: Path = RUNS

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import pytest
 
 from hilcell import errors
-from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
+from hilcell.arguments import Signature, fields_of, option, seed_of
 from hilcell.commands.cli import EXITS, GROUPS, OWN_EXITS, PLANT
 from hilcell.commands.manual import page
 
@@ -26,21 +26,21 @@ def test_every_command_and_option_stands_in_it() -> None:
     commands = [each for group in GROUPS.values() for each in group.items()]
     for name, (takes, _) in [*commands, *((f"plant {name}", each) for name, each in PLANT.items())]:
         section = text.partition(f"### hilcell {name}\n")[2].partition("\n### ")[0]
-        fields = [each for each in fields_of(takes) if not each.is_word]
-        for option in (option for field in fields for option in field.names):
-            assert f"`{option}" in section or f", {option}" in section
+        fields = [each for each in fields_of(takes) if not each.word]
+        for given in (each for field in fields for each in field.names):
+            assert f"`{given}" in section or f", {given}" in section
 
 
 class Sample(Signature):
     """Try."""
 
-    word: Annotated[str, Argument("a|b", "A|B", word=True)]
-    runs: Annotated[int, Argument("how often (default: by day (or night) 3)", "N", seed_of)] = 3
-    shape: Annotated[Literal["round", "flat"], Argument("its shape")] = "flat"
-    two: Annotated[str, Argument("one (default: x); other (default: y)")] = ""
-    form: Annotated[Literal["csv", "json"], Switches({"csv": "rows", "json": "all"})]
-    output: Annotated[str, Argument("where", "OUT", names=("-o", "--output"))]
-    quick: Annotated[bool, Argument("hurry")] = False
+    word: str = option("a|b", "A|B", word=True)
+    runs: int = option("how often (default: by day (or night) 3)", "N", seed_of, default=3)
+    shape: Literal["round", "flat"] = option("its shape", default="flat")
+    two: str = option("one (default: x); other (default: y)", default="")
+    form: Literal["csv", "json"] = option(switches={"csv": "rows", "json": "all"})
+    output: str = option("where", "OUT", flags=("-o", "--output"))
+    quick: bool = option("hurry", default=False)
 
 
 def test_a_section_has_usage_and_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,8 +68,7 @@ def test_a_default_in_words_is_the_one_that_counts() -> None:
         (each.__name__, field.name): (float(words[1]), field.default)
         for each in takes
         for field in fields_of(each)
-        if isinstance(field.argument, Argument)
-        if (words := re.search(r"\(default: ([\d.]+)\)", field.argument.help))
+        if (words := re.search(r"\(default: ([\d.]+)\)", field.help))
     }
     assert len(stated) > 5
     assert {key: pair for key, pair in stated.items() if pair[0] != pair[1]} == {}
