@@ -38,16 +38,12 @@ def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") 
     return near_mm
 
 
-def check_reflector(reflector: str, known: str, found: str) -> None:
-    """Refuse another reflector than the one whose constant is set; ``found`` says which, where."""
-    if reflector != known:
+def check_reflector(reflector: str, known: list[str], found: str) -> None:
+    """Refuse a reflector whose constant the tracker has not; ``found`` says which it has."""
+    if reflector not in known:
+        operation, wanted = "choose reflector", repr(reflector)
         raise TRACKER.refused(
-            "HC-T07",
-            "choose reflector",
-            found,
-            wanted=repr(reflector),
-            reflector=reflector,
-            known=[known],
+            "HC-T07", operation, found, wanted=wanted, reflector=reflector, known=known
         )
 
 

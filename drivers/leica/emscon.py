@@ -235,6 +235,15 @@ class Multi:
 Packet = Reply | Failure | StatusChange | Single | Multi
 
 
+def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -> None:
+    """Raise the error of a packet that tells that a measurement failed, or of a bad result."""
+    if isinstance(packet, Failure) or (isinstance(packet, kind) and packet.status != 0):
+        raise failed(Command.START_MEASUREMENT, packet.status)
+    if packet == StatusChange(Change.NOT_READY):
+        found, act = "the beam broke", "clear the line of sight"
+        raise TRACKER.no_reading("HC-T10", operation, found, act=act)
+
+
 @dataclass(frozen=True, slots=True)
 class SystemStatus:
     """Processor state, version, weather monitor and serial number, as the tracker reports them."""

@@ -9,7 +9,7 @@ from the expected place is refused.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from struct import Struct
 from typing import Annotated, Self, TypeVar
 
@@ -38,6 +38,7 @@ from drivers.leica.emscon import (
 from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     Positive,
+    check_reflector,
     check_serial,
     checked_order,
     form_at,
@@ -244,16 +245,8 @@ class LeicaEmsconTracker:
     def _choose(self, reflector: str) -> None:
         if reflector == self._reflector:
             return
-        if reflector not in self._numbers:
-            known = ", ".join(repr(name) for name in self._numbers)
-            raise TRACKER.refused(
-                "HC-T07",
-                "choose reflector",
-                f"the tracker knows {known}",
-                wanted=repr(reflector),
-                reflector=reflector,
-                known=list(self._numbers),
-            )
+        known = ", ".join(map(repr, self._numbers))
+        check_reflector(reflector, list(self._numbers), f"the tracker knows {known}")
         self.settings.write(Setting.REFLECTOR, self._numbers[reflector])
         self._reflector = reflector
 
@@ -326,23 +319,12 @@ class LeicaEmsconTracker:
         limit_s = self._options.reading_s + self.RESULT_S
         patience = Patience(limit_s)
         while (packet := self.next_packet(patience)) is not None:
+            emscon.check_measured(packet, Single, "measure")
             if isinstance(packet, Single):
-                if packet.status != 0:
-                    raise emscon.failed(Command.START_MEASUREMENT, packet.status)
                 return packet
-            if isinstance(packet, Failure):
-                raise emscon.failed(Command.START_MEASUREMENT, packet.status)
-            if packet == StatusChange(Change.NOT_READY):
-                raise TRACKER.no_reading(
-                    "HC-T10", "measure", "the beam broke", act="clear the line of sight"
-                )
-        raise TRACKER.no_reading(
-            "HC-T13",
-            "measure",
-            f"acknowledged, but no result came within {limit_s:.1f} s",
-            act="look at the tracker's state",
-            waited_s=limit_s,
-        )
+        found = f"acknowledged, but no result came within {limit_s:.1f} s"
+        act = "look at the tracker's state"
+        raise TRACKER.no_reading("HC-T13", "measure", found, act=act, waited_s=limit_s)
 
     def _check(self, result: Single, near_mm: Array) -> None:
         if not emscon.possible(*result.xyz, *result.std, result.std_total):
@@ -495,7 +477,8 @@ class EmsconStream:
         self.rate_hz = 1000.0 / self._separation_ms
         self._tracker, self._clock = tracker, clock
         self._near_mm, self._reflector, self._radius_mm = near_mm, reflector, find_radius_mm
-        self._silence = Patience(self.SILENT_S)
+        self._silent_s = self.SILENT_S + self._separation_ms / 1000.0
+        self._silence = Patience(self._silent_s)
         self._emptied_s = 0.0
         self._last_s: float | None = None
         self._running = False
@@ -534,35 +517,30 @@ class EmsconStream:
         self._emptied_s = self._clock.now_s()
         self._tracker.start(self._near_mm)
         self._running = True
-        self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
+        self._silence = Patience(self._silent_s)
 
     def collect(self) -> list[StreamBlock]:
         looked_s = self._clock.now_s()
         over = self._silence.over()
-        samples = []
-        while (packet := self._tracker.next_packet(Patience(0.0))) is not None:
-            samples += self._samples(packet)
+        samples = self._samples(iter(lambda: self._tracker.next_packet(Patience(0.0)), None))
         if samples:
-            self._silence = Patience(self.SILENT_S + self._separation_ms / 1000.0)
+            self._silence = Patience(self._silent_s)
         elif over:
-            raise TRACKER.no_reading(
-                "HC-T40",
-                "stream",
-                f"no samples for {self.SILENT_S + self._separation_ms / 1000.0:.1f} s",
-                act="look at the tracker's state",
-            )
+            raise self._empty(f"no samples for {self._silent_s:.1f} s")
         return self._blocks(samples, looked_s)
 
     def complete(self) -> list[StreamBlock]:
         """End the stream and return the rest of it; raises `NoReading` where nothing ever came."""
         looked_s = self._clock.now_s()
-        samples = [each for packet in self._stop() for each in self._samples(packet)]
+        samples = self._samples(self._stop())
         self._tracker.settings.prove()  # those that were changed while it measured
-        if self._last_s is None and not samples:
-            raise TRACKER.no_reading(
-                "HC-T40", "stream", "no sample came", act="look at the tracker's state"
-            )
+        if self._last_s is None:
+            raise self._empty("no sample came")
         return self._blocks(samples, looked_s)
+
+    @staticmethod
+    def _empty(found: str) -> NoReading:
+        return TRACKER.no_reading("HC-T40", "stream", found, act="look at the tracker's state")
 
     def _stop(self) -> list[Packet]:
         """Stop measuring; return the blocks that came before the tracker's answer."""
@@ -580,20 +558,17 @@ class EmsconStream:
             "HC-T42", "stream", f"not stopped within {self.END_S:.0f} s", waited_s=self.END_S
         )
 
-    def _samples(self, packet: Packet) -> list[Multi]:
-        """Return the packet's samples; raises the error of any other packet."""
-        if isinstance(packet, Failure):
-            raise emscon.failed(Command.START_MEASUREMENT, packet.status)
-        if packet == StatusChange(Change.NOT_READY):
-            raise TRACKER.no_reading(
-                "HC-T10", "stream", "the beam broke", act="clear the line of sight"
-            )
-        if not isinstance(packet, Multi) or not len(packet.device_s):
-            return []
-        if packet.status != 0:
-            raise emscon.failed(Command.START_MEASUREMENT, packet.status)
-        self._check(packet)
-        return [packet]
+    def _samples(self, packets: Iterable[Packet]) -> list[Multi]:
+        """Return the packets of samples; raises the error that one of them tells."""
+        samples = list[Multi]()
+        for packet in packets:
+            if isinstance(packet, Multi) and not len(packet.device_s):
+                continue
+            emscon.check_measured(packet, Multi, "stream")
+            if isinstance(packet, Multi):
+                self._check(packet)
+                samples.append(packet)
+        return samples
 
     def _check(self, packet: Multi) -> None:
         if not emscon.possible(*packet.xyz.flat):

@@ -334,8 +334,8 @@ class LeicaGeocomTracker:
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_order(near_mm, samples)
         options = self._options
-        known = options.reflector
-        check_reflector(reflector, known, f"the prism constant is that of {known!r}")
+        of = f"the prism constant is that of {options.reflector!r}"
+        check_reflector(reflector, [options.reflector], of)
         self._prove()
         self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])

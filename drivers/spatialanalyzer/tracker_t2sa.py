@@ -221,8 +221,8 @@ class T2saTracker:
         """
         near_mm = checked_order(near_mm, samples)
         options = self._options
-        known = options.reflector
-        check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
+        target = f"the target in SpatialAnalyzer is {options.reflector!r}"
+        check_reflector(reflector, [options.reflector], target)
         self._wire()
         points = TRACKER.connected(self._points)
         name, _, beside_mm = points.aim(near_mm, options.search_mm)
@@ -357,13 +357,9 @@ class T2saTracker:
             if off_mm <= limit_mm:
                 return xyz_mm
             if form := form_at(near_mm, limit_mm, other_forms(xyz_mm, named_mm)):
+                found, wanted = f"the result {_shown(xyz_mm)} is {form}", "a position in mm"
                 raise TRACKER.failed(
-                    "HC-T77",
-                    "measure",
-                    f"the result {_shown(xyz_mm)} is {form}",
-                    wanted="a position in mm",
-                    xyz=xyz_mm.tolist(),
-                    form=form,
+                    "HC-T77", "measure", found, wanted=wanted, xyz=xyz_mm.tolist(), form=form
                 )
             others_mm[name] = xyz_mm
         raise misplaced(off_mm, limit_mm)
@@ -376,22 +372,12 @@ class T2saTracker:
                 "HC-T14", "measure", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm)
             )
         if self._last_mm is not None and bool(np.all(xyz_mm == self._last_mm)):
-            raise TRACKER.no_reading(
-                "HC-T76",
-                "measure",
-                f"the result {_shown(xyz_mm)} is the former one to its last digit",
-                act=ACT,
-                xyz_mm=xyz_mm.tolist(),
-            )
+            found = f"the result {_shown(xyz_mm)} is the former one to its last digit"
+            raise TRACKER.no_reading("HC-T76", "measure", found, act=ACT, xyz_mm=xyz_mm.tolist())
         self._last_mm = xyz_mm
         if not float(np.linalg.norm(xyz_mm - named_mm)) > self.NOMINAL_MM:
-            raise TRACKER.refused(
-                "HC-T71",
-                "measure",
-                f"the result {_shown(xyz_mm)} is the named point {name} itself",
-                xyz_mm=xyz_mm.tolist(),
-                point=name,
-            )
+            found = f"the result {_shown(xyz_mm)} is the named point {name} itself"
+            raise TRACKER.refused("HC-T71", "measure", found, xyz_mm=xyz_mm.tolist(), point=name)
         return xyz_mm
 
     def _path(self, name: str) -> str:
