@@ -16,7 +16,7 @@ import io
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -122,12 +122,12 @@ def written(points: NamedPoints) -> str:
 
 def points_of(cell: Cell, search_mm: float) -> NamedPoints:
     """Return points in all directions in which a reflector of the cell can be."""
-    tracker, inside = cell.tracker, _Volume(cell, search_mm)
+    tracker, inside = cell.tracker, _volume(cell, search_mm)
     directions = _directions(MARGIN * math.sqrt(2.0) * search_mm / tracker.max_range_mm)
     first_mm = np.full(len(directions), np.nan)
     last_mm = first_mm.copy()
     for range_mm in np.arange(tracker.min_range_mm, tracker.max_range_mm, STEP_MM):
-        here = inside.of(range_mm * directions)
+        here = inside(range_mm * directions)
         first_mm[here & np.isnan(first_mm)] = range_mm
         last_mm[here] = range_mm
     kept = np.isfinite(first_mm)
@@ -139,35 +139,34 @@ def points_of(cell: Cell, search_mm: float) -> NamedPoints:
     return NamedPoints([f"P{n:06d}" for n in range(1, len(xyz_mm) + 1)], xyz_mm)
 
 
-class _Volume:
-    """All places at which a reflector of the cell can be: of the arm's reach, and by the nests."""
+def _volume(cell: Cell, wider_mm: float) -> Callable[[Array], NDArray[np.bool_]]:
+    """Return what tells which places (N, 3), tracker's frame, a reflector of the cell can be at.
 
-    def __init__(self, cell: Cell, wider_mm: float) -> None:
-        layout, rail = cell.layout, cell.rail
-        self._to_world = cell.tracker.pose.matrix()
-        self._nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
-        self._lowest_mm = self._nests_mm[:, 2].min() - wider_mm
-        self._near_mm = wider_mm + STEP_MM
-        low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
-        joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (20_000, 6))
-        tools_mm = forward(cell.robot.arm(), joints_rad)[:, :3, 3]  # in {B}, near all it reaches
-        self._reach_mm = float(np.linalg.norm(tools_mm, axis=1).max()) + wider_mm
-        self._begin_mm = layout.nominal_base(rail.travel_min_mm)[:3, 3]
-        self._way_mm = layout.nominal_base(rail.travel_max_mm)[:3, 3] - self._begin_mm
+    They are those of the arm's reach, and by the nests.
+    """
+    layout, rail, near_mm = cell.layout, cell.rail, wider_mm + STEP_MM
+    nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
+    low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
+    joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (20_000, 6))
+    tools_mm = forward(cell.robot.arm(), joints_rad)[:, :3, 3]  # in {B}, near all it reaches
+    reach_mm = float(np.linalg.norm(tools_mm, axis=1).max()) + wider_mm
+    begin_mm = layout.nominal_base(rail.travel_min_mm)[:3, 3]
+    way_mm = layout.nominal_base(rail.travel_max_mm)[:3, 3] - begin_mm
+    length_2 = float(way_mm @ way_mm)
 
-    def of(self, at_mm: Array) -> NDArray[np.bool_]:
-        """Return which places (N, 3), tracker's frame, are in it."""
-        world_mm = apply(self._to_world, at_mm)
-        above = world_mm[:, 2] >= self._lowest_mm
-        length_2 = float(self._way_mm @ self._way_mm)
-        along = (world_mm - self._begin_mm) @ self._way_mm
+    def inside(at_mm: Array) -> NDArray[np.bool_]:
+        world_mm = apply(cell.tracker.pose.matrix(), at_mm)
+        above = world_mm[:, 2] >= nests_mm[:, 2].min() - wider_mm
+        along = (world_mm - begin_mm) @ way_mm
         share = np.clip(along / length_2, 0.0, 1.0) if length_2 else 0.0
-        bases_mm = self._begin_mm + np.multiply.outer(share, self._way_mm)  # the nearest ones
+        bases_mm = begin_mm + np.multiply.outer(share, way_mm)  # the nearest ones
         from_base_mm = np.linalg.norm(world_mm - bases_mm, axis=-1)
-        found: NDArray[np.bool_] = above & (from_base_mm <= self._reach_mm)
-        for nest_mm in self._nests_mm:
-            found |= np.linalg.norm(world_mm - nest_mm, axis=1) <= self._near_mm
+        found: NDArray[np.bool_] = above & (from_base_mm <= reach_mm)
+        for nest_mm in nests_mm:
+            found |= np.linalg.norm(world_mm - nest_mm, axis=1) <= near_mm
         return found
+
+    return inside
 
 
 def _directions(pitch_rad: float) -> Array:

@@ -157,7 +157,7 @@ class UrRtdeRobot:
     def stop(self) -> None:
         """Brake and end the script, over all wires; any thread; waits for no answer."""
         self._stopped = True
-        stop_by_all_wires(self._link, self._stop_line, self._session)
+        Release(self._link, self._stop_line, self._session).stop()
 
     def close(self) -> None:
         """End the script, so that registers move nothing any more, then close all connections.
@@ -180,24 +180,12 @@ class UrRtdeRobot:
         software = panel.answer_to("PolyscopeVersion") or "version unknown"
         if model is None or serial is None:
             untold = "model" if model is None else "serial number"
-            raise ROBOT.refused(
-                "HC-B69",
-                "connect",
-                f"this PolyScope ({software}) does not tell its {untold}",
-                wanted=UrLink.POLYSCOPE,
-            )
+            found = f"this PolyScope ({software}) does not tell its {untold}"
+            raise ROBOT.refused("HC-B69", "connect", found, wanted=UrLink.POLYSCOPE)
         check_identity(model, options.model, serial, options.serial)
-        address = f"{options.host}:{options.rtde_port}"
-        return Identity(
-            ROBOT.name,
-            model,
-            serial,
-            address,
-            says_simulated(model),
-            "robot",
-            "Universal Robots",
-            software,
-        )
+        address, maker = f"{options.host}:{options.rtde_port}", "Universal Robots"
+        simulated = says_simulated(model)
+        return Identity(ROBOT.name, model, serial, address, simulated, "robot", maker, software)
 
     def _check_remote(self) -> None:
         """Refuse local control; a controller without the question (CB3) is always remote."""
@@ -274,12 +262,8 @@ class UrRtdeRobot:
         wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
-            raise ROBOT.refused(
-                "HC-B06",
-                "connect",
-                f"the TCP is {frame_text(state.tool)}",
-                wanted=frame_text(wanted),
-            )
+            found = f"the TCP is {frame_text(state.tool)}"
+            raise ROBOT.refused("HC-B06", "connect", found, wanted=frame_text(wanted))
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -412,12 +396,8 @@ class UrRtdeRobot:
                 break
             self.live()
         else:
-            raise ROBOT.failed(
-                "HC-B71",
-                "sweep",
-                f"not at rest {time.monotonic() - begun_s:.1f} s after the brake",
-                wanted=f"at rest within {REST_S:g} s",
-            )
+            found = f"not at rest {time.monotonic() - begun_s:.1f} s after the brake"
+            raise ROBOT.failed("HC-B71", "sweep", found, wanted=f"at rest within {REST_S:g} s")
         self._order = replace(self._order, stop=Order.GO)
         self.live()
         self._under_way, self._rest_rad = False, state.joints_rad
@@ -511,12 +491,9 @@ class UrSweep:
     ) -> None:
         """``full_rad_s`` is the axis's speed at 100 %; NaN for an axis that there is not."""
         if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
-            raise ROBOT.failed(
-                "HC-B28",
-                "sweep",
-                f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s",
-                wanted=f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s",
-            )
+            found = f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s"
+            wanted = f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s"
+            raise ROBOT.failed("HC-B28", "sweep", found, wanted=wanted)
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad, self._wanted_rad_s = axis, end_rad, speed_rad_s
@@ -590,21 +567,6 @@ class UrSweep:
             )
 
 
-def stop_by_all_wires(link: UrLink | None, panel: Dashboard | None, session: int) -> None:
-    """Send the stop over each wire that there is; raises `DeviceError` where none takes it."""
-    stops = [partial(panel.send, "stop")] if panel is not None else []
-    if link is not None:
-        stops.append(partial(link.end_script, session))
-    failures = list[DeviceError]()
-    for stop in stops:
-        try:
-            stop()
-        except DeviceError as error:
-            failures.append(error)
-    if failures and len(failures) == len(stops):
-        raise failures[0]
-
-
 class Release:
     """The end of a session: our script has ended and the arm is at rest, and both are confirmed.
 
@@ -624,14 +586,28 @@ class Release:
         self._answer = "none"  # of the dashboard to the last stop
         self._again_s = time.monotonic()
 
+    def stop(self) -> None:
+        """Send the stop over each wire that there is; raises `DeviceError` where none takes it."""
+        stops = [partial(self._panel.send, "stop")] if self._panel is not None else []
+        if self._link is not None:
+            stops.append(partial(self._link.end_script, self._session))
+        failures = list[DeviceError]()
+        for stop in stops:
+            try:
+                stop()
+            except DeviceError as error:
+                failures.append(error)
+        if failures and len(failures) == len(stops):
+            raise failures[0]
+
     def leave_at_rest(self) -> None:
         """Return when no program plays and the joints stand; raises `DeviceError`."""
         link = self._link
         if link is None:
-            self._stop()
+            self._stop_again()
             raise self._unconfirmed("no connection by RTDE")
         for _ in looks(self.RELEASE_S, LOOK_S):
-            self._stop()
+            self._stop_again()
             try:
                 first = link.fresh(patiently=True)
                 time.sleep(DWELL_S)
@@ -652,13 +628,13 @@ class Release:
             f"{last.timestamp_s:.3f} s by the controller's clock"
         )
 
-    def _stop(self) -> None:
+    def _stop_again(self) -> None:
         now_s = time.monotonic()
         if now_s < self._again_s:
             return
         self._again_s = now_s + self.AGAIN_S
         try:
-            stop_by_all_wires(self._link, self._panel, self._session)
+            self.stop()
         except DeviceError as error:
             raise self._unconfirmed(error.found) from error
 

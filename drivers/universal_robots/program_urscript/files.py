@@ -56,13 +56,7 @@ class Statement:
     line: int
     start: int
     code: str
-    source: str
-
-    @property
-    def quoted(self) -> str:
-        """Return it as the file has it, for messages."""
-        text = clean(self.source)
-        return text if len(text) <= 80 else f"{text[:77]}..."
+    source: str  # as the file has it, for messages
 
 
 def statements(text: str) -> Iterator[Statement]:
@@ -85,17 +79,18 @@ def statements(text: str) -> Iterator[Statement]:
 
 def split(text: str) -> list[str]:
     """Split arguments at commas outside of all brackets; raises `UrScriptError`."""
-    parts, depth, begin = list[str](), 0, 0
-    for at, sign in enumerate(text):
+    parts, depth = [""], 0
+    for sign in text:
         depth += (sign in "([") - (sign in ")]")
         if depth < 0:
             break
-        if depth == 0 and sign == ",":
-            parts.append(text[begin:at])
-            begin = at + 1
+        if sign == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += sign
     if depth:
         raise UrScriptError("its brackets do not close on its line")
-    return [*parts, text[begin:]]
+    return parts
 
 
 def pose(text: str, start: int) -> list[Number] | None:
@@ -267,7 +262,9 @@ class _Reader:
                     if statement.line not in problems:
                         take(statement)
                 except UrScriptError as error:
-                    problems[statement.line] = f"{statement.quoted}: {error}"
+                    source = clean(statement.source)
+                    quoted = source if len(source) <= 80 else f"{source[:77]}..."
+                    problems[statement.line] = f"{quoted}: {error}"
         if not problems:
             problems = dict.fromkeys(self._open, "its block has no end")
         return [f"line {line}: {problems[line]}" for line in sorted(problems)]
