@@ -23,7 +23,7 @@ from statistics import median
 from typing import Generic, TypeVar
 
 from drivers.device_errors import RAIL
-from drivers.supervision import Patience
+from drivers.supervision import looks
 from hilcell.ports import Clock, DeviceError, RailReading, StripLost
 
 STRIP_SPREAD_MM = 0.02  # at rest
@@ -226,17 +226,14 @@ class Standing(Generic[P]):
     def settle(self) -> P:
         """Return the newest poll of a slide at rest whose strip reads; raises `DeviceError`."""
         limit_s = self.SETTLE_S + self._windows.dwell_s
-        patience = Patience(limit_s)
-        while True:
-            over = patience.over()
+        for _ in looks(limit_s):
             now = self.poll("settle")
             if self.rest is not None:
                 now = self.check_strip("settle", now)
             if self.rest is not None:  # a strip that is back may show that the slide moves
                 return now
-            if over:
-                raise self._restless(now, limit_s)
             self.pause()
+        raise self._restless(now, limit_s)
 
     def reading(self, now: P, ended_s: float | None) -> RailReading:
         """Return the poll ``now``, or the medians of which it is the newest part."""

@@ -22,7 +22,7 @@ from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL, Device
 from drivers.motion_limits import MotionLimits
 from drivers.standstill import Standing
-from drivers.supervision import Patience, Supervision
+from drivers.supervision import Supervision, looks
 from hilcell.ports import Clock, DeviceError
 
 
@@ -117,11 +117,11 @@ class Drive:
             return
         self._image.control(Control.DISABLE_VOLTAGE)
         self._image.control(Control.FAULT_RESET)  # the rising edge resets
-        patience, over = Patience(self.STALL_S), False
-        while self._image.refresh(self._clock.check).state is State.FAULT:
-            if over:
+        for last in looks(self.STALL_S):
+            if self._image.refresh(self._clock.check).state is not State.FAULT:
+                break
+            if last:
                 raise self._fault(operation, "drive stays in fault", State.FAULT)
-            over = patience.over()
             self._clock.wait(self.POLL_S)
         self._image.control(Control.DISABLE_VOLTAGE)
 

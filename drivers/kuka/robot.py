@@ -47,7 +47,7 @@ from drivers.motion_limits import (
     stopped_short,
     unwell,
 )
-from drivers.supervision import Patience, Supervision, on_failure
+from drivers.supervision import Supervision, looks, on_failure
 from hilcell.cell.file import Joint
 from hilcell.clean import clean
 from hilcell.geometry.frames import from_zyx
@@ -332,11 +332,11 @@ class KukaRobot:
                 await_rest(controller)
             controller.give_back_override()
         controller.release()
-        patience = Patience(self.CATCH_UP_S, self.POLL_LOOK_S)
-        self._sequence = self.wire().integer("HC_SEQ")
-        over = False
-        while (acknowledged := self.wire().integer("HC_ACK")) != self._sequence:
-            if over:
+        self._sequence = controller.integer("HC_SEQ")
+        for last in looks(self.CATCH_UP_S, self.POLL_LOOK_S):
+            if (acknowledged := controller.integer("HC_ACK")) == self._sequence:
+                break
+            if last:
                 raise ROBOT.refused(
                     "HC-B25",
                     "connect",
@@ -345,7 +345,6 @@ class KukaRobot:
                     acknowledged=acknowledged,
                     sequence=self._sequence,
                 )
-            over = patience.over()
             self._clock.wait(POLL_S)
             controller.look()
             controller.release()  # a motion that a dead engine left behind brakes by itself
@@ -402,9 +401,8 @@ class KukaRobot:
         # The pose means something only with the tool and the base that connect has verified.
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
-        patience, wanted = Patience(REST_S, self.POLL_LOOK_S), self._whole(target_deg)
-        over = False
-        while True:
+        wanted = self._whole(target_deg)
+        for _ in looks(REST_S, self.POLL_LOOK_S):
             taken_s = self._clock.pc_s()
             controller.look()
             axes, before = self._axes(), self._pose()
@@ -415,9 +413,6 @@ class KukaRobot:
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
                 self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
                 return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
-            if over:
-                break
-            over = patience.over()
         tolerance = f"{joints_text(wanted)} +-{self.AXIS_TOLERANCE_DEG}"
         raise stopped_short(joints_text(axes), tolerance, axes, wanted)
 
@@ -637,10 +632,8 @@ def await_rest(
     ``closing`` writes the stop again at each look, for the one that waited for no answer may be
     lost, and asks for the axes alone.
     """
-    patience, over = Patience(BRAKED_S), False
     before, pause = np.full(len(names), np.inf), threading.Event()
-    while not over:
-        over = patience.over()
+    for _ in looks(BRAKED_S):
         if closing:
             controller.brake()
         controller.look()

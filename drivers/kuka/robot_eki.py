@@ -268,14 +268,12 @@ def open_channel(
     """Return a channel that has answered ``probe``; raises `DeviceError`."""
     patience, over = Patience(OPEN_S, OPEN_S), False
     while True:
-        channel = None
         try:
             channel = EkiChannel(host, port, root, attend, probe)
-            channel.keep()
-        except BaseException as error:  # also a stop: the controller serves one client alone
-            if channel is not None:
-                channel.close()
-            if over or not isinstance(error, DeviceError):
+            with on_failure(channel.close):  # the controller serves one client alone
+                channel.keep()
+        except DeviceError:
+            if over:
                 raise
         else:
             return channel
