@@ -168,7 +168,7 @@ def bridge_replies(data: bytes) -> None:
     tracker = T2saTracker(options, WallClock(threading.Event()))
     tracker._lines = TextLines(Wire(data), letters=True)
     tracker._exchange("!SET_SIM:0")
-    tracker._position(T2saTracker.MEASURE, "A;G;P1")
+    tracker._position(T2saTracker.MEASURE, "P1")
 
 
 def bridge_samples() -> Iterable[bytes]:

@@ -120,19 +120,17 @@ class LeicaEmsconTracker:
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
-        results = [self._single(near_mm) for _ in range(samples)]
-        return self._reading(results, reflector)
+        return self._reading(near_mm, reflector, samples)
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
         self._turn_to(Value.SECOND_FACE)
         try:
-            results = [self._single(near_mm) for _ in range(samples)]
+            reading = self._reading(near_mm, reflector, samples)
         except NoReading:
             self._turn_to(Value.FIRST_FACE)
             raise
-        reading = self._reading(results, reflector)
         self._turn_to(Value.FIRST_FACE)
         return reading
 
@@ -306,14 +304,9 @@ class LeicaEmsconTracker:
         self.settings.read_again(Setting.REFLECTOR)
         self.settings.prove()
         if self._results != 1:
-            raise TRACKER.no_reading(
-                "HC-T31",
-                "measure",
-                f"{self._results} results came to one start",
-                wanted="1",
-                act="one was late; it is measured again",
-                results=self._results,
-            )
+            found = f"{self._results} results came to one start"
+            act, came = "one was late; it is measured again", self._results
+            raise TRACKER.no_reading("HC-T31", "measure", found, wanted="1", act=act, results=came)
 
     def _await_result(self) -> Single:
         limit_s = self._options.reading_s + self.RESULT_S
@@ -361,15 +354,16 @@ class LeicaEmsconTracker:
         found = f"the result {xyz} is in {unit}"
         return TRACKER.failed("HC-T18", "measure", found, wanted="mm", xyz=xyz, unit=unit)
 
-    def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
+    def _reading(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        results = [self._single(near_mm) for _ in range(samples)]
         points_mm = np.array([result.xyz for result in results])
         std_mm = np.array(results[0].std)
-        if len(results) > 1:
+        if samples > 1:
             std_mm = std_of_repeats(points_mm, self._options.max_std_mm)
         last = results[-1]
         air = Air(last.temperature, last.pressure, last.humidity) if self._air_measured else None
         mean_mm = points_mm.mean(axis=0)
-        return TrackerReading(mean_mm, std_mm, len(results), reflector, air, self._arrived_s)
+        return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._arrived_s)
 
     # -- packets ------------------------------------------------------------------------------
 
@@ -466,13 +460,8 @@ class EmsconStream:
     ) -> None:
         near_mm = checked_order(near_mm, operation="stream")
         if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
-            raise TRACKER.failed(
-                "HC-T35",
-                "stream",
-                f"{rate_hz} samples/s",
-                wanted=f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}",
-                rate_hz=rate_hz,
-            )
+            found, wanted = f"{rate_hz} samples/s", f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}"
+            raise TRACKER.failed("HC-T35", "stream", found, wanted=wanted, rate_hz=rate_hz)
         self._separation_ms = round(1000.0 / rate_hz)
         self.rate_hz = 1000.0 / self._separation_ms
         self._tracker, self._clock = tracker, clock

@@ -261,13 +261,9 @@ class T2saTracker:
         reply = when_ready(ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S)
         if not reply.is_ready:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
+            found, act = f"state {reply.text!r} for {limit_s:.1f} s", ACTS.get(alarm, ACT)
             raise TRACKER.failed(
-                alarm,
-                "connect",
-                f"state {reply.text!r} for {limit_s:.1f} s",
-                wanted=repr(READY[0]),
-                act=ACTS.get(alarm, ACT),
-                status=reply.code,
+                alarm, "connect", found, wanted=repr(READY[0]), act=act, status=reply.code
             )
         return reply.text
 
@@ -312,19 +308,14 @@ class T2saTracker:
             state = self._ask(self.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
-            raise TRACKER.failed(
-                code,
-                "switch the laser on",
-                f"state {state!r}",
-                wanted="LON",
-                act=ACTS.get(code, "let the tracker warm up, then resume"),
-                state=state,
-            )
+            found, act = f"state {state!r}", ACTS.get(code, "let the tracker warm up, then resume")
+            operation = "switch the laser on"
+            raise TRACKER.failed(code, operation, found, wanted="LON", act=act, state=state)
 
     def _compare(self, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
         for name, listed_mm in points.spread(self.COMPARED):
-            found_mm = self._position(self.POSITION, self._path(name))
+            found_mm = self._position(self.POSITION, name)
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
                 forms = other_forms(found_mm, np.full(3, np.nan))
                 form = form_at(listed_mm, self.SAME_MM, forms)
@@ -366,7 +357,7 @@ class T2saTracker:
 
     def _measured(self, name: str, named_mm: Array) -> Array:
         """Return the position (3,) of the reflector that is found from a named point."""
-        xyz_mm = self._position(self.MEASURE, self._path(name))
+        xyz_mm = self._position(self.MEASURE, name)
         if not bool(np.all(np.isfinite(xyz_mm))):
             raise TRACKER.no_reading(
                 "HC-T14", "measure", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm)
@@ -379,9 +370,6 @@ class T2saTracker:
             found = f"the result {_shown(xyz_mm)} is the named point {name} itself"
             raise TRACKER.refused("HC-T71", "measure", found, xyz_mm=xyz_mm.tolist(), point=name)
         return xyz_mm
-
-    def _path(self, name: str) -> str:
-        return f"{self._options.collection};{self._options.group};{name}"
 
     # -- the bridge ---------------------------------------------------------------------------
 
@@ -397,14 +385,11 @@ class T2saTracker:
             raise error(alarm, operation, reply.found, act=act, status=reply.code)
         return reply
 
-    def _position(self, command: str, path: str) -> Array:
-        """Return the position (3,) that a command brings for a point, given by its path.
-
-        Values that are no numbers are NaN.
-        """
-        reply = self._ask(f"{command}{path}")
+    def _position(self, command: str, name: str) -> Array:
+        """Return the position (3,) of a named point by a command; what is no number is NaN."""
+        reply = self._ask(f"{command}{self._options.collection};{self._options.group};{name}")
         try:
-            return position_of(reply, path.rpartition(";")[2])
+            return position_of(reply, name)
         except Garbled as error:
             raise self._lost(str(error), "decode") from error
 

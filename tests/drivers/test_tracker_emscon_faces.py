@@ -10,7 +10,7 @@ import pytest
 
 from drivers import supervision
 from hilcell.ports import NoReading
-from tests.drivers.emscon_peer import NOT_READY, EmsconPeer, failure, reply
+from tests.drivers.emscon_peer import NOT_READY, EmsconPeer, failure, reply, result
 from tests.drivers.peers import WireTime, wire_time
 from tests.drivers.rail_bed import refusal
 from tests.drivers.test_tracker_leica_emscon import POINT, SMR, Quick, tracker_at
@@ -75,6 +75,15 @@ def test_it_is_left_in_the_first_face_where_the_beam_breaks_in_the_second(
     peer.answers[49] = lambda _: [reply(49), NOT_READY]
     found = refusal(lambda: tracker.measure_back(POINT, SMR, 1))
     assert (type(found), found.code, turning.face) == (NoReading, "HC-T10", 1)
+
+
+def test_it_is_left_in_the_first_face_where_the_readings_of_the_second_spread(
+    peer: EmsconPeer, tracker: Quick
+) -> None:
+    turning, offs_mm = TurningPeer(peer), iter((-0.9, 0.9))
+    peer.answers[49] = lambda _: [reply(49), result(POINT + [0.0, next(offs_mm), 0.0])]
+    found = refusal(lambda: tracker.measure_back(POINT, SMR, 2))
+    assert (type(found), found.code, turning.face) == (NoReading, "HC-T15", 1)
 
 
 def test_a_face_that_reads_back_differently_is_refused(peer: EmsconPeer, tracker: Quick) -> None:
