@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from struct import Struct
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,8 +165,7 @@ STATUS = {
 UNKNOWN = Status("unknown", "HC-T24")
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """The reply to a command."""
 
     command: int
@@ -174,23 +173,20 @@ class Reply:
     body: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(NamedTuple):
     """An error packet: the answer to a refused command, or unasked for when the beam breaks."""
 
     command: int
     status: int
 
 
-@dataclass(frozen=True, slots=True)
-class StatusChange:
+class StatusChange(NamedTuple):
     """Something changed in the tracker."""
 
     change: int
 
 
-@dataclass(frozen=True, slots=True)
-class Single:
+class Single(NamedTuple):
     """A single measurement in the units and the coordinate system that are set."""
 
     status: int
@@ -244,12 +240,11 @@ def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -
         raise TRACKER.no_reading("HC-T10", operation, found, act=act)
 
 
-@dataclass(frozen=True, slots=True)
-class SystemStatus:
+class SystemStatus(NamedTuple):
     """Processor state, version, weather monitor and serial number, as the tracker reports them."""
 
-    INITIALIZED: ClassVar[int] = 5  # of the processor
-    AIR_MEASURED: ClassVar[int] = 2  # the weather monitor reads, and corrects the distances by it
+    INITIALIZED = 5  # of the processor
+    AIR_MEASURED = 2  # the weather monitor reads, and corrects the distances by it
 
     processor: int
     version: str
@@ -264,8 +259,7 @@ class SystemStatus:
         return cls(values[1], f"{major}.{minor}.{build}", weather, serial)
 
 
-@dataclass(frozen=True, slots=True)
-class Reflector:
+class Reflector(NamedTuple):
     """One of the tracker's reflectors; the server sends one such reply for each of ``total``."""
 
     total: int

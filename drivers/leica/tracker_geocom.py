@@ -15,11 +15,10 @@ from __future__ import annotations
 import math
 import re
 import time
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from itertools import count
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -171,8 +170,7 @@ ACTS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """The reply to a request."""
 
     communication: int

@@ -20,10 +20,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -88,8 +87,7 @@ ACTS = {
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """One reply; ``code`` is that of the line, ``text`` is cleaned."""
 
     accepted: bool
@@ -386,7 +384,7 @@ class T2saTracker:
         return reply
 
     def _position(self, command: str, name: str) -> Array:
-        """Return the position (3,) of a named point by a command; what is no number is NaN."""
+        """Return the position (3,) of a named point by a command; values that are no numbers are NaN."""
         reply = self._ask(f"{command}{self._options.collection};{self._options.group};{name}")
         try:
             return position_of(reply, name)
