@@ -93,14 +93,14 @@ class SetUps:
 
     def take(self, record: Record) -> list[str]:
         """Add one record; return the keys of what has become invalid by it."""
-        if record.kind == "point":
-            if not record.key.startswith(tuple(f"{kind}/" for kind in PROOFS)):
-                self.unproven[record.key] = None
-            elif record.key.startswith(f"{PROOFS[1]}/"):
-                self._proofs.append(record.key)
-        elif record.kind == "frame" and record.key == world_key(self.number):
-            self._prove()
-        match record.fact if record.kind in ("state", "event") else None:
+        match record.fact:
+            case Point(id=PointId(kind=kind), key=key):
+                if kind not in PROOFS:
+                    self.unproven[key] = None
+                elif kind == "control":
+                    self._proofs.append(key)
+            case Frame() if record.key == world_key(self.number):
+                self._prove()
             case StateChanged(machine="run", to=to):
                 self.interrupted |= to in INTERRUPTED
             case events.StreamRecorded(key=key):
@@ -136,8 +136,6 @@ class Driven:
         self._under_way: list[float] | None = None
 
     def take(self, record: Record) -> None:
-        if record.kind not in ("state", "intent", "point"):
-            return
         match record.fact:
             case StateChanged(to="checking"):
                 self._under_way = None  # its session ended before it was seen to arrive

@@ -12,8 +12,9 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 
 from hilcell.cell.devices import Devices
 from hilcell.errors import (
@@ -50,7 +51,7 @@ from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import RunPlan
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine, retake_refusal
-from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
+from hilcell.run.stopping import SafeStop, close_all, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 from hilcell.typed import Json
 
@@ -304,7 +305,7 @@ class Runner:
 
     def _stop_worker(self, command: str) -> Exception:
         self._stop.set()
-        self._note(SafeStopSent(**facts_of_problems(self._left_moving(self._safe_stop.wait()))))
+        self._note(SafeStopSent, self._safe_stop.wait())
         if self._life.may_trigger("stop"):
             self._life.fire("stop")
         if self._worker.ended_within(WORKER_S):
@@ -325,13 +326,11 @@ class Runner:
             self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
-            left = facts_of_problems(self._left_moving(self._safe_stop.wait()))
-            self._note(SafeStopSent(**left, cause=str(error)))
+            self._note(partial(SafeStopSent, cause=str(error)), self._safe_stop.wait())
             self._worker.ended_within(WORKER_S)
         began_s = time.monotonic()
         problems = self._close_devices()
-        left = facts_of_problems(self._left_moving(problems))
-        self._note(Closed(took_s=time.monotonic() - began_s, **left))
+        self._note(partial(Closed, took_s=time.monotonic() - began_s), problems)
         self._journal.append(
             "event", "", LinkCounted(**asdict(self._worker.devices.rail.statistics()))
         )
@@ -387,9 +386,13 @@ class Runner:
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", InternalError(trace=trace))
 
-    def _note(self, event: Closing) -> None:
+    def _note(self, kind: Callable[..., Closing], problems: dict[str, Exception]) -> None:
+        """Journal that devices were stopped or closed, and in what that failed."""
+        left = self._left_moving(problems)
+        words = {name: str(error) for name, error in left.items()}
+        errors = {name: facts_of(error) for name, error in left.items()}
         try:
-            self._journal.append("event", "", event)
+            self._journal.append("event", "", kind(problems=words, errors=errors))
         except StorageError as error:
             self.fault = self.fault or error
 

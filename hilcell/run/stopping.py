@@ -11,11 +11,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import TypedDict
 
 from hilcell.cell.devices import Devices
-from hilcell.errors import DeviceError, HilcellError, facts_of
-from hilcell.typed import Json
+from hilcell.errors import DeviceError, HilcellError
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 12.0  # of a rail: twice the time that its drive may take
@@ -64,20 +62,6 @@ def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
     act = "it may still move: look at it, and use the E-stop before anybody goes near"
     expected = "rail held, robot at rest"
     return DeviceError("HC-C32", "Cell", "close", "; ".join(found), wanted=expected, act=act)
-
-
-class Left(TypedDict):
-    """Problems by device, for the journal: their words, and the facts of their errors."""
-
-    problems: dict[str, str]
-    errors: dict[str, Json]
-
-
-def facts_of_problems(problems: Mapping[str, Exception]) -> Left:
-    return {
-        "problems": {name: str(error) for name, error in problems.items()},
-        "errors": {name: facts_of(error) for name, error in problems.items()},
-    }
 
 
 class Acts:

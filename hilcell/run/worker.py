@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import msgspec
 
@@ -117,33 +118,28 @@ class UnattendedWait:
 ENDED = "the run has ended"
 
 
-@dataclass(frozen=True, slots=True)
-class Started:
+class Started(NamedTuple):
     """All devices are connected, and a screen attends where one ordered the run."""
 
 
-@dataclass(frozen=True, slots=True)
-class AtRest:
+class AtRest(NamedTuple):
     """The worker stands before the closed gate."""
 
 
-@dataclass(frozen=True, slots=True)
-class Halted:
+class Halted(NamedTuple):
     """The worker will stand before the gate, which it has closed: somebody has to watch now."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
+class Asked(NamedTuple):
     """The worker asks the operator, and waits; ``cause`` where an error made it ask."""
 
     prompt: Prompt
     cause: NoReading | None
 
 
-@dataclass(frozen=True, slots=True)
-class Proven:
+class Proven(NamedTuple):
     """A look has proven the operator's answer, or that an unattended run may go on.
 
     The worker waits for leave to go on.
@@ -152,8 +148,7 @@ class Proven:
     by: str
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
+class Ended(NamedTuple):
     """How the worker ended: no error means that the procedure was performed."""
 
     error: Exception | None

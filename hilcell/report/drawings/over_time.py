@@ -26,7 +26,7 @@ from hilcell.report.drawings.drawing import (
     text,
 )
 from hilcell.report.facts import Facts
-from hilcell.run.floor_nests import limits_of
+from hilcell.run.watch import limits_of
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 88.0, 46.0, 12.0, 6.5, 10.0
 

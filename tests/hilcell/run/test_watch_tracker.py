@@ -14,9 +14,8 @@ from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix
 from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.floor_nests import check_distances, check_places
 from hilcell.run.meter import Meter
-from hilcell.run.watch import Watch
+from hilcell.run.watch import Watch, check_distances, check_places
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.verdicts import BASE, base_at
