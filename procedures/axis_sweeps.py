@@ -14,7 +14,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.motion import SweepStream
-from hilcell.identification.sweeps import SweptAxis, curve_measured, swept_axis
+from hilcell.identification.sweeps import swept_axis
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair
@@ -111,9 +111,9 @@ class AxisSweeps:
         swept = [self._swept(session, cube, axis) for axis in left]
         session.close_step()
         for found in swept:
-            session.add(curve_measured(found))
+            session.add(found)
 
-    def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> SweptAxis:
+    def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> CurveMeasured:
         """Return an axis's result, of further sweeps where the first cannot be used."""
         for attempt in range(1, ATTEMPTS + 1):
             up, down = (self._sweep(session, cube, axis, way, attempt) for way in WAYS)

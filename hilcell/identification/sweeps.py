@@ -13,11 +13,12 @@ need not be known beforehand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Arm, Array
@@ -29,51 +30,29 @@ from hilcell.model.events import URAD, CurveMeasured
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ
 
 
-@dataclass(frozen=True, slots=True)
-class SweptAxis:
-    """The result of one axis: a curve, or the reason why there is none, with figures.
-
-    ``shown_rad`` (B, 3) is for pictures: joint, short-wave error as measured, and by the curve;
-    ``spectrum`` (F, 2) are cycles per revolution and amplitudes in rad.
-    """
-
-    axis: int
-    reason: str = ""
-    curve: TransmissionCurve | None = None
-    lag_s: float = 0.0
-    lag_sigma_s: float = 0.0
-    noise_rad: float = 0.0
-    signal_rad: float = 0.0  # rms of the curve over the swept range
-    share: float = 0.0  # of the short-wave variance, explained by the curve
-    differ_rad: float = 0.0  # the largest line by which the directions differ
-    lost: int = 0  # samples
-    shown_rad: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    spectrum: Array = field(default_factory=lambda: np.zeros((0, 2)))
-
-
-def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> SweptAxis:
+def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> CurveMeasured:
     """Return the curve of ``axis`` (0 to 5) by its sweeps upwards and downwards, or why not."""
     motions = []
     for name, stream in (("upwards", up), ("downwards", down)):
         try:
             motions.append(motion_of(stream, arm, axis))
         except BadStream as error:
-            return SweptAxis(axis, f"{name}: {error}")
+            return without_curve(axis, f"{name}: {error}")
     rising, falling = motions
     if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
-        return SweptAxis(axis, "both sweeps turned the same way, expected one up and one down")
+        return without_curve(axis, "both sweeps turned the same way, expected one up and one down")
     try:
         records, speed_rad_s = records_of(rising, falling), _speed(rising, falling)
     except BadStream as error:
-        return SweptAxis(axis, str(error))
+        return without_curve(axis, str(error))
     shift_rad = _offset(records)
     longest_lag_s = 0.25
     if not abs(shift_rad) <= longest_lag_s * speed_rad_s:
-        return SweptAxis(
+        return without_curve(
             axis,
             f"tracker and joints are {shift_rad / speed_rad_s:.3f} s apart, expected <= "
             f"{longest_lag_s:g} s: see the controller's and the tracker's load",
-            lag_s=shift_rad / speed_rad_s,
+            shift_rad / speed_rad_s,
         )
     half_gap_rad = 1e-4  # 1 sigma of the lost motion that is taken for lag
     found = search(records, Shift(shift_rad, half_gap_rad))
@@ -129,7 +108,16 @@ def _offset(records: Records) -> float:
     return (means[0] - means[1]) / 2.0
 
 
-def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> SweptAxis:
+def without_curve(axis: int, reason: str, lag_s: float = 0.0) -> CurveMeasured:
+    """Return the event of an axis (0 to 5) of which there is no curve."""
+    return CurveMeasured(
+        axis=axis + 1, reason=reason, cycles=[], amplitude_rad=[], covariance_rad2=[],
+        shift_rad=0.0, shift_sigma_rad=0.0, low_rad=0.0, high_rad=0.0, noise_rad=0.0, lag_s=lag_s,
+        lag_sigma_s=0.0, signal_rad=0.0, share=0.0, differ_rad=0.0, lost=0, shown=[], spectrum=[],
+    )  # fmt: skip
+
+
+def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMeasured:
     records, lines, speed_rad_s = found.records, found.lines, _speed(rising, falling)
     curve = found.curve(axis, speed_rad_s * max(rising.clock_s, falling.clock_s))
     curve_rad = curve.evaluate(records.joint_rad + lines.shift.rad * records.side)
@@ -141,45 +129,27 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> SweptAx
             f"the directions differ by a line of {found.differ_rad * 1e6:.1f} urad, the largest "
             f"that they share has {largest_rad * 1e6:.1f} urad: wanted <= {100 * DIFFERS:g} %"
         )
-    return SweptAxis(
-        axis,
-        reason,
-        None if reason else curve,
-        lag_s=lines.shift.rad / speed_rad_s,
+    seen = replace(
+        without_curve(axis, reason, lines.shift.rad / speed_rad_s),
         lag_sigma_s=lines.shift.sigma_rad / speed_rad_s,
         noise_rad=float(np.sqrt(left)),
         signal_rad=float(np.sqrt(signal)),
-        share=signal / (signal + left),
+        share=signal / (signal + left),  # of the short-wave variance, explained by the curve
         differ_rad=found.differ_rad,
         lost=rising.lost + falling.lost,
-        shown_rad=found.shown(curve),
-        spectrum=found.spectrum(),
+        shown=np.round(found.shown(curve) * [np.degrees(1.0), URAD, URAD], 3).tolist(),
+        spectrum=np.round(found.spectrum() * [1.0, URAD], 3).tolist(),
     )
-
-
-def curve_measured(found: SweptAxis) -> CurveMeasured:
-    """Return the event of an axis's sweeps, of their curve or of the reason why there is none."""
-    empty = (np.zeros(0), np.zeros((0, 2)), np.zeros((0, 0)))
-    curve = found.curve or TransmissionCurve(found.axis, *empty, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return CurveMeasured(
-        axis=found.axis + 1,
-        reason=found.reason,
+    if reason:
+        return seen
+    return replace(
+        seen,
         cycles=curve.cycles.tolist(),
         amplitude_rad=curve.amplitude_rad.tolist(),
         covariance_rad2=curve.covariance_rad2.tolist(),
-        shift_rad=curve.shift_rad,
         shift_sigma_rad=curve.shift_sigma_rad,
         low_rad=curve.low_rad,
         high_rad=curve.high_rad,
-        noise_rad=found.noise_rad,
-        lag_s=found.lag_s,
-        lag_sigma_s=found.lag_sigma_s,
-        signal_rad=found.signal_rad,
-        share=found.share,
-        differ_rad=found.differ_rad,
-        lost=found.lost,
-        shown=np.round(found.shown_rad * [np.degrees(1.0), URAD, URAD], 3).tolist(),
-        spectrum=np.round(found.spectrum * [1.0, URAD], 3).tolist(),
     )
 
 

@@ -10,7 +10,7 @@ from hilcell.alarms import alarms_of
 from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
-from hilcell.identification.sweeps import SweptAxis, curve_measured
+from hilcell.identification.sweeps import without_curve
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Judged
 from hilcell.run.cell_lock import CellLocked
@@ -63,7 +63,7 @@ HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended(None, 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
-REFUSED = msgspec.structs.asdict(curve_measured(SweptAxis(0, "upwards: 9 samples")))
+REFUSED = msgspec.structs.asdict(without_curve(0, "upwards: 9 samples"))
 
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.sweeps import SweptAxis, curve_measured, curve_of
+from hilcell.identification.sweeps import curve_of, without_curve
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.model.events import CurveMeasured
 
 CURVE = TransmissionCurve(
     axis=1,
@@ -21,18 +23,22 @@ CURVE = TransmissionCurve(
     high_rad=0.2,
     noise_rad=5e-6,
 )
-FOUND = SweptAxis(
-    1,
-    curve=CURVE,
-    lag_s=0.0123,
+FOUND = replace(
+    without_curve(1, "", 0.0123),
+    cycles=CURVE.cycles.tolist(),
+    amplitude_rad=CURVE.amplitude_rad.tolist(),
+    covariance_rad2=CURVE.covariance_rad2.tolist(),
+    shift_sigma_rad=50e-6,
+    low_rad=-1.0,
+    high_rad=0.2,
     noise_rad=5e-6,
-    shown_rad=np.column_stack([np.linspace(-1.0, 0.2, 9), np.full((9, 2), 12e-6)]),
-    spectrum=np.array([[24.0, 1e-6], [25.0, 2e-6]]),
+    shown=np.column_stack([np.linspace(-57.3, 11.5, 9), np.full((9, 2), 12.0)]).tolist(),
+    spectrum=[(24.0, 1.0), (25.0, 2.0)],
 )
 
 
-def body_of(found: SweptAxis) -> dict[str, object]:
-    body: dict[str, object] = msgspec.to_builtins(curve_measured(found))
+def body_of(found: CurveMeasured) -> dict[str, object]:
+    body: dict[str, object] = msgspec.to_builtins(found)
     return {"what": "curve"} | body
 
 
@@ -47,7 +53,7 @@ def test_a_log_has_the_curve_as_it_was() -> None:
 
 
 def test_a_result_without_a_curve_says_why() -> None:
-    record = curve_measured(SweptAxis(4, "upwards: 9 samples"))
+    record = without_curve(4, "upwards: 9 samples")
     assert not record.holds
     assert "upwards: 9 samples" in record.words
     assert len(curve_of(record).cycles) == 0

@@ -15,11 +15,12 @@ from hilcell.identification.sweeps import (
     Known,
     Records,
     Shift,
-    SweptAxis,
     Trial,
+    curve_of,
     swept_axis,
     without_lines,
 )
+from hilcell.model.events import CurveMeasured
 from tests.hilcell.identification.axis_streams import (
     ARM,
     Axis,
@@ -30,16 +31,16 @@ from tests.hilcell.identification.axis_streams import (
 URAD = 1e-6
 
 
-def swept(axis: Axis) -> SweptAxis:
+def swept(axis: Axis) -> CurveMeasured:
     return swept_axis(*axis.streams(), ARM, axis.axis)
 
 
-def left_urad(axis: Axis, found: SweptAxis) -> float:
+def left_urad(axis: Axis, found: CurveMeasured) -> float:
     """Return the rms of the curve's error over the range, its long waves taken off."""
-    assert found.curve is not None, found.reason
+    assert found.holds, found.reason
     low, high = axis.range_rad
     q = np.linspace(low, high, 3000)[80:-80]
-    off = found.curve.evaluate(q) - axis.ripple(q)
+    off = curve_of(found).evaluate(q) - axis.ripple(q)
     off -= np.polyval(np.polyfit(q - q.mean(), off, 4), q - q.mean())
     return float(np.sqrt(np.mean(off**2))) / URAD
 
@@ -61,11 +62,10 @@ FOUND_1 = swept(AXIS_1)
 
 
 def test_lines_of_an_unknown_gear_are_found_with_their_phase() -> None:
-    assert FOUND_1.curve is not None
-    np.testing.assert_allclose(FOUND_1.curve.cycles, [41.0, 203.5], atol=0.1)
+    np.testing.assert_allclose(FOUND_1.cycles, [41.0, 203.5], atol=0.1)
     assert left_urad(AXIS_1, FOUND_1) < 1.5
     assert FOUND_1.share > 0.9
-    assert FOUND_1.curve.noise_rad < 8 * URAD
+    assert FOUND_1.noise_rad < 8 * URAD
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
@@ -82,7 +82,7 @@ def test_joints_with_the_controller_s_times_are_placed_by_these(late_s: float) -
     axis = replace(AXIS_1, late_s=late_s)
     by_windows, by_stamps = swept(axis), swept(replace(axis, stamped=True))
     assert left_urad(axis, by_stamps) < 1.5
-    assert by_stamps.curve is not None
+    assert by_stamps.holds
     assert abs(by_stamps.lag_s - swept(replace(AXIS_1, stamped=True)).lag_s) < 0.004
     if late_s:
         assert abs(by_windows.lag_s - FOUND_1.lag_s) > 0.01
@@ -111,8 +111,7 @@ def test_the_covariance_states_the_curve_s_error() -> None:
     squares = []
     for seed in range(4):
         axis = Axis(0, TWO, seed=seed)
-        curve = swept(axis).curve
-        assert curve is not None
+        curve = curve_of(swept(axis))
         q = np.linspace(*axis.range_rad, 40)[2:-2]
         B = curve.basis(q)
         variance = np.einsum("nk,kl,nl->n", B, curve.covariance_rad2, B)
@@ -187,15 +186,17 @@ SPOILT: dict[str, Callable[[SweepStream], SweepStream]] = {
 def test_a_stream_that_cannot_be_used_is_named(name: str) -> None:
     up, down = AXIS_1.streams()
     found = swept_axis(SPOILT[name](up), down, ARM, 0)
-    assert found.curve is None
     assert found.reason
+    assert not found.cycles
 
 
 def test_directions_that_differ_are_refused() -> None:
     up = Axis(0, lines((41.0, 40.0, 0.0))).stream(1.0)
     down = Axis(0, lines((90.0, 40.0, 0.0))).stream(-1.0)
     found = swept_axis(up, down, ARM, 0)
-    assert found.curve is None
+    assert "differ" in found.reason
+    assert found.differ_rad > 10 * URAD
+    assert not found.cycles
 
 
 @pytest.mark.parametrize("low", [23.0, 37.0])
@@ -203,8 +204,7 @@ def test_a_long_line_and_its_double_are_both_found(low: float) -> None:
     """Few periods of the lowest fit into the range, and the noise there is known worst."""
     axis = Axis(0, lines((low, 70.0, 0.3), (2 * low, 70.0, 1.0)))
     found = swept(axis)
-    assert found.curve is not None
-    np.testing.assert_allclose(found.curve.cycles, [low, 2 * low], atol=0.2)
+    np.testing.assert_allclose(found.cycles, [low, 2 * low], atol=0.2)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -14,7 +14,7 @@ import pytest
 from hilcell.calibration.influence import ASSUMED
 from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget_of
 from hilcell.cell.file import load_cell
-from hilcell.identification.sweeps import SweptAxis
+from hilcell.identification.sweeps import without_curve
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import CurvesUsed
 from hilcell.report.drawings.views import plan_view
@@ -237,7 +237,7 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
     writer = validated_run(tmp_path / "r")
     assert not curves(read_facts(writer.folder))
     writer.journal.append("event", "", body_of(FOUND))
-    writer.journal.append("event", "", body_of(SweptAxis(4, "upwards: 9 samples")))
+    writer.journal.append("event", "", body_of(without_curve(4, "upwards: 9 samples")))
     writer.state("calibration", "validated")
     facts = writer.facts()
     sheet = curves(facts)

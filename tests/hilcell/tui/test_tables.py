@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from hilcell.identification.sweeps import curve_measured
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Record
 from hilcell.model import events
@@ -72,7 +71,7 @@ SAID: list[tuple[str, Fact, str]] = [
     ("", events.OtherEvent("drift seen", {}), "drift seen"),
     (
         "",
-        curve_measured(FOUND),
+        FOUND,
         "curve of A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms",
     ),
     ("", Ended(state="finished", exit=0), "finished, exit 0"),
