@@ -92,7 +92,7 @@ class Revisits:
         turned = reversal(session.log) if self._kind == REVISIT else None
         found = revisits(session.log, self._kind)
         if turned is not None:
-            session.judge("reversal", turned.verdict)
+            session.judge("reversal", turned)
         suspicion = established(session.log, self._kind) or found.suspicion
         judged = Revisited(
             holds=found.holds and suspicion is None,
@@ -114,7 +114,7 @@ class Revisits:
         turned = reversal(log)
         if turned is None:
             return {}
-        figures: dict[str, object] = msgspec.to_builtins(turned.verdict)
+        figures: dict[str, object] = msgspec.to_builtins(turned)
         del figures["holds"]
         return {"reversal": figures}
 

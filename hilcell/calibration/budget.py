@@ -117,8 +117,8 @@ class _Lines:
         found = self.log.once_measured(reversal)
         seen_mm, seen = 0.0, ""
         if found is not None:
-            seen_mm = max(found.off_mm)
-            seen = f"; {len(found.off_mm)} vertices from above: {seen_mm:.3f} mm"
+            seen_mm = found.max_mm
+            seen = f"; {found.points} vertices from above: {seen_mm:.3f} mm"
         how = f"programs approach from below on every axis, as the run did{seen}"
         if limit_mm:
             how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"

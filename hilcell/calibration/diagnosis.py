@@ -40,7 +40,7 @@ from hilcell.calibration.frames import (
 )
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.instrument import axis_off, scale
-from hilcell.calibration.lost_motion import reversal
+from hilcell.calibration.lost_motion import lost_too_much
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
@@ -463,7 +463,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     A correction that was learnt from a robot which changed names no cause of its own. Slow and
     small changes show where nothing larger has changed, or nothing that has a name.
     """
-    nest, turned = risen_nest(log), log.once_measured(reversal)
+    nest = risen_nest(log)
     alone = [
         scale(log),
         axis_off(log),
@@ -476,7 +476,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     changed = _again(log, REVISIT) or _again(log, CLOSING)
     large = [
         log.once_measured(mount_offset),
-        None if turned is None else turned.suspicion,
+        lost_too_much(log),
         *([changed] if changed else _targets(log)),
     ]
     slow = None

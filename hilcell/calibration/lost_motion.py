@@ -37,49 +37,6 @@ WRIST_RAD = 1e-4  # 1 sigma of what axes 4 to 6 may lose
 COVERAGE = 2.0  # k
 
 
-class Reversal(msgspec.Struct, frozen=True):
-    """Distances (N) between both sides, what axes 1 to 3 lose and U (k = 2) of it."""
-
-    off_mm: list[float]
-    lost_urad: list[float]
-    U_urad: list[float]
-    limit_urad: float
-
-    NOTICED_BY = "vertices approached from above"
-
-    @property
-    def excess_urad(self) -> list[float]:
-        """Return by how much each axis loses more than the limit, for certain."""
-        both = zip(self.lost_urad, self.U_urad, strict=True)
-        return [abs(lost) - U - self.limit_urad for lost, U in both]
-
-    @property
-    def holds(self) -> bool:
-        """Whether every axis may lose no more than the limit."""
-        return all(excess <= 0.0 for excess in self.excess_urad)
-
-    @property
-    def verdict(self) -> LostMotionJudged:
-        return LostMotionJudged(
-            holds=self.holds,
-            mean_mm=float(np.mean(self.off_mm)),
-            max_mm=max(self.off_mm),
-            points=len(self.off_mm),
-            lost_urad=self.lost_urad,
-            U_urad=self.U_urad,
-            limit_urad=self.limit_urad,
-        )
-
-    @property
-    def suspicion(self) -> Suspicion | None:
-        """Return the axis that loses too much, if one does."""
-        if self.holds:
-            return None
-        axis = int(np.argmax(self.excess_urad))
-        unit = f"urad of axis {axis + 1}"
-        return Suspicion(Cause.REVERSAL, self.lost_urad[axis], unit, self.NOTICED_BY)
-
-
 def lost_motion(log: Log) -> LostMotion:
     """Return what the axes lose, as measured; else nothing, within the data sheet's limit."""
     found = log.once_measured(reversal)
@@ -93,7 +50,7 @@ def lost_motion(log: Log) -> LostMotion:
     return LostMotion([*lost_rad, *[0.0] * (AXES - LARGE)], [*u_rad, *wrist], measured=True)
 
 
-def reversal(log: Log) -> Reversal | None:
+def reversal(log: Log) -> LostMotionJudged | None:
     """Return what the points from above show; nothing where there are none."""
     above = log.select(REVERSAL)
     if not above:
@@ -114,7 +71,33 @@ def reversal(log: Log) -> Reversal | None:
     lost = URAD * covariance @ weighted.T @ off_mm.reshape(-1)
     U = URAD * COVERAGE * np.sqrt(np.diag(covariance))
     limit_urad = log.cell.uncertainty.lost_motion_urad
-    return Reversal(lengths_mm(off_mm).tolist(), lost.tolist(), U.tolist(), limit_urad)
+    return judged(lengths_mm(off_mm).tolist(), lost.tolist(), U.tolist(), limit_urad)
+
+
+def judged(
+    off_mm: list[float], lost_urad: list[float], U_urad: list[float], limit_urad: float
+) -> LostMotionJudged:
+    """Return the verdict on distances (N) between both sides and on what axes 1 to 3 lose."""
+    found = LostMotionJudged(
+        holds=False,
+        mean_mm=float(np.mean(off_mm)),
+        max_mm=max(off_mm),
+        points=len(off_mm),
+        lost_urad=lost_urad,
+        U_urad=U_urad,
+        limit_urad=limit_urad,
+    )
+    return msgspec.structs.replace(found, holds=all(each <= 0.0 for each in found.excess_urad))
+
+
+def lost_too_much(log: Log) -> Suspicion | None:
+    """Return the axis that loses too much, if one does."""
+    found = log.once_measured(reversal)
+    if found is None or found.holds:
+        return None
+    axis = int(np.argmax(found.excess_urad))
+    noticed_by = "vertices approached from above"
+    return Suspicion(Cause.REVERSAL, found.lost_urad[axis], f"urad of axis {axis + 1}", noticed_by)
 
 
 # -- the cost of a straight way in to a hole ------------------------------------------------------

@@ -380,6 +380,12 @@ class LostMotionJudged(Verdict, frozen=True, kw_only=True):
     U_urad: list[float]
     limit_urad: float
 
+    @property
+    def excess_urad(self) -> list[float]:
+        """Return by how much each axis loses more than the limit, for certain."""
+        both = zip(self.lost_urad, self.U_urad, strict=True)
+        return [abs(lost) - U - self.limit_urad for lost, U in both]
+
     def _words(self) -> str:
         both = zip(self.lost_urad, self.U_urad, strict=True)
         lost = ", ".join(f"A{axis} {lost:.0f} +- {U:.0f}" for axis, (lost, U) in enumerate(both, 1))

@@ -9,11 +9,12 @@ import pytest
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.causes import zero_columns
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
+from hilcell.calibration.lost_motion import REVERSAL, judged, lost_too_much, reversal
 from hilcell.geometry.frames import inverse
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.verdicts import LostMotionJudged
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 
@@ -37,7 +38,7 @@ def with_lost(log: Log, lost_urad: Array) -> Log:
     return log
 
 
-def found_in(log: Log) -> Reversal:
+def found_in(log: Log) -> LostMotionJudged:
     found = reversal(log)
     assert found is not None
     return found
@@ -45,9 +46,9 @@ def found_in(log: Log) -> Reversal:
 
 def test_a_healthy_robot_loses_little_and_is_not_suspected(log: Log) -> None:
     found = found_in(log)
-    assert len(found.off_mm) == 4
+    assert found.points == 4
     assert found.holds
-    assert found.suspicion is None
+    assert lost_too_much(log) is None
     for lost, U in zip(found.lost_urad, found.U_urad, strict=True):
         assert abs(lost) - U < NATURAL_URAD
         assert U < NATURAL_URAD
@@ -71,7 +72,7 @@ def test_the_budget_takes_the_larger_of_limit_and_measurement(
     stated = msgspec.structs.replace(log.cell.uncertainty, reversal_limit_mm=stated_mm)
     log._cell = msgspec.structs.replace(log.cell, uncertainty=stated)
     (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
-    seen_mm = max(found_in(log).off_mm)
+    seen_mm = found_in(log).max_mm
     wanted_mm = max(stated_mm, seen_mm) if counts else 0.0
     assert line.covariance[0][0] == pytest.approx(wanted_mm**2 / 3)
 
@@ -88,4 +89,4 @@ def test_without_such_points_nothing_is_said(log: Log) -> None:
 def test_a_figure_that_is_no_number_does_not_hold(axis: int) -> None:
     lost_urad = [30.0, 30.0, 30.0]
     lost_urad[axis] = float("nan")
-    assert not Reversal([0.1], lost_urad, [10.0] * 3, 100.0).holds
+    assert not judged([0.1], lost_urad, [10.0] * 3, 100.0).holds
