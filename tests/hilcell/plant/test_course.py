@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.plant.course import FEWEST, SIGNIFICANCE, course, hindrance, main_direction
+from hilcell.plant.equipment import FEWEST, SIGNIFICANCE, course, hindrance, main_direction
 from hilcell.ports import Array
 
 YEARS = np.arange(24) / 12.0
