@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, open_bus
-from drivers.canopen.cia import NodeObject
+from drivers.canopen.cia import Object
 from drivers.canopen.nodes import Expected, Node, doubts_sensor, start_nodes
 from drivers.canopen.process_image import Inbox, Pdo, Transmission
 from drivers.canopen.sdo import ABSENT, Aborted
@@ -170,7 +170,7 @@ class StripNode(Node):
     """A strip sensor by CiA 406, on the drive's bus or on one of its own."""
 
     def __init__(self, link: CanLink, options: StripOptions, check: Callable[[], None]) -> None:
-        o, objects = options, (cia.StripObject.POSITION, cia.StripObject.ALARMS)
+        o, objects = options, (Object.STRIP_POSITION, Object.STRIP_ALARMS)
         expected = Expected("strip", o.node, cia.STRIP_PROFILE, o.vendor, o.product, o.serial)
         super().__init__(link, expected, check, in_pdo=cia.SENSOR_ERRORS)
         self.pdo = Pdo(0x1800, 0x180 + o.node, Transmission.EVERY_SYNC, objects, "<iH")
@@ -188,7 +188,7 @@ class StripNode(Node):
         wanted_nm = cia.step_nm(self._counts_per_mm)
         for found_nm, where in (
             (self._step(), "6005h"),
-            (self.sdo.read_if_present(cia.StripObject.POSITION_STEP), "6501h"),
+            (self.sdo.read_if_present(Object.POSITION_STEP), "6501h"),
         ):
             if found_nm is not None and found_nm != wanted_nm:
                 raise STRIP.refused(
@@ -202,11 +202,11 @@ class StripNode(Node):
 
     def _step(self) -> int | None:
         """Return 6005h: sub-index 1 of an array, or the plain value."""
-        step = self.sdo.read_if_present(cia.StripObject.MEASURING_STEP, 1)
+        step = self.sdo.read_if_present(Object.MEASURING_STEP, 1)
         if step is not None:
             return step
         try:
-            return int.from_bytes(self.sdo.read_bytes(cia.StripObject.MEASURING_STEP, 0), "little")
+            return int.from_bytes(self.sdo.read_bytes(Object.MEASURING_STEP, 0), "little")
         except Aborted as error:
             if error.abort_code not in ABSENT:
                 raise
@@ -220,12 +220,10 @@ class StripNode(Node):
         """
         self.pdo, whole = self.pdo.configure_most(self.sdo), self.pdo
         inbox.expect(self.pdo)
-        supported = self.sdo.read_if_present(cia.StripObject.SUPPORTED_ALARMS)
+        supported = self.sdo.read_if_present(Object.SUPPORTED_ALARMS)
         silent = supported is not None and not supported & cia.POSITION_ERROR
         self._speaks = not silent and self.pdo is whole
-        self.sensor_fails = not self._speaks and doubts_sensor(
-            self.sdo.read(NodeObject.ERROR_REGISTER)
-        )
+        self.sensor_fails = not self._speaks and doubts_sensor(self.sdo.read(Object.ERROR_REGISTER))
 
     def values(self, values: Mapping[int, tuple[int, ...]]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC, of which ``values`` came by identifier.

@@ -16,17 +16,6 @@ from enum import Enum, IntEnum
 NMT = 0x000  # the identifier of NMT commands
 
 
-class NodeObject(IntEnum):
-    """Objects of the communication profile (CiA 301, 7.5.2)."""
-
-    DEVICE_TYPE = 0x1000
-    ERROR_REGISTER = 0x1001
-    DEVICE_NAME = 0x1008
-    CONSUMER_HEARTBEAT = 0x1016
-    PRODUCER_HEARTBEAT = 0x1017
-    IDENTITY = 0x1018
-
-
 class NodeCommand(IntEnum):
     """NMT commands that are used here (7.2.8.2)."""
 
@@ -52,7 +41,14 @@ def state_text(state: int | None) -> str:
 
 
 class Object(IntEnum):
-    """Objects of a drive (CiA 402-2 and -3)."""
+    """Objects of every node (CiA 301, 7.5.2), a drive (CiA 402-2, -3) and an encoder (CiA 406)."""
+
+    DEVICE_TYPE = 0x1000
+    ERROR_REGISTER = 0x1001
+    DEVICE_NAME = 0x1008
+    CONSUMER_HEARTBEAT = 0x1016
+    PRODUCER_HEARTBEAT = 0x1017
+    IDENTITY = 0x1018
 
     ABORT_CONNECTION_OPTION = 0x6007
     ERROR_CODE = 0x603F
@@ -78,6 +74,12 @@ class Object(IntEnum):
     HOMING_SPEEDS = 0x6099
     HOMING_ACCELERATION = 0x609A
     DIGITAL_INPUTS = 0x60FD
+
+    STRIP_POSITION = 0x6004
+    MEASURING_STEP = 0x6005
+    POSITION_STEP = 0x6501
+    STRIP_ALARMS = 0x6503
+    SUPPORTED_ALARMS = 0x6504
 
 
 class Mode(IntEnum):
@@ -175,16 +177,6 @@ def enables(controlword: int) -> bool:
 STRIP_PROFILE = 0x0196  # low word of 1000h: 406 decimal
 SENSOR_ERRORS = 0x73  # family of the EMCY that announces an alarm
 POSITION_ERROR = 1 << 0  # of 6503h
-
-
-class StripObject(IntEnum):
-    """Objects of an encoder (CiA 406)."""
-
-    POSITION = 0x6004
-    MEASURING_STEP = 0x6005
-    POSITION_STEP = 0x6501
-    ALARMS = 0x6503
-    SUPPORTED_ALARMS = 0x6504
 
 
 def alarm_text(alarms: int) -> str:

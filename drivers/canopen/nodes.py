@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
-from drivers.canopen.cia import NMT, NodeCommand, NodeObject, NodeState, Object, Option, state_text
+from drivers.canopen.cia import NMT, NodeCommand, NodeState, Object, Option, state_text
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported, open_channel
 from drivers.canopen.slcan_bus import has_long_stamp
@@ -156,7 +156,7 @@ class Node(NodeWatch):
         deadline_s = link.time.listened_s + FIND_S
         while True:
             try:
-                return self.sdo.read(NodeObject.DEVICE_TYPE)
+                return self.sdo.read(Object.DEVICE_TYPE)
             except (Aborted, LinkLost):
                 raise
             except DeviceError as error:
@@ -201,7 +201,7 @@ class Node(NodeWatch):
         wanted_ms = round(1000 * heartbeat_period_s(bitrate))
         refusals = []
         for period_ms in (wanted_ms, 100, 200):  # several within the limit of a node's silence
-            refusal = self.sdo.offer(NodeObject.PRODUCER_HEARTBEAT, 0, period_ms)
+            refusal = self.sdo.offer(Object.PRODUCER_HEARTBEAT, 0, period_ms)
             if refusal is None:
                 return
             refusals.append(refusal)
@@ -213,9 +213,9 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     """Compare 1000h and 1018h with the cell file; raises `DeviceRefused`."""
     checks = (
         ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
-        ("vendor (1018h:01)", sdo.read(NodeObject.IDENTITY, 1), expected.vendor),
-        ("product (1018h:02)", sdo.read_if_present(NodeObject.IDENTITY, 2) or 0, expected.product),
-        ("serial (1018h:04)", sdo.read_if_present(NodeObject.IDENTITY, 4) or 0, expected.serial),
+        ("vendor (1018h:01)", sdo.read(Object.IDENTITY, 1), expected.vendor),
+        ("product (1018h:02)", sdo.read_if_present(Object.IDENTITY, 2) or 0, expected.product),
+        ("serial (1018h:04)", sdo.read_if_present(Object.IDENTITY, 4) or 0, expected.serial),
     )
     for what, found, wanted in checks:
         if wanted and found != wanted:
@@ -234,10 +234,10 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
     where = f"{address} node {expected.node}"
     try:
-        name = sdo.read_bytes(NodeObject.DEVICE_NAME).decode("ascii", errors="replace")
+        name = sdo.read_bytes(Object.DEVICE_NAME).decode("ascii", errors="replace")
     except Aborted:
         name = ""  # which a device may leave out
-    revision = sdo.read_if_present(NodeObject.IDENTITY, 3)  # major above, minor below (7.5.2.19)
+    revision = sdo.read_if_present(Object.IDENTITY, 3)  # major above, minor below (7.5.2.19)
     firmware = "" if revision is None else f"revision {revision >> 16}.{revision & 0xFFFF}"
     return Identity(
         RAIL.name,
@@ -264,7 +264,7 @@ def set_up_drive(sdo: SdoChannel, limits: Limits, pc_node: int, homing_mm_s: flo
         for mm_s in (homing_mm_s, HOMING_SLOW_MM_S)
     )
     heartbeat = pc_node << 16 | PC_HEARTBEAT_LIMIT_MS
-    require(NodeObject.CONSUMER_HEARTBEAT, 1, heartbeat, "the drive notices that the PC has died")
+    require(Object.CONSUMER_HEARTBEAT, 1, heartbeat, "the drive notices that the PC has died")
     stops = "the drive stops by itself when the PC has died"
     require(Object.ABORT_CONNECTION_OPTION, 0, Option.QUICK_STOP_ON_LOST_CONNECTION, stops)
     require(Object.PROFILE_VELOCITY, 0, round(limits.speed), "speed of motions")

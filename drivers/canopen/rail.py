@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
-from drivers.canopen.cia import Control, NodeCommand, NodeObject, NodeState, Object, State
+from drivers.canopen.cia import Control, NodeCommand, NodeState, Object, State
 from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.nodes import (
@@ -297,7 +297,7 @@ class CanopenRail:
         self._held_by_sdo = int(release.by_sdo)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
         if not image.stopped:
-            sdo.write(NodeObject.CONSUMER_HEARTBEAT, 1, 0)
+            sdo.write(Object.CONSUMER_HEARTBEAT, 1, 0)
 
     def _close_link(self) -> None:
         link, self._link = self._link, None
