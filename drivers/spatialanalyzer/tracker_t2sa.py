@@ -384,7 +384,7 @@ class T2saTracker:
         return reply
 
     def _position(self, command: str, name: str) -> Array:
-        """Return the position (3,) of a named point by a command; values that are no numbers are NaN."""
+        """Return a named point's position (3,) by a command; values that are no numbers are NaN."""
         reply = self._ask(f"{command}{self._options.collection};{self._options.group};{name}")
         try:
             return position_of(reply, name)
