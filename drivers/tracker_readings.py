@@ -90,41 +90,37 @@ def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> No
     )
 
 
+def unsteady(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
+    """Return the error of a result that scatters; ``figures`` are the values behind ``found``."""
+    wanted, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
+    return TRACKER.no_reading("HC-T15", "measure", found, wanted=wanted, act=act, **figures)
+
+
 def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
     """Return the standard deviation (3,) of one of the repeats (N, 3), N > 1.
 
     Raises `NoReading` where they spread by more than ``limit_mm``, or one is far from the others.
     """
     std_mm: Array = points_mm.std(axis=0, ddof=1)
-    spread_mm = float(np.linalg.norm(std_mm))
+    spread_mm, repeats = float(np.linalg.norm(std_mm)), len(points_mm)
     if not spread_mm <= limit_mm:
-        raise TRACKER.no_reading(
-            "HC-T15",
-            "measure",
-            f"{len(points_mm)} repeats spread by {spread_mm:.4f} mm (1 sigma)",
-            wanted=f"<= {limit_mm:.4f} mm",
-            act="something moves or vibrates",
-            std_mm=spread_mm,
-            limit_mm=limit_mm,
-            repeats=len(points_mm),
-        )
+        found = f"{repeats} repeats spread by {spread_mm:.4f} mm (1 sigma)"
+        act = "something moves or vibrates"
+        raise unsteady(found, limit_mm, act, std_mm=spread_mm, repeats=repeats)
     # One of many hardly widens the spread of all, yet shifts their mean.
-    for number, point_mm in enumerate(points_mm if len(points_mm) > 2 else ()):
+    for number, point_mm in enumerate(points_mm if repeats > 2 else ()):
         others_mm = np.delete(points_mm, number, axis=0)
         off_mm = float(np.linalg.norm(point_mm - others_mm.mean(axis=0)))
         scatter_mm = float(np.linalg.norm(others_mm.std(axis=0, ddof=1)))
         if not off_mm <= max(limit_mm, APART * scatter_mm):
-            raise TRACKER.no_reading(
-                "HC-T15",
-                "measure",
-                f"repeat {number + 1} of {len(points_mm)} is {off_mm:.4f} mm from the others,"
+            raise unsteady(
+                f"repeat {number + 1} of {repeats} is {off_mm:.4f} mm from the others,"
                 f" which spread by {scatter_mm:.4f} mm (1 sigma)",
-                wanted=f"<= {limit_mm:.4f} mm",
-                act="something moves or vibrates, or a reading was damaged on its way",
+                limit_mm,
+                "something moves or vibrates, or a reading was damaged on its way",
                 off_mm=off_mm,
                 scatter_mm=scatter_mm,
-                limit_mm=limit_mm,
-                repeats=len(points_mm),
+                repeats=repeats,
             )
     return std_mm
 

@@ -44,6 +44,7 @@ from drivers.tracker_readings import (
     form_at,
     misplaced,
     std_of_repeats,
+    unsteady,
     when_ready,
     with_maker,
 )
@@ -173,12 +174,10 @@ class LeicaEmsconTracker:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
         if status.processor != SystemStatus.INITIALIZED:
+            found = f"processor status {status.processor}"
+            wanted = f"{SystemStatus.INITIALIZED} (initialised)"
             raise TRACKER.refused(
-                "HC-T04",
-                "initialise",
-                f"processor status {status.processor}",
-                wanted=f"{SystemStatus.INITIALIZED} (initialised)",
-                processor=status.processor,
+                "HC-T04", "initialise", found, wanted=wanted, processor=status.processor
             )
         self._air_measured = status.weather_monitor == SystemStatus.AIR_MEASURED
         address = f"{self._options.host}:{self._options.port}"
@@ -328,31 +327,22 @@ class LeicaEmsconTracker:
         off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
         radius_mm = self._options.find_radius_mm
         if not off_mm <= radius_mm:
-            raise self._misplaced(result, near_mm, off_mm)
+            units_mm = {
+                "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4,
+                "inches": 25.4,
+            }  # fmt: skip
+            forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
+            if not (unit := form_at(near_mm, radius_mm, forms)):
+                raise misplaced(off_mm, radius_mm)
+            found, xyz = f"the result {result.xyz} is in {unit}", result.xyz
+            raise TRACKER.failed("HC-T18", "measure", found, wanted="mm", xyz=xyz, unit=unit)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
-            raise TRACKER.no_reading(
-                "HC-T15",
-                "measure",
-                f"standard deviation {result.std_total:.4f} mm",
-                wanted=f"<= {self._options.max_std_mm:.4f} mm",
-                act="something vibrates, or the reflector is dirty",
-                std_mm=result.std_total,
-                limit_mm=self._options.max_std_mm,
-            )
+            found = f"standard deviation {result.std_total:.4f} mm"
+            act = "something vibrates, or the reflector is dirty"
+            raise unsteady(found, self._options.max_std_mm, act, std_mm=result.std_total)
         if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
             act = "check the weather station"
             raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=self.AIR, act=act)
-
-    def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
-        units_mm = {
-            "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
-        }  # fmt: skip
-        forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
-        radius_mm, xyz = self._options.find_radius_mm, result.xyz
-        if not (unit := form_at(near_mm, radius_mm, forms)):
-            return misplaced(off_mm, radius_mm)
-        found = f"the result {xyz} is in {unit}"
-        return TRACKER.failed("HC-T18", "measure", found, wanted="mm", xyz=xyz, unit=unit)
 
     def _reading(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         results = [self._single(near_mm) for _ in range(samples)]
@@ -572,13 +562,12 @@ class EmsconStream:
         steps_ms = 1000.0 * np.diff([*before_s, *packet.device_s])
         self._last_s = float(packet.device_s[-1])
         if not bool(np.all(steps_ms > 0)):
-            raise TRACKER.no_reading(
-                "HC-T41",
-                "stream",
-                f"the samples' times run back by {-float(steps_ms.min()):.3f} ms",
-                wanted="later than the sample before",
-                act="the tracker's clock was set; stream again",
+            found = f"the samples' times run back by {-float(steps_ms.min()):.3f} ms"
+            wanted, act = (
+                "later than the sample before",
+                "the tracker's clock was set; stream again",
             )
+            raise TRACKER.no_reading("HC-T41", "stream", found, wanted=wanted, act=act)
         typical_ms = (
             float(np.median(steps_ms)) if len(steps_ms) >= self.ENOUGH else self._separation_ms
         )

@@ -25,7 +25,7 @@ from scipy.spatial import KDTree
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError, read_text
-from hilcell.geometry.frames import apply
+from hilcell.geometry.frames import apply, unit
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
@@ -45,7 +45,7 @@ class NamedPoints:
 
     def __init__(self, names: Sequence[str], xyz_mm: Array) -> None:
         self.names, self.xyz_mm = names, xyz_mm
-        self._directions = self._unit(xyz_mm)
+        self._directions = unit(xyz_mm)
         self._tree = KDTree(self._directions)
 
     def aim(
@@ -64,8 +64,7 @@ class NamedPoints:
         best = 0
         if others_mm:
             from_others = [
-                np.linalg.norm(self._directions[order] - self._unit(each), axis=1)
-                for each in others_mm
+                np.linalg.norm(self._directions[order] - unit(each), axis=1) for each in others_mm
             ]
             margin = np.min(from_others, axis=0) - beside
             best = int(np.where(range_mm * beside <= within_mm, margin, -np.inf).argmax())
@@ -76,11 +75,6 @@ class NamedPoints:
         """Return up to ``count`` points from the first to the last."""
         chosen = np.unique(np.linspace(0, len(self.names) - 1, count).round().astype(int))
         return [(self.names[n], self.xyz_mm[n]) for n in chosen]
-
-    @staticmethod
-    def _unit(xyz_mm: Array) -> Array:
-        found: Array = xyz_mm / np.linalg.norm(xyz_mm, axis=-1, keepdims=True)
-        return found
 
 
 def read_points(path: Path) -> NamedPoints:

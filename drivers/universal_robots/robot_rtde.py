@@ -74,6 +74,7 @@ class UrRtdeRobot:
     STILL_RAD_S = 2e-3  # of a motion that was braked
     PROGRESS_DEG = 0.01
     TOOL_MM, TOOL_RAD = 1e-3, 1e-5
+    STOP_IT = "stop the program at the panel"
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""
@@ -206,13 +207,9 @@ class UrRtdeRobot:
             if state.runtime_state == Runtime.STOPPED and stands([state]):
                 self._started = False
                 return
-        raise ROBOT.refused(
-            "HC-B25",
-            "connect",
-            f"{state.runtime}, {self.ENDED_S:.0f} s after stop",
-            wanted=f"{Runtime.STOPPED} (stopped), at rest",
-            act="stop the program at the panel",
-        )
+        found, act = f"{state.runtime}, {self.ENDED_S:.0f} s after stop", self.STOP_IT
+        wanted = f"{Runtime.STOPPED} (stopped), at rest"
+        raise ROBOT.refused("HC-B25", "connect", found, wanted=wanted, act=act)
 
     def _ours_plays(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
@@ -226,13 +223,9 @@ class UrRtdeRobot:
                 return True
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
-        raise ROBOT.refused(
-            "HC-B67",
-            "connect",
-            f"{state.runtime}, and it is no script of hilcell",
-            wanted=f"{Runtime.STOPPED} (stopped)",
-            act="stop the program at the panel",
-        )
+        found, act = f"{state.runtime}, and it is no script of hilcell", self.STOP_IT
+        wanted = f"{Runtime.STOPPED} (stopped)"
+        raise ROBOT.refused("HC-B67", "connect", found, wanted=wanted, act=act)
 
     def _start_script(self) -> None:
         """Send the script; return when it has said that it runs."""
@@ -356,13 +349,9 @@ class UrRtdeRobot:
                 dwell = (each for each in link.following(first.by_s) if each.by_s <= last.by_s)
                 return [first, *dwell]
             last = link.next()  # several packages may have been under way
-        raise ROBOT.failed(
-            "HC-B26",
-            "read",
-            f"the controller's time stands at {last.timestamp_s:.3f} s",
-            wanted=f"a later time within {self.CLOCK_S:g} s",
-            act="restart the controller; resume",
-        )
+        found = f"the controller's time stands at {last.timestamp_s:.3f} s"
+        wanted, act = f"a later time within {self.CLOCK_S:g} s", "restart the controller; resume"
+        raise ROBOT.failed("HC-B26", "read", found, wanted=wanted, act=act)
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
