@@ -71,7 +71,7 @@ class PlotPage(Page):
         if view is None or view.log.plan is None:
             return
         size, now_s = self.panel("plot").size, time.monotonic()
-        turned = (self._choice.state, size, self.app.theme)
+        turned = (size, self.app.theme)
         state = (len(view.log.points), len(view.log.curves), *turned)
         early = self._seen[2:] == turned and now_s - self._drawn_s < self.REDRAW_S
         if state == self._seen or early or not size.height:
@@ -92,7 +92,7 @@ class PlotPage(Page):
     def action_choose(self, index: int) -> None:
         if index < self._count:
             self._choice.tab, self._choice.series = index, 0
-            self.show_again()
+            self._draw_again()
 
     def action_change(self, part: str) -> None:
         view = self.application.view
@@ -100,14 +100,18 @@ class PlotPage(Page):
             return
         tab = tabs_of(view.log)[self._choice.tab]
         if part == "pick":
-            self._choice.turn_pick()
+            self._choice.picks[self._choice.tab] += 1
         elif part == "series":
             self._choice.turn_series(len(tab.make(Measured(view.log), "").series))
-        elif tab.may_be_log:
-            self._choice.turn_scale()
+        elif tab.is_log is not None:
+            self._choice.turned[self._choice.tab] += 1
         else:
             why = "its values are not all above zero"
             self.show_notice(f"this plot has an even scale only: {why}")
+        self._draw_again()
+
+    def _draw_again(self) -> None:
+        self._seen = ()
         self.show_again()
 
     @property

@@ -31,7 +31,6 @@ from hilcell.journal.log import Log
 from hilcell.journal.words import id_of, in_words, procedure_words
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
-from hilcell.model.results import Place
 from hilcell.model.verdicts import (
     AD,
     AP,
@@ -61,6 +60,7 @@ from hilcell.tui.layout import (
 )
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.plots import places_of
 from hilcell.tui.text.run import SAID, is_simulated, simulation_block
 from hilcell.typed import Json, typed
 
@@ -377,10 +377,7 @@ def verdict_of(view: RunView) -> Finished | None:
     """
     if view.state not in ("done", "intolerant"):
         return None
-    try:
-        places = typed(view.log.result.get("validation", {}), dict[str, Place])
-    except msgspec.ValidationError:  # of another procedure's result
-        return None
+    places = places_of(view.log)
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
     stations = [

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar
 
+import msgspec
 import numpy as np
 from textual.content import Content
 
+from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import Errors, counting, errors_of
 from hilcell.calibration.iso9283 import attained
 from hilcell.calibration.recheck import KIND as RECHECK
@@ -23,6 +26,7 @@ from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, figures_of, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point, Sent
+from hilcell.model.results import Floor, Place
 from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
@@ -36,6 +40,7 @@ from hilcell.tui.plots import (
     draw,
     step_at_least,
 )
+from hilcell.typed import typed
 
 STROKE = 80  # marks of a line from the bottom of a spectrum
 AS_SENT = Ink("$label", "o", "$label")
@@ -88,6 +93,12 @@ class Errors3D:
     def stations(self) -> tuple[str, ...]:
         """Return the stations in the order in which they were measured."""
         return tuple(dict.fromkeys(name for name, _ in self.targets))
+
+    @property
+    def corrected(self) -> dict[str, Array]:
+        """Return the corrected ones by station, where there are any."""
+        found = {name: self.at(name).by_how.get(Sent.CHOSEN) for name in self.stations}
+        return {name: errors for name, errors in found.items() if errors is not None}
 
 
 class Measured:
@@ -300,6 +311,13 @@ def mark_of(look: Look, ink: Ink) -> Content:
     return Content.styled(*words) if look.letters else Content.styled("■", ink.colour)
 
 
+def places_of(log: Log) -> dict[str, Place]:
+    """Return the places of a validation that has ended; none of another procedure's result."""
+    with suppress(msgspec.ValidationError):
+        return typed(log.result.get("validation", {}), dict[str, Place])
+    return {}
+
+
 def mean_of(values: Array) -> float:
     """Return the mean of the values (N,) that are numbers; NaN where there are none."""
     known = values[np.isfinite(values)]
@@ -315,14 +333,16 @@ HEADS = "mean", "95 %", "max"
 
 @dataclass(frozen=True, slots=True)
 class Tab:
-    """One plot of the page: its name, its drawing, its figures, what it can be turned to."""
+    """One plot of the page: its name, its drawing, its figures, what it can be turned to.
+
+    ``is_log``: whether its scale is, at first; None where its values are not all above zero.
+    """
 
     name: str
     make: Callable[[Measured, str], Plot]
     figures: Callable[[Figures], Lines]
     picks: Callable[[Measured], Sequence[str]] = lambda of: ("",)
-    is_log: bool = False  # at first
-    may_be_log: bool = False
+    is_log: bool | None = None
 
 
 @dataclass(slots=True)
@@ -342,76 +362,39 @@ class Choice:
 
     def is_log(self, tab: Tab) -> bool:
         """Whether the scale is logarithmic."""
-        return tab.may_be_log and tab.is_log != bool(self.turned[self.tab] % 2)
-
-    @property
-    def state(self) -> tuple[object, ...]:
-        """Return what a drawing depends on."""
-        return self.tab, tuple(self.picks.items()), tuple(self.turned.items()), self.series
-
-    def turn_pick(self) -> None:
-        self.picks[self.tab] += 1
-
-    def turn_scale(self) -> None:
-        self.turned[self.tab] += 1
+        return tab.is_log is not None and tab.is_log != bool(self.turned[self.tab] % 2)
 
     def turn_series(self, count: int) -> None:
         """Show the next series alone; after the last, all."""
         self.series = (self.series + 1) % (count + 1) if count > 1 else 0
 
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """One drawing of the page."""
-
-    tab: Tab
-    pick: str
-    whole: Plot  # with all series
-    plot: Plot
-    scale: Scale
-
-    @classmethod
-    def of(cls, of: Measured, choice: Choice, height: int) -> Self:
-        """Return what is chosen, in a scale that holds all that it held before."""
-        tab = tabs_of(of.log)[choice.tab]
-        pick, is_log = choice.pick(of, tab), choice.is_log(tab)
-        whole = tab.make(of, pick)
-        plot = whole
-        if 0 < choice.series <= len(whole.series):
-            plot = replace(whole, series=(whole.series[choice.series - 1],))
-        name = (tab.name, is_log, pick if tab.name == "sweeps" else "")
-        before, values, limits = choice.scales.get(name), whole.values, whole.limits
-        scale = choice.scales[name] = (
-            Scale.log(values, limits, before)
-            if is_log
-            else Scale.even(values, limits, height, before)
-        )
-        return cls(tab, pick, whole, plot, scale)
-
-    @property
-    def title(self) -> Content:
-        scale = ", log scale" if self.scale.is_log else ""
-        return Content.styled(f"{self.plot.title}{scale}", "bold")
+    def scale(self, tab: Tab, plot: Plot, pick: str, height: int) -> Scale:
+        """Return a scale for all series of a plot, which holds all that it held before."""
+        is_log = self.is_log(tab)
+        name = (tab.name, is_log, pick if tab is SWEEPS else "")
+        held = plot.values, plot.limits
+        before = self.scales.get(name)
+        found = Scale.log(*held, before) if is_log else Scale.even(*held, height, before)
+        self.scales[name] = found
+        return found
 
 
 def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
     """Return the tabs, and at the right the station and how many targets it has."""
-    parts: list[Content] = []
-    for n, tab in enumerate(tabs_of(of.log)):
+    parts, tabs = list[Content](), tabs_of(of.log)
+    for n, tab in enumerate(tabs):
         text = f" {n + 1} {tab.name} "
         if n == choice.tab:
             text = f"[{text[1:-1]}]" if look.plain else text
             parts.append(Content.styled(text, "bold $background on $foreground"))
         else:
             parts.append(Content.styled(text, "$label" if look.letters else "$label on $panel"))
-    tab = tabs_of(of.log)[choice.tab]
-    right = BLANK
+    tab, right = tabs[choice.tab], BLANK
     if len(tab.picks(of)) > 1:
-        right = Content.assemble(
-            (" S ", "bold on $badge"), f" {choice.pick(of, tab) or 'all stations'}"
-        )
-    tabs = Fitting((Content("  ").join(parts), Content("").join(parts), parts[choice.tab]))
-    return Grid([(tabs, right)], Col(grows=True), Col()).lines(width)[0]
+        pick = choice.pick(of, tab) or "all stations"
+        right = Content.assemble((" S ", "bold on $badge"), f" {pick}")
+    left = Fitting((Content("  ").join(parts), Content("").join(parts), parts[choice.tab]))
+    return Grid([(left, right)], Col(grows=True), Col()).lines(width)[0]
 
 
 def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look) -> list[Content]:
@@ -419,22 +402,27 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     beside = width >= BESIDE
     figures_rows = height // 3 if not beside and height >= 34 else 0
     rows = max(height - 1 - (figures_rows and figures_rows + 1), LEAST)
-    shown = Shown.of(of, choice, rows)
-    if not len(shown.whole.values):
-        return [shown.title, Content.styled("nothing measured for this plot yet", "$label")]
+    tab = tabs_of(of.log)[choice.tab]
+    pick = choice.pick(of, tab)
+    plot = tab.make(of, pick)
+    scale = choice.scale(tab, plot, pick, rows)
+    title = Content.styled(f"{plot.title}{', log scale' * scale.is_log}", "bold")
+    if not len(plot.values):
+        return [title, Content.styled("nothing measured for this plot yet", "$label")]
+    if 0 < choice.series <= len(plot.series):
+        plot = replace(plot, series=plot.series[choice.series - 1 : choice.series])
     across = width - WIDTH - GAP if beside else width
-    named = [replace(each, name=_short(each)) for each in shown.plot.series]
-    drawn = draw(replace(shown.plot, series=tuple(named)), shown.scale, across, rows, look)
-    figures = shown.tab.figures(Figures(of, shown.pick, shown.plot, look)).lines(WIDTH)
+    named = tuple(replace(each, name=_short(each)) for each in plot.series)
+    drawn = draw(replace(plot, series=named), scale, across, rows, look)
+    figures = tab.figures(Figures(of, pick, plot, look)).lines(WIDTH)
     if beside:
         figures += [BLANK] * (len(drawn) - len(figures))
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
-        return [shown.title, *both.lines(width)]
+        return [title, *both.lines(width)]
     names = Content("  ").join(
-        Content.assemble(mark_of(look, series.ink), (f" {_short(series)}", "$label"))
-        for series in shown.plot.series
+        Content.assemble(mark_of(look, each.ink), (f" {each.name}", "$label")) for each in named
     )
-    heading = Grid([(shown.title, Fitting((names,)))], Col(), Col(right=True, grows=True))
+    heading = Grid([(title, Fitting((names,)))], Col(), Col(right=True, grows=True))
     under = [BLANK, *figures[:figures_rows]] if figures_rows else []
     return [*heading.lines(width), *drawn, *under]
 
@@ -492,17 +480,19 @@ class Figures:
         log, found = self.of.log, self.of.errors.at(self.pick)
         by_name = {way.text: values for way, values in found.by_how.items()}
         rows = self._series(_three(by_name[each.name]) for each in self.plot.series)
-        if floor := self._floor_mm:
-            rows.append(("", ("floor", "$label"), (floor.get("mean"), floor.get("p95"))))
+        place = places_of(log).get(log.cell.grid.station)
+        floor = None if place is None else place.floor
+        if floor is not None:
+            rows.append(("", ("floor", "$label"), (floor.mean, floor.p95)))
         if self.plot.limits:
-            table = log.cell.validation
-            rows.append(("", "limit", (table.mean_tolerance_mm, None, table.max_tolerance_mm)))
+            limits = limits_of(log.cell)
+            rows.append(("", "limit", (limits.mean_mm, None, limits.max_mm)))
         parts: list[Lines | Text] = [
             section("figures"),
             _table(*rows, heads=HEADS, bold=Sent.CHOSEN.text),
         ]
         if Sent.CHOSEN in found.by_how:
-            parts += self._by_station() + self._worst(found) + self._words(found)
+            parts += self._by_station() + self._worst(found) + self._words(found, floor)
         return Stack(*parts)
 
     def visits(self) -> Lines:
@@ -583,20 +573,11 @@ class Figures:
         named = zip(self.plot.series, numbers, strict=True)
         return [(mark_of(self.look, each.ink), _short(each), values) for each, values in named]
 
-    @property
-    def _floor_mm(self) -> Mapping[str, float]:
-        """Return mean and p95 that robot and tracker leave, of a run that has ended."""
-        places = self.of.log.result.get("validation", {})
-        place = places.get(self.of.log.cell.grid.station, {}) if isinstance(places, dict) else {}
-        floor = place.get("floor", {}) if isinstance(place, dict) else {}
-        return {name: each for name, each in floor.items() if isinstance(each, float)}
-
     def _by_station(self) -> list[Lines | Text]:
         errors = self.of.errors
         if len(errors.stations) < 2:
             return []
-        by_station = {name: errors.at(name).by_how.get(Sent.CHOSEN) for name in errors.stations}
-        rows = (("", name, _three(e)) for name, e in by_station.items() if e is not None)
+        rows = (("", name, _three(values)) for name, values in errors.corrected.items())
         return [BLANK, section("corrected, by station"), _table(*rows)]
 
     @staticmethod
@@ -610,66 +591,46 @@ class Figures:
         grid = Grid(rows, Col(11), Col(12), Col(5, right=True))
         return [BLANK, section("worst targets"), grid]
 
-    def _words(self, found: Errors3D) -> list[Lines | Text]:
-        table, floor_mm = self.of.log.cell.validation, self._floor_mm
-        limit_mm = table.max_tolerance_mm
-        errors = found.by_how[Sent.CHOSEN][np.isfinite(found.by_how[Sent.CHOSEN])]
-        over = int(np.sum(~(errors <= limit_mm)))
-        near = int(np.sum(errors > Figures.NEAR * limit_mm)) - over
+    def _words(self, found: Errors3D, floor: Floor | None) -> list[Lines | Text]:
+        limits = limits_of(self.of.log.cell)
+        known = np.isfinite(found.by_how[Sent.CHOSEN])
+        errors = found.by_how[Sent.CHOSEN][known]
+        over = int(np.sum(~(errors <= limits.max_mm)))
+        near = int(np.sum(errors > self.NEAR * limits.max_mm)) - over
         said = "No target near its limit."
         if over or near:
-            said = f"{over} over the limit, {near} within {100 * (1 - Figures.NEAR):.0f} % of it."
-        means_mm = {
-            name: mean_of(found.at(name).by_how[Sent.CHOSEN])
-            for name in found.stations
-            if Sent.CHOSEN in found.at(name).by_how
-        }
-        worst = max(means_mm, key=lambda name: means_mm[name])
-        worst_mm, limit_mm = means_mm[worst], table.mean_tolerance_mm
+            said = f"{over} over the limit, {near} within {100 * (1 - self.NEAR):.0f} % of it."
+        means_mm = {name: mean_of(values) for name, values in found.corrected.items()}
+        worst = max(means_mm, key=means_mm.__getitem__)
         of_means = "No station's mean near its limit."
-        if not worst_mm <= limit_mm:
-            of_means = f"Mean at {worst} {worst_mm:.3f}: over its limit {limit_mm:.3f}."
-        elif worst_mm > Figures.NEAR * limit_mm:
-            of_means = f"Mean at {worst} {worst_mm:.3f}: near its limit {limit_mm:.3f}."
+        if not means_mm[worst] <= self.NEAR * limits.mean_mm:
+            how = "near" if means_mm[worst] <= limits.mean_mm else "over"
+            mean = f"Mean at {worst} {means_mm[worst]:.3f}"
+            of_means = f"{mean}: {how} its limit {limits.mean_mm:.3f}."
         sentences, mean_mm = [said, of_means], mean_of(errors)
         if Sent.BEFORE in found.by_how and mean_mm > 0:
-            same = found.by_how[Sent.BEFORE][np.isfinite(found.by_how[Sent.CHOSEN])]
-            sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
-        if floor_mm.get("mean", 0) > 0:
-            times = mean_mm / floor_mm["mean"]
+            times = mean_of(found.by_how[Sent.BEFORE][known]) / mean_mm
+            sentences.append(f"Mean {times:.1f} times smaller.")
+        if floor is not None and floor.mean > 0:
             sentences.append(
-                f"Corrected is {times:.1f} times the floor that the robot and tracker leave by "
-                "themselves."
+                f"Corrected is {mean_mm / floor.mean:.1f} times the floor that the robot and "
+                "tracker leave by themselves."
             )
         return [BLANK, section("what it tells"), *((each, "$label") for each in sentences)]
 
 
-REPEAT = Tab("repeatability", Measured.repeat_plot, Figures.visits, may_be_log=True)
+REPEAT = Tab("repeatability", Measured.repeat_plot, Figures.visits, is_log=False)
 TABS = (
-    Tab(
-        "each target",
-        Measured.errors_plot,
-        Figures.errors,
-        Measured.stations,
-        is_log=True,
-        may_be_log=True,
-    ),
-    Tab(
-        "sorted",
-        Measured.sorted_plot,
-        Figures.errors,
-        Measured.stations,
-        is_log=True,
-        may_be_log=True,
-    ),
+    Tab("each target", Measured.errors_plot, Figures.errors, Measured.stations, is_log=True),
+    Tab("sorted", Measured.sorted_plot, Figures.errors, Measured.stations, is_log=True),
     REPEAT,
 )
 STRIP = Tab("strip", Measured.strip_plot, Figures.strip, lambda of: ("", *of.strip_mm))
 SWEEPS = Tab("sweeps", Measured.sweep_plot, Figures.sweeps, lambda of: of.swept)
 MOST_TABS = len((*TABS, STRIP, SWEEPS))
 OF_PROCEDURE = {
-    ISO: (Tab("pose accuracy", Measured.poses_plot, Figures.poses, may_be_log=True), REPEAT),
-    RECHECK: (Tab("re-check", Measured.recheck_plot, Figures.recheck, may_be_log=True),),
+    ISO: (Tab("pose accuracy", Measured.poses_plot, Figures.poses, is_log=False), REPEAT),
+    RECHECK: (Tab("re-check", Measured.recheck_plot, Figures.recheck, is_log=False),),
 }
 
 

@@ -22,7 +22,6 @@ from hilcell.tui.text.plots import (
     Choice,
     Figures,
     Measured,
-    Shown,
     plot_lines,
     tab_line,
     tabs_of,
@@ -195,8 +194,8 @@ def test_the_scale_of_a_live_run_only_grows() -> None:
 def test_only_errors_above_zero_have_a_log_scale() -> None:
     for tab in TABS:
         choice = Choice(tab=TABS.index(tab))
-        choice.turn_scale()
-        assert choice.is_log(tab) == (tab.may_be_log and not tab.is_log)
+        choice.turned[choice.tab] += 1
+        assert choice.is_log(tab) == (tab.is_log is False)
 
 
 def test_series_are_shown_one_by_one_and_then_all() -> None:
@@ -212,4 +211,5 @@ def test_series_are_shown_one_by_one_and_then_all() -> None:
 def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:
     log = validated_run(tmp_path / "run").facts().log
     assert Measured.strip_plot in [tab.make for tab in tabs_of(log)]
-    assert Shown.of(Measured(log), Choice(tab=tabs_of(log).index(STRIP)), 20).scale.step > 0
+    of, choice = Measured(log), Choice(tab=tabs_of(log).index(STRIP))
+    assert choice.scale(STRIP, STRIP.make(of, ""), "", 20).step > 0
