@@ -220,49 +220,35 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
 
 def error_rows(budget: Budget) -> list[Row]:
     return [
-        Row(
-            each.name,
-            _known(each.how, each.source),
-            _kind(each, rectangular := each.distribution == "rectangular"),
-            each.u_mm,
-            _percent(each.u_mm, budget.u_mm),
-            each.estimate_mm,
-            rectangular,
-            "x, y, z",
-        )
+        _row(each, budget.u_mm, each.estimate_mm, each.distribution == "rectangular", "x, y, z")
         for each in budget.lines
     ]
 
 
 def target_rows(bounds: Bounds) -> list[Row]:
-    clause = "4.3.7"  # clause of the GUM that evaluates a half-width
-    return [
-        Row(
-            each.name,
-            _known(each.how, each.source),
-            _kind(each, rectangular := each.clause == clause),
-            each.u_mm,
-            _percent(each.u_mm, _whole_mm(bounds)),
-            each.u_mm * (math.sqrt(3) if rectangular else 1.0) * (math.sqrt(3) if one else 1.0),
-            rectangular,
-            "one" if one else "x, y, z",
-        )
-        for each in bounds.parts
-        for one in (_one_direction(each.covariance_mm2),)
-    ]
+    rows, whole_mm = [], _whole_mm(bounds)
+    for each in bounds.parts:
+        rectangular = each.clause == "4.3.7"  # of the GUM, that evaluates a half-width
+        along = "one" if _one_direction(each.covariance_mm2) else "x, y, z"
+        divisors = math.sqrt(3) if rectangular else 1.0, math.sqrt(3) if along == "one" else 1.0
+        estimate_mm = each.u_mm * divisors[0] * divisors[1]
+        rows.append(_row(each, whole_mm, estimate_mm, rectangular, along))
+    return rows
+
+
+def _row(
+    each: Contribution | Part, whole_mm: float, estimate_mm: float, rectangular: bool, along: str
+) -> Row:
+    """Return a line; its type says whether it was measured or is stated."""
+    plain = MEASURED in each.source or each.source == ASSUMED
+    how = each.how if plain else f"{each.how}; {each.source}"
+    percent = 100 * each.u_mm**2 / whole_mm**2
+    kind = _kind(each, rectangular)
+    return Row(each.name, how, kind, each.u_mm, percent, estimate_mm, rectangular, along)
 
 
 def _whole_mm(bounds: Bounds) -> float:
     return math.sqrt(sum(part.u_mm**2 for part in bounds.parts))
-
-
-def _percent(u_mm: float, whole_mm: float) -> float:
-    return 100 * u_mm**2 / whole_mm**2
-
-
-def _known(how: str, source: str) -> str:
-    """Return how a contribution is known; its type says whether it was measured or is stated."""
-    return how if MEASURED in source or source == ASSUMED else f"{how}; {source}"
 
 
 def _kind(each: Contribution | Part, rectangular: bool) -> str:

@@ -270,19 +270,26 @@ class Tables:
 
     def repeats(self) -> list[Repeat]:
         """Return each two successive measurements of a point, in the order of the later ones."""
-        pairs = list(self._pairs())
-        counted = {key: self._counted(key) for key in {again.key for _, again, _ in pairs}}
+        before, reasons, found = dict[str, Point](), dict[str, str](), list[Repeat]()
         seats, times = seats_of(self.facts.log), Counter[str]()
-        found = []
-        for first, again, why in pairs:
-            turns = self._turns_deg(again.key, seats)[times[again.key] :][:2]
-            times[again.key] += 1
-            places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
-            kept = counted[again.key]
-            counts = (name for name, at_mm in places_mm.items() if kept and at_mm == kept.xyz_mm)
-            errors_mm = self._error_mm(first), self._error_mm(again)
-            both = turns if len(turns) == 2 else ()
-            found.append(Repeat(first, again, why, *errors_mm, next(counts, "neither"), *both))
+        for record in self.facts.records:
+            match record.fact:
+                case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
+                    reasons[event.key] = REASONS[event.what]
+                case Invalidating(invalid=invalid):
+                    reasons |= dict.fromkeys(invalid, "measured before the tracker was found moved")
+            if record.kind != "point":
+                continue
+            again, key = self.facts.log.read(record), record.key
+            if (first := before.get(key)) is not None:
+                turns_deg = self._turns_deg(key, seats)[times[key] :][:2]
+                times[key] += 1
+                found.append(Repeat(
+                    first, again, reasons.pop(key, "the run was resumed"),
+                    self._error_mm(first), self._error_mm(again), self._counts(first, again),
+                    *(turns_deg if len(turns_deg) == 2 else ()),
+                ))  # fmt: skip
+            before[key] = again
         return found
 
     def _turns_deg(self, key: str, seats: Array | None) -> list[float]:
@@ -293,34 +300,20 @@ class Tables:
         tool = self.facts.log.find(point.id.at_seat(1))
         return turned_each_time(self.facts.log, tool, seats).angles_deg.tolist() if tool else []
 
-    def _counted(self, key: str) -> Point | None:
-        """Return the measurement of a point that counts, nothing where none does any more."""
-        point = self.facts.log.points.get(key)
-        if point is None or point.id.kind != "validate" or self._error_mm(point) is None:
-            return point
-        return counting(self.facts.log, point)
+    def _counts(self, first: Point, again: Point) -> str:
+        """Return which of both measurements of a point counts: a target's by the larger error."""
+        kept = self.facts.log.points.get(again.key)
+        if kept is not None and kept.id.kind == "validate" and self._error_mm(kept) is not None:
+            kept = counting(self.facts.log, kept)
+        named = {"again": again, "first": first}
+        return next(
+            (name for name, at in named.items() if kept and at.xyz_mm == kept.xyz_mm), "neither"
+        )
 
     def _error_mm(self, point: Point) -> float | None:
         if point.nominal_mm is None or "world" not in self.facts.log.frames:
             return None
         return float(errors_of(self.facts.log, [point]).norms_mm[0])
-
-    def _pairs(self) -> Iterator[tuple[Point, Point, str]]:
-        before: dict[str, Point] = {}
-        reasons: dict[str, str] = {}
-        invalidated = "measured before the tracker was found moved"
-        for record in self.facts.records:
-            match record.fact:
-                case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
-                    reasons[event.key] = REASONS[event.what]
-                case Invalidating(invalid=invalid):
-                    reasons |= dict.fromkeys(invalid, invalidated)
-            if record.kind == "point":
-                point = self.facts.log.read(record)
-                if point.key in before:
-                    why = reasons.pop(point.key, "the run was resumed")
-                    yield before[point.key], point, why
-                before[point.key] = point
 
     def oriented(self) -> Iterator[tuple[str, Sent, Turned]]:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
