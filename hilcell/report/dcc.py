@@ -23,15 +23,17 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
 from hilcell.present.renderers import environment
 from hilcell.report.budgets import placed, target_budget
-from hilcell.report.certificate import (
+from hilcell.report.facts import Facts
+from hilcell.report.first_page import (
+    FirstPage,
+    Judgement,
+    Result,
     adjustment_words,
     conditions_words,
     conformity_words,
     procedure_words,
     title,
 )
-from hilcell.report.facts import Facts
-from hilcell.report.first_page import FirstPage, Judgement, Result
 from hilcell.report.tables import Tables, Validated
 from hilcell.writing import NotWritten
 

@@ -27,17 +27,12 @@ from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
 from hilcell.report.budgets import TargetBudget, bounds_sheet, budget_sheet, target_budget
-from hilcell.report.certificate import (
-    certificate,
-    conditions_words,
-    conformity_words,
-    procedure_words,
-    title,
-)
 from hilcell.report.course import course
 from hilcell.report.drawings.error_plots import (
+    air,
     curve_plots,
     enlarged,
+    floor_moves,
     in_order,
     over_bound,
     strip,
@@ -45,10 +40,18 @@ from hilcell.report.drawings.error_plots import (
     vectors,
 )
 from hilcell.report.drawings.figures import POSE_TEST, drawings
-from hilcell.report.drawings.over_time import air, floor_moves
 from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import FirstPage, instruments, verdicts
+from hilcell.report.first_page import (
+    FirstPage,
+    certificate,
+    conditions_words,
+    conformity_words,
+    instruments,
+    procedure_words,
+    title,
+    verdicts,
+)
 from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.tables import Tables, worst
 

@@ -93,18 +93,17 @@ def run_to_open(runs: Path, name: str) -> Path | None:
 
 def pages() -> dict[str, type[BaseScreen]]:
     """Return the page of each action that has one; only help and history need no run."""
-    from hilcell.tui.screens import pages, plots
+    from hilcell.tui.screens import pages
     from hilcell.tui.screens.help import HelpPage
-    from hilcell.tui.screens.history import HistoryPage
 
     return {
         "alarms": pages.AlarmPage,
         "interlocks": pages.InterlockPage,
         "log": pages.LogPage,
         "report": pages.ReportPage,
-        "plots": plots.PlotPage,
+        "plots": pages.PlotPage,
         "help": HelpPage,
-        "history": HistoryPage,
+        "history": pages.HistoryPage,
     }
 
 

@@ -16,9 +16,8 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 from hilcell.report.budgets import TargetBudget
-from hilcell.report.certificate import conformity_words
 from hilcell.report.facts import read_facts
-from hilcell.report.first_page import FirstPage
+from hilcell.report.first_page import FirstPage, conformity_words
 from hilcell.report.html import standing
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve

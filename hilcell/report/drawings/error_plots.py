@@ -1,15 +1,22 @@
-"""Errors drawn: of the targets in order, beside their bounds, as vectors and in short; of gears."""
+"""Errors drawn: of targets in order, beside bounds, as vectors, in short; of gears; over time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import Errors, grid_errors, validation
+from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.measurement_budget import control_moves
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.journal.log import run_noise
 from hilcell.model.events import CurveMeasured
 from hilcell.model.point import BOTH, Sent
+from hilcell.model.records import StateChanged
 from hilcell.model.results import Repeated
 from hilcell.ports import Array
 from hilcell.report.budgets import Row, TargetBudget, target_rows
@@ -39,6 +46,7 @@ from hilcell.report.drawings.drawing import (
 )
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import Result
+from hilcell.run import watch
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
 PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
@@ -373,3 +381,121 @@ def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[
         yield circle(x, y, 0.8, AFTER, AFTER)
         x = min(max(x, spectrum_mm[0] + half_mm), width_mm - half_mm)
         yield text(x, y - 1.4, f"{at:.1f}: {amplitude:.0f}", "middle", AFTER, bold=True)
+
+
+# -- did anything move meanwhile: floor nests and air over time; stops are hatched -----------------
+
+
+def floor_moves(facts: Facts) -> str:
+    """Return how far each floor nest was from its first measurement; "" without any again."""
+    moves, time_axis = control_moves(facts.log), _Times(facts)
+    if not moves:
+        return ""
+    times, points = time_axis.times(), [point for point, _ in moves]
+    at_s = np.array([times[point.key] for point in points])
+    size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
+    limit_mm = float(np.median(watch.limits_of(facts.cell, run_noise(facts.log), points, points)))
+    beyond = 1.25  # the limit
+    most_mm = beyond * max(limit_mm, float(size_mm.max()))
+    frame = time_axis.frame(0.0, most_mm)
+    limit = frame.y.one(limit_mm)
+    parts = [
+        *time_axis.stops(frame),
+        hatched(frame.x.begin, frame.y.end, frame.x.end - frame.x.begin, limit - frame.y.end),
+        time_axis.drawn(frame, "move since the first, mm"),
+        frame.level(limit_mm, INK, 0.6),
+        text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
+    ]
+    parts += [circle(x, y, 0.7, AFTER, AFTER) for x, y in frame.at(at_s, size_mm)]
+    words = f"largest {size_mm.max():.3f} mm, {len(moves)} measurements"
+    parts.append(text(frame.x.begin + 2.0, limit + 3.4, words, colour=AFTER, bold=True))
+    return time_axis.svg("Moves of the floor nests", parts)
+
+
+def air(facts: Facts) -> str:
+    """Return the air's temperature at the tracker; "" without a weather station."""
+    time_axis = _Times(facts)
+    times, points = time_axis.times(), facts.log.points.values()
+    found = sorted((times[p.key], p.temperature_c) for p in points if p.temperature_c is not None)
+    if not found:
+        return ""
+    at_s, celsius = np.array(found).T
+    calibration = calibration_so_far(facts.log, facts.run)
+    range_c = calibration.validity.temperature_c if calibration is not None else None
+    margin_k = TEMPERATURE_MARGIN_K
+    valid = None if range_c is None else (range_c[0] - margin_k, range_c[1] + margin_k)
+    ends_c = [*celsius, *(valid or ())]
+    low, high = min(ends_c) - 0.3, max(ends_c) + 0.3
+    frame = time_axis.frame(float(low), float(high))
+    parts, named = [], []
+    if valid is not None:
+        bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
+        parts.append(
+            rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
+        )
+        for value, words in ((valid[1], "valid up to"), (valid[0], "valid from")):
+            parts.append(frame.level(value, INK, 0.4, "1.4 1"))
+            y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
+            named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
+    parts += time_axis.stops(frame)
+    parts.append(time_axis.drawn(frame, "air at the tracker, °C"))
+    places = frame.at(at_s, celsius)
+    parts.append(path(places[:: max(1, len(places) // 300)], AFTER, 0.6))
+    parts += named
+    words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
+    parts.append(text(frame.x.begin + 2.0, frame.y.end + 7.0, words, colour=AFTER, bold=True))
+    return time_axis.svg("Air at the tracker", parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Times:
+    """The frame of a plot over the time of a run."""
+
+    HIGH_MM, BEGIN_MM, OVER_MM = 46.0, 12.0, 6.5  # on paper: the drawing, left and over the frame
+
+    facts: Facts
+
+    def times(self) -> dict[str, float]:
+        """Return when each point that counts was recorded, s."""
+        return {each.key: _seconds(each.t) for each in self.facts.records if each.kind == "point"}
+
+    def ends(self) -> tuple[float, float]:
+        """Return when the run began and ended, s; it lasted a second at least."""
+        begin = _seconds(self.facts.records[0].t)
+        return begin, max(_seconds(self.facts.last.t), begin + 1.0)
+
+    def frame(self, low: float, high: float) -> Frame:
+        y = Scale(low, high, self.HIGH_MM - BOTTOM_MM, self.OVER_MM)
+        return Frame(Scale(*self.ends(), self.BEGIN_MM, WIDTH_MM - 7.0), y)
+
+    def drawn(self, frame: Frame, y_name: str) -> str:
+        """Return the frame's scales, ticks and names."""
+        return frame.drawn(f"time, {self.facts.zone.tzname(None)}", y_name, self.ticks())
+
+    def svg(self, title: str, parts: list[str]) -> str:
+        return svg(WIDTH_MM, self.HIGH_MM, title, parts, self.facts.inputs.simulated)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        begin, end = self.ends()
+        short_s = 600.0  # of a run so short seconds are shown
+        form = "%H:%M:%S" if end - begin < short_s else "%H:%M"
+        ticks = 4
+        return [
+            (float(each), datetime.fromtimestamp(each, tz=self.facts.zone).strftime(form))
+            for each in np.linspace(begin, end, ticks)
+        ]
+
+    def stops(self, frame: Frame) -> Iterator[str]:
+        """Yield a hatched box for each time between two sessions."""
+        before = ""
+        for record in self.facts.records:
+            match record.fact:
+                case StateChanged(machine="run", to="checking"):
+                    left, right = (frame.x.one(_seconds(t)) for t in (before or record.t, record.t))
+                    yield hatched(left, frame.y.end, right - left, frame.y.begin - frame.y.end)
+                    before = record.t
+            before = before and record.t
+
+
+def _seconds(time: str) -> float:
+    return datetime.fromisoformat(time).timestamp()

@@ -23,7 +23,7 @@ from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.keys import BY_NAME, Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.terminal.themes import NAMES
-from hilcell.tui.text.refusals import ELSEWHERE, no_answer_reason, pause_command, refusal
+from hilcell.tui.text.actions import ELSEWHERE, no_answer_reason, pause_command, refusal
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:

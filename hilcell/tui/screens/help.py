@@ -9,13 +9,11 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS, Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
 from hilcell.tui.screens.base import BaseScreen
-from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.pages import LogPage, TextPage
-from hilcell.tui.screens.plots import PlotPage
+from hilcell.tui.screens.pages import HistoryPage, LogPage, PlotPage, TextPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.footer import EVERY_ACTION, PALETTE_KEY, WORDS
+from hilcell.tui.text.actions import EVERY_ACTION, PALETTE_KEY, WORDS
 from hilcell.tui.text.run import STATES
 
 LINES = (

@@ -1,29 +1,42 @@
-"""Pages over a run: alarms, interlocks, one point, report and event log."""
+"""Pages over a run: alarms, interlocks, one point, plots, report, event log, and earlier runs."""
 
 from __future__ import annotations
 
 import os
+import time
 import webbrowser
 from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
+from hilcell.report.comparison import CHANGES, Change, Setting
 from hilcell.tui.engine import process
+from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.keys import shown
 from hilcell.tui.layout import BLANK, Lines, Stack
+from hilcell.tui.plots import Look
 from hilcell.tui.screens.base import BaseScreen, Page
+from hilcell.tui.terminal.themes import SIXTEEN
 from hilcell.tui.text.devices import interlock_page
 from hilcell.tui.text.finished import report_lines
+from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_of
 from hilcell.tui.text.points import point_page
-from hilcell.tui.text.tables import log_columns, record_row
-from hilcell.tui.widgets import Row, Table, TextField, TextPanel
+from hilcell.tui.text.tables import columns_for, history_row, log_columns, record_row
+from hilcell.tui.widgets import Column, Row, Table, TextField, TextPanel
 from hilcell.typed import Json, decoded
+
+if TYPE_CHECKING:
+    from hilcell.journal.index import RunRow
 
 
 class TextPage(Page):
@@ -212,3 +225,265 @@ class ReportPage(TextPage):
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
             webbrowser.open(path.as_uri())
         self.show_again()
+
+
+def plot_look(screen: BaseScreen) -> Look:
+    """Return what the terminal shows of a plot: letters where colours tell nothing."""
+    plain = screen.application.glyphs.plain
+    few = screen.app.theme == SIXTEEN or bool(screen.app.no_color)
+    return Look(letters=plain or few, plain=plain)
+
+
+class PlotPage(Page):
+    """Draws twice a second at most, and only what is new."""
+
+    REDRAW_S = 0.5
+    TALL = 28  # rows, from which tabs and title stand apart
+
+    footer = ("stop", "pause", "alarms", "quit")
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("◄ ►", "other plot"),
+        (f"1-{MOST_TABS}", "choose"),
+        ("S", "station"),
+        ("g", "log or even scale"),
+        ("v", "series on or off"),
+        *Page.fixed,
+    )
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "turn(-1)", show=False),
+        Binding("right", "turn(1)", show=False),
+        *[Binding(str(n + 1), f"choose({n})", show=False) for n in range(MOST_TABS)],
+        Binding("S,s", "change('pick')", show=False),
+        Binding("g", "change('scale')", show=False),
+        Binding("v", "change('series')", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._choice = Choice()
+        self._drawn_s = -self.REDRAW_S
+        self._seen: tuple[object, ...] = ()
+
+    def fixed_keys(self) -> Sequence[tuple[str, str]]:
+        """Return the keys with as many numbers as there are plots."""
+        first, _, *others = self.fixed
+        numbers = [(f"1-{self._count}", "choose")] if self._count > 1 else []
+        return (first, *numbers, *others)
+
+    def body(self) -> ComposeResult:
+        yield TextPanel("plot")
+
+    def show(self, view: RunView | None) -> None:
+        """Draw the chosen plot, if there is anything new to draw and room for it."""
+        super().show(view)
+        self.panel("title").display = False
+        if view is None or view.log.plan is None:
+            return
+        size, now_s = self.panel("plot").size, time.monotonic()
+        turned = (size, self.app.theme)
+        state = (len(view.log.points), len(view.log.curves), *turned)
+        early = self._seen[2:] == turned and now_s - self._drawn_s < self.REDRAW_S
+        if state == self._seen or early or not size.height:
+            return
+        self._seen, self._drawn_s = state, now_s
+        self.panel("plot").show(self._lines(Measured(view.log), size.width, size.height))
+
+    def _lines(self, of: Measured, width: int, height: int) -> Content:
+        look, gap = plot_look(self), [Content("")] if height >= self.TALL else []
+        tabs = [*gap, tab_line(of, self._choice, width, look), *gap]
+        lines = plot_lines(of, self._choice, width, height - len(tabs) - len(gap), look)
+        return Content("\n").join([*tabs, *lines])
+
+    def action_turn(self, step: int) -> None:
+        if count := self._count:
+            self.action_choose((self._choice.tab + step) % count)
+
+    def action_choose(self, index: int) -> None:
+        if index < self._count:
+            self._choice.tab, self._choice.series = index, 0
+            self._draw_again()
+
+    def action_change(self, part: str) -> None:
+        view = self.application.view
+        if view is None or view.log.plan is None:
+            return
+        tab = tabs_of(view.log)[self._choice.tab]
+        if part == "pick":
+            self._choice.picks[self._choice.tab] += 1
+        elif part == "series":
+            self._choice.turn_series(len(tab.make(Measured(view.log), "").series))
+        elif tab.is_log is not None:
+            self._choice.turned[self._choice.tab] += 1
+        else:
+            why = "its values are not all above zero"
+            self.show_notice(f"this plot has an even scale only: {why}")
+        self._draw_again()
+
+    def _draw_again(self) -> None:
+        self._seen = ()
+        self.show_again()
+
+    @property
+    def _count(self) -> int:
+        view = self.application.view
+        return len(tabs_of(view.log)) if view is not None and view.log.plan is not None else 0
+
+
+class HistoryPage(FilterScreen, Page):
+    """Element 12. The rows come from the index; a run is read only when it is opened."""
+
+    TO_COMPARE = 2
+    AGAIN_S = 3.0
+
+    title_text = "History"
+    footer = ("mark", "compare", "find", "stop", "quit")
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (
+        *Page.fixed,
+        ("Enter", "open"),
+        CHOOSE,
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._runs: list[RunRow] = []
+        self._marked: list[str] = []
+        self._reading = False
+
+    def body(self) -> ComposeResult:
+        yield Table(columns_for(self.line_width), empty="reading the index ...")
+        yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
+
+    def begin(self) -> None:
+        """Read the index off the thread that takes keys."""
+        super().begin()
+        self._read_index()
+        self.set_interval(self.AGAIN_S, self._read_index)  # runs begin and end
+
+    def on_resize(self) -> None:
+        """Show as many columns as fit; Textual calls the base class's, too."""
+        if self.is_shown:
+            self.filter_rows()
+
+    def _read_index(self) -> None:
+        """Read, once at a time: the first index of many runs takes a while."""
+        if not self._reading:
+            self._reading = True
+            self.application.start_task(self._read())
+
+    async def _read(self) -> None:
+        from hilcell.journal.index import read_index
+
+        try:
+            self._runs = await run_in_thread(read_index, self.application.options.runs)
+        finally:
+            self._reading = False
+        if self.is_shown:
+            self.query_one(Table).empty = "no such run"
+            self.filter_rows()
+
+    def filter_rows(self) -> None:
+        from hilcell.journal.index import matches
+
+        found = [run for run in self._runs if matches(run, self.filter_text)]
+        wide = self.line_width
+        rows = [history_row(run, self._marked, wide) for run in found]
+        self.query_one(Table).show_rows(rows, columns_for(wide))
+        title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"
+        self.panel("title").show(Content.styled(title, "bold"))
+
+    def on_table_row_selected(self, message: Table.RowSelected) -> None:
+        if message.key:
+            self.application.open_run(self.application.options.runs / message.key)
+
+    def do_mark(self) -> None:
+        """Mark a run, or take its mark away; of more than two the oldest mark goes."""
+        key = self.query_one(Table).key
+        if key in self._marked:
+            self._marked.remove(key)
+        elif key:
+            self._marked = [*self._marked, key][-self.TO_COMPARE :]
+        self.filter_rows()
+
+    def do_compare(self) -> None:
+        if len(self._marked) != self.TO_COMPARE:
+            self.show_notice(
+                f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
+            )
+            return
+        first, second = sorted(self._marked)
+        self.app.push_screen(ComparePage(first, second))
+
+
+class ComparePage(Page):
+    """Shows the output of `hilcell compare` for two runs."""
+
+    COLUMNS = (
+        Column("where", 16),
+        Column("what", 20),
+        Column("first", 7, right=True),
+        Column("second", 7, right=True),
+        Column("change", 8, right=True),
+        Column("limit", 7, right=True),
+        Column("verdict", 7),
+    )
+
+    title_text = "Comparison"
+    footer = ("stop", "quit")
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__()
+        self._first, self._second = first, second
+
+    def body(self) -> ComposeResult:
+        yield TextPanel("comparison_text")
+        yield Table(self.COLUMNS, empty="reading both journals ...")
+
+    def begin(self) -> None:
+        super().begin()
+        self.application.start_task(self._compare())
+
+    async def _compare(self) -> None:
+        runs = str(self.application.options.runs)
+        command = ("compare", self._first, self._second, "--runs", runs, "--json")
+        try:
+            found = decoded(await process.run_command(*command), Compared)
+        except HilcellError:
+            if self.is_shown:
+                self.query_one(Table).empty = "nothing to compare"
+                self.query_one(Table).refresh()
+            raise
+        if self.is_shown:
+            self.panel("comparison_text").show(found.words)
+            self.query_one(Table).show_rows(found.rows)
+
+
+class Compared(msgspec.Struct, frozen=True, kw_only=True):
+    """Two runs as `hilcell compare --json` prints them, by their names."""
+
+    first: str
+    second: str
+    verdict: str
+    settings: list[Setting]
+    changes: list[Change]
+
+    @property
+    def words(self) -> Content:
+        """Return which runs, in what they differ, and the verdict."""
+        lines = [f"{self.first}  ->  {self.second}"]
+        lines += [
+            f"{each.key}: {each.first or '-'} -> {each.second or '-'}" for each in self.settings[:4]
+        ]
+        return Content.assemble("\n".join(lines), "\n", (self.verdict, "bold"))
+
+    @property
+    def rows(self) -> list[Row]:
+        """Return a row for each change; one beyond its limit is coloured."""
+        rows = []
+        for each in self.changes:
+            where, what, *figures, unit, verdict = (
+                column.text(column.of(each), minus="-") for column in CHANGES
+            )
+            tone = "fault" if each.verdict == "beyond" else ""
+            cells = where, f"{what}, {unit}", *figures, verdict
+            rows.append(Row(f"{each.place}/{each.what}", cells, tone))
+        return rows

@@ -20,15 +20,14 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Look, Scale
-from hilcell.tui.screens.pages import DetailPage, FilterScreen
-from hilcell.tui.screens.plots import plot_look
+from hilcell.tui.screens.pages import DetailPage, FilterScreen, plot_look
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
+from hilcell.tui.text.actions import ACTS, VIEWS, KeyOf, footer_lines
+from hilcell.tui.text.actions import WORDS as FOOTER_WORDS
 from hilcell.tui.text.alarms import AlarmBox, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.finished import Result, result_of, verdict_of
-from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
-from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.run import (

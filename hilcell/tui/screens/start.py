@@ -38,8 +38,8 @@ from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
 from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
-from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
+from hilcell.tui.text.actions import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
+from hilcell.tui.text.actions import WORDS as FOOTER_WORDS
 from hilcell.tui.text.run import badge, duration, moves, simulation_block
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 

@@ -27,7 +27,7 @@ from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
 from textual.filter import LineFilter
 
-from hilcell.tui.terminal.themes import PALETTES, ROLES
+from hilcell.tui.terminal.themes import IN_SIXTEEN, PALETTES, ROLES
 
 TICK_S = 0.05
 LATE_S = 2.0
@@ -95,7 +95,7 @@ class WithoutColours(LineFilter):
 
     def __init__(self, theme: str) -> None:
         super().__init__()
-        palette = next(each for each in PALETTES if each.name == theme)
+        palette = next(each for each in (*PALETTES, IN_SIXTEEN) if each.name == theme)
         box = Color.parse(palette.cursor)
         focused = box.tint(Color.parse(palette.text).with_alpha(0.05))  # Textual's `Input:focus`
         fills = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))

@@ -57,9 +57,11 @@ from hilcell.tui.layout import (
     Stack,
     Text,
     facts_grid,
+    figure,
+    large,
+    large_rows,
 )
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.digits import figure, large, large_rows
 from hilcell.tui.text.plots import places_of
 from hilcell.tui.text.run import SAID, is_simulated, simulation_block
 from hilcell.typed import Json, typed

@@ -20,8 +20,7 @@ from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point, Sent
 from hilcell.ports import HilcellError
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.layout import Lines, Stack, facts_grid
-from hilcell.tui.text.digits import figure
+from hilcell.tui.layout import Lines, Stack, facts_grid, figure
 from hilcell.tui.widgets import Column, Row
 
 STATES: dict[Outcome, str] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}

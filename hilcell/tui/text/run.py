@@ -57,12 +57,13 @@ from hilcell.tui.layout import (
     Text,
     Ticks,
     ends,
+    figure,
+    large,
     section,
 )
 from hilcell.tui.plots import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import NAMES, locks, short_age
-from hilcell.tui.text.digits import figure, large
 from hilcell.tui.text.points import Deviation, deviation_of
 
 STATES = {

@@ -16,14 +16,15 @@ from hilcell.report.drawings.drawing import (
     Scale,
 )
 from hilcell.report.drawings.error_plots import (
+    air,
     enlarged,
+    floor_moves,
     in_order,
     over_bound,
     strip,
     variance_bar,
     vectors,
 )
-from hilcell.report.drawings.over_time import air, floor_moves
 from hilcell.report.drawings.views import side_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result

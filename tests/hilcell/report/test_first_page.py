@@ -20,13 +20,14 @@ from hilcell.journal.standing import Standing
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
-from hilcell.report.certificate import certificate, title
 from hilcell.report.course import course
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
     FirstPage,
+    certificate,
     instruments,
+    title,
     with_signs,
 )
 from hilcell.report.html import measured, report_html, sentence, standing

@@ -30,14 +30,14 @@ from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
 from hilcell.tui.screens.base import BaseScreen, Options
 from hilcell.tui.screens.help import HelpPage
-from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import (
     AlarmPage,
+    HistoryPage,
     InterlockPage,
     LogPage,
+    PlotPage,
     ReportPage,
 )
-from hilcell.tui.screens.plots import PlotPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE

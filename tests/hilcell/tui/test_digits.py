@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from hilcell.tui.layout import figure, large, large_rows
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
-from hilcell.tui.text.digits import ROWS, figure, large, large_rows
 
 SHEET = """
 █▀█ ▄█  ▀▀█ ▀▀█ █ █ █▀▀ █▀▀ ▀▀█ █▀█ █▀█
@@ -23,9 +23,9 @@ def test_digits_are_as_drawn() -> None:
 @pytest.mark.parametrize("text", ["0.189", "-1.234", "+0.5", "PASS", "FAIL", "-.---", "−0.1"])
 def test_rows_are_of_equal_length(text: str) -> None:
     rows = large_rows(text)
-    assert len(rows) == ROWS
+    assert len(rows) == 3
     assert len({len(row) for row in rows}) == 1
-    assert [len(line) for line in large(text, "", UNICODE)] == [len(rows[0])] * ROWS
+    assert [len(line) for line in large(text, "", UNICODE)] == [len(rows[0])] * 3
 
 
 def test_no_two_signs_look_alike() -> None:

@@ -16,8 +16,7 @@ from textual.worker import WorkerFailed
 from hilcell.journal import index
 from hilcell.run.order import Order
 from hilcell.tui.keys import load_keys
-from hilcell.tui.screens.history import HistoryPage
-from hilcell.tui.screens.pages import InterlockPage
+from hilcell.tui.screens.pages import HistoryPage, InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
 from hilcell.tui.terminal.themes import NAMES

@@ -12,7 +12,7 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
-from hilcell.tui.screens.history import Compared, ComparePage
+from hilcell.tui.screens.pages import Compared, ComparePage
 from hilcell.tui.text.tables import (
     columns_for,
     history_row,
