@@ -127,8 +127,8 @@ class Inbox:
         self._changed = threading.Condition()
         self._pdos = {pdo.cob_id: pdo for pdo in pdos}
         self._values: dict[int, tuple[int, ...]] = {}
-        self._count = dict.fromkeys(self._pdos, 0)
-        self._owed = dict.fromkeys(self._pdos, 0)  # SYNCs without an answer so far
+        self._sent = 0  # SYNCs
+        self._answered = dict.fromkeys(self._pdos, 0)  # so many of them, by each PDO
         self._arrived_s = dict.fromkeys(self._pdos, 0.0)
         self._heard_s = 0.0  # of link time
         for cob_id in self._pdos:
@@ -144,20 +144,21 @@ class Inbox:
         A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
         Values that have waited in this PC for `STALE_S` are asked for again.
         """
-        before, owed, sent_s = *self._counted(), self._link.clock.pc_s()
+        sent, before, sent_s = self._sent, dict(self._answered), self._link.clock.pc_s()
         for _ in range(self._syncs):
             earlier_s, sent_s = sent_s, self._link.clock.pc_s()
             with self._changed:
-                self._owed = {cob_id: count + 1 for cob_id, count in self._owed.items()}
+                self._sent += 1
             self._link.send(SYNC, b"")
-            if self._await(before, owed, check):
+            if self._await(sent, before, check):
                 with self._changed:
                     arrived_s = max(sent_s, min(self._arrived_s.values()))
                     values = dict(self._values)
                 if self._link.clock.pc_s() - arrived_s <= STALE_S:
                     return values, earlier_s  # the SYNC before may have been answered
-                before, owed, sent_s = *self._counted(), self._link.clock.pc_s()
-        missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
+                sent, before, sent_s = self._sent, dict(self._answered), self._link.clock.pc_s()
+        missing = [f"0x{cob_id:03X}" for cob_id in before
+                   if self._answered[cob_id] == before[cob_id]]  # fmt: skip
         if not missing:
             raise RAIL.failed(
                 "HC-R39",
@@ -173,14 +174,8 @@ class Inbox:
             syncs=self._syncs,
         )
 
-    def _counted(self) -> tuple[dict[int, int], dict[int, int]]:
-        with self._changed:
-            return dict(self._count), dict(self._owed)
-
-    def _await(
-        self, before: dict[int, int], owed: dict[int, int], check: Callable[[], None]
-    ) -> bool:
-        """Return whether a SYNC of this refresh was answered.
+    def _await(self, sent: int, before: dict[int, int], check: Callable[[], None]) -> bool:
+        """Return whether a SYNC of this refresh was answered, one behind the ``sent`` ones.
 
         Answers that were owed ``before`` have come by `REPLY_S` after the last frame, or are lost.
         """
@@ -190,13 +185,12 @@ class Inbox:
             self._link.check()
             now_s = self._link.time.listened_s
             with self._changed:
-                new = {cob_id: self._count[cob_id] - count for cob_id, count in before.items()}
-                if all(new[cob_id] > owed[cob_id] for cob_id in new):
+                if all(count > sent for count in self._answered.values()):
                     return True
                 if now_s > max(began_s, self._heard_s) + REPLY_S:  # frames until then count
-                    answered = all(new.values())
+                    answered = all(self._answered[cob_id] > before[cob_id] for cob_id in before)
                     if answered:
-                        self._owed = dict.fromkeys(self._owed, 0)
+                        self._answered = dict.fromkeys(self._answered, self._sent)
                     return answered
                 self._changed.wait(POLL_S)
 
@@ -204,8 +198,7 @@ class Inbox:
         values = self._pdos[cob_id].values(data)  # a truncated frame is no reading
         with self._changed:
             self._values[cob_id] = values
-            self._count[cob_id] += 1
-            self._owed[cob_id] = max(0, self._owed[cob_id] - 1)
+            self._answered[cob_id] = min(self._sent, self._answered[cob_id] + 1)
             self._heard_s = self._link.time.listened_s
             self._arrived_s[cob_id] = self._link.time.emptied_s
             self._changed.notify_all()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
@@ -56,20 +56,15 @@ class Reply:
     ok: bool
 
 
-def encode_read(tag: int, name: str) -> bytes:
-    return _request(tag, 0, name, b"")
-
-
-def encode_write(tag: int, name: str, value: str) -> bytes:
-    text = value.encode("latin-1")
-    return _request(tag, 1, name, struct.pack(">H", len(text)) + text)
-
-
-def _request(tag: int, kind: int, name: str, rest: bytes) -> bytes:
-    text = name.encode("ascii")
+def encode(tag: int, name: str, value: str | None = None) -> bytes:
+    """Return the request to read a variable, or to write a value; raises `C3Error`."""
+    text, rest = name.encode("ascii"), b""
+    if value is not None:
+        written = value.encode("latin-1")
+        rest = struct.pack(">H", len(written)) + written
     if not 0 < len(text) <= 250 or len(rest) > MAX_BODY:
         raise C3Error(f"{name[:40]!r} or its value is too long for one request")
-    body = struct.pack(">BH", kind, len(text)) + text + rest
+    body = struct.pack(">BH", value is not None, len(text)) + text + rest
     return _HEADER.pack(tag, len(body)) + body
 
 
@@ -96,20 +91,20 @@ class C3Connection(Line):
 
     def read(self, name: str) -> str:
         """Return the text of a variable; raises `DeviceError`."""
-        return self._exchange(f"read {name}", lambda tag: encode_read(tag, name)).value
+        return self._exchange("read", name).value
 
     def knows(self, name: str) -> bool:
         """Whether the controller lets a variable be read."""
-        return self._reply(f"read {name}", lambda tag: encode_read(tag, name)).ok
+        return self._reply("read", name).ok
 
     def write(self, name: str, value: str) -> None:
         """Write a variable and wait for the acknowledgement; raises `DeviceError`."""
-        self._exchange(f"write {name}", lambda tag: encode_write(tag, name, value))
+        self._exchange("write", name, value)
 
     def write_unheard(self, name: str, value: str) -> None:
         """Write without waiting for the reply; the connection is good for nothing afterwards."""
         with self._unheard():
-            self._link.send(encode_write(self._next_tag(), name, value), f"write {name}")
+            self._link.send(encode(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"
 
     def keep(self) -> None:
@@ -119,19 +114,19 @@ class C3Connection(Line):
         self._tag = self._tag % 0xFFFF + 1
         return self._tag
 
-    def _exchange(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
-        reply = self._reply(operation, encode)
+    def _exchange(self, act: str, name: str, value: str | None = None) -> Reply:
+        reply = self._reply(act, name, value)
         if not reply.ok:
-            raise ROBOT.failed(
-                "HC-B03", operation, f"refused with error {reply.error}", error=reply.error
-            )
+            found = f"refused with error {reply.error}"
+            raise ROBOT.failed("HC-B03", f"{act} {name}", found, error=reply.error)
         return reply
 
-    def _reply(self, operation: str, encode: Callable[[int], bytes]) -> Reply:
+    def _reply(self, act: str, name: str, value: str | None = None) -> Reply:
+        operation = f"{act} {name}"
         with self._in_flight(operation):
             tag = self._next_tag()
             self._dead = f"{operation} was never answered"
-            self._link.send(encode(tag), operation)
+            self._link.send(encode(tag, name, value), operation)
             reply = self._receive(operation, tag)
             self._dead = ""
         return reply

@@ -18,10 +18,10 @@ CHARGE_OK = bytes.fromhex("0100001000000a234348415247455f4f4b000101")
 
 
 def test_requests_are_the_published_bytes() -> None:
-    assert c3.encode_read(0x0100, "$ACCU_STATE").hex() == "0100000e00000b24414343555f5354415445"
-    assert c3.encode_write(0x0100, "$OV_PRO", "35").hex() == "0100000e010007244f565f50524f00023335"
-    assert c3.encode_read(1, "$POS_ACT").hex() == "0001000b00000824504f535f414354"
-    assert c3.encode_read(2, "$MODE_OP").hex() == "0002000b000008244d4f44455f4f50"
+    assert c3.encode(0x0100, "$ACCU_STATE").hex() == "0100000e00000b24414343555f5354415445"
+    assert c3.encode(0x0100, "$OV_PRO", "35").hex() == "0100000e010007244f565f50524f00023335"
+    assert c3.encode(1, "$POS_ACT").hex() == "0001000b00000824504f535f414354"
+    assert c3.encode(2, "$MODE_OP").hex() == "0002000b000008244d4f44455f4f50"
 
 
 def decode(data: bytes) -> c3.Reply:
@@ -47,8 +47,8 @@ def test_both_independent_peers_agree() -> None:
 
     peer = object.__new__(py_openshowvar.openshowvar)
     peer.msg_id, peer.varname, peer.value = 77, b"HC_TGT", b"{E6AXIS: A1 1.0}"
-    assert peer._pack_read_req() == c3.encode_read(77, "HC_TGT")
-    assert peer._pack_write_req() == c3.encode_write(77, "HC_TGT", "{E6AXIS: A1 1.0}")
+    assert peer._pack_read_req() == c3.encode(77, "HC_TGT")
+    assert peer._pack_write_req() == c3.encode(77, "HC_TGT", "{E6AXIS: A1 1.0}")
 
 
 @given(st.binary(max_size=40))
@@ -62,7 +62,7 @@ def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
 
 @given(st.text(st.characters(max_codepoint=255), max_size=60), st.integers(1, 0xFFFF))
 def test_a_value_survives_the_trip(value: str, tag: int) -> None:
-    request = c3.encode_write(tag, "X", value)
+    request = c3.encode(tag, "X", value)
     (size,) = struct.unpack_from(">H", request, 8)
     assert request[10 : 10 + size].decode("latin-1") == value
 
@@ -76,7 +76,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
 def asked(*pieces: bytes, check: Callable[[], None] = lambda: None) -> Iterator[C3Connection]:
     """Yield a connection to a server that answers the first request with ``pieces``."""
     surprises: list[bytes] = []
-    script = [(c3.encode_read(1, "$MODE_OP"), list(pieces))]
+    script = [(c3.encode(1, "$MODE_OP"), list(pieces))]
     with Server(scripted(script, surprises)) as server:
         connection = C3Connection("127.0.0.1", server.port, check)
         with contextlib.closing(connection):

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.kuka.robot_c3 import decode_body, encode_write
+from drivers.kuka.robot_c3 import decode_body, encode
 from fakes.replay import event_time
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
@@ -499,16 +499,16 @@ def test_an_idle_connection_is_kept_alive_by_what_another_was_asked() -> None:
 def test_a_robot_takes_a_sign_of_life_that_was_never_given() -> None:
     """A motion that is over within the time of one, as it was recorded."""
     c3 = dialects_of("kuka-c3")[""]
-    (reply,) = c3.alive(encode_write(7, "$TIMER[10]", "-1500"))
+    (reply,) = c3.alive(encode(7, "$TIMER[10]", "-1500"))
     assert reply[:4] == bytes((0, 7, 0, len(reply) - 4))
     assert decode_body(7, reply[4:]).value == "-1500"
-    assert c3.alive(encode_write(8, "HC_STOP", "TRUE")) == []
+    assert c3.alive(encode(8, "HC_STOP", "TRUE")) == []
 
 
 def test_a_sign_of_life_lets_no_recorded_time_pass() -> None:
     """A late PC gives one earlier than was recorded; one that was never answered stays silent."""
     c3 = dialects_of("kuka-c3")[""]
-    sign = encode_write(7, "$TIMER[10]", "-1500")
+    sign = encode(7, "$TIMER[10]", "-1500")
     (reply,) = c3.alive(sign)
     given = [Piece.of(5, 1, ">", sign), Piece.of(5, 1, "<", reply)]
     assert [each.asked for each in exchanges(given, c3)] == [b""]
