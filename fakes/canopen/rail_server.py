@@ -161,7 +161,6 @@ class RailDrive(CanopenSlave):
     def _forget(self) -> None:
         """Put the drive to where it stands after power-on (transitions 0 and 1)."""
         self.state = State.SWITCH_ON_DISABLED
-        self._mode = Mode.NONE
         self._word = 0
         self._commanded = False
         self._busy = False  # a motion was started and has not been seen to end
@@ -175,6 +174,10 @@ class RailDrive(CanopenSlave):
         self._homing = self._homed = self._homing_error = False
 
     # -- values of the plant ------------------------------------------------------------------
+
+    @property
+    def _mode(self) -> int:
+        return self.dictionary.number(0x6060)
 
     @property
     def moving(self) -> bool:
@@ -359,13 +362,13 @@ class RailDrive(CanopenSlave):
         if rising & Control.HALT and self._busy:
             self._halted = True
             self._rail.quick_stop(self.dictionary.number(0x6084) / self.COUNTS_PER_MM)
-        if self._mode is Mode.PROFILE_POSITION:
+        if self._mode == Mode.PROFILE_POSITION:
             if falling & Control.HALT and self._halted:
                 self._halted = False
                 self._start(self._target)
             if rising & Control.NEW_SET_POINT and not self._word & Control.HALT:
                 self._take_set_point()
-        elif self._mode is Mode.HOMING and rising & Control.NEW_SET_POINT:
+        elif self._mode == Mode.HOMING and rising & Control.NEW_SET_POINT:
             self._start_homing()
 
     def _take_set_point(self) -> None:
@@ -430,21 +433,20 @@ class RailDrive(CanopenSlave):
         word = self.state.value | Status.VOLTAGE | Status.REMOTE
         word |= Status.TARGET_REACHED if self._reached or self._early else 0
         word |= Status.INTERNAL_LIMIT if self._limited else 0
-        if self._mode is Mode.HOMING:
+        if self._mode == Mode.HOMING:
             done, error = self._homed, self._homing_error
         else:
             done = self._acknowledged or self._pending is not None
             error = self._following_error
         return word | (Status.MODE_DONE if done else 0) | (Status.MODE_ERROR if error else 0)
 
-    def _change_mode(self, mode: int) -> None:
+    def _change_mode(self, _mode: int) -> None:
         if self._busy:
             raise SdoAbortError(Abort.DEVICE_STATE)
-        self._mode = Mode(mode)
 
     def _shown_mode(self) -> int:
         wrong = self._faults.take("rail.wrong_mode")
-        return int(self._mode) if wrong is None else int(wrong)
+        return self._mode if wrong is None else int(wrong)
 
     def _note_command(self, _word: int) -> None:
         self._commanded = True

@@ -153,6 +153,7 @@ TOGGLE = 0x10
 
 @dataclass(slots=True)
 class _Transfer:
+    specifier: int  # of the client's segments
     index: int
     sub: int
     data: bytes
@@ -177,14 +178,15 @@ class SdoServer:
     toggle bit is the only thing that tells a repeated segment from the next one.
     """
 
+    UPLOAD, DOWNLOAD = SEGMENTS = 3, 0  # specifiers of a client's segments
+
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
-        self._upload: _Transfer | None = None
-        self._download: _Transfer | None = None
+        self._transfer: _Transfer | None = None
 
     def reset(self) -> None:
         """Forget the transfer under way."""
-        self._upload = self._download = None
+        self._transfer = None
 
     def answer(self, request: bytes) -> bytes | None:
         """Return the reply to ``request``; an abort of the client gets none."""
@@ -194,26 +196,23 @@ class SdoServer:
         if command == ABORT:
             self.reset()
             return None
+        specifier, transfer = command >> 5, self._transfer
+        if specifier in self.SEGMENTS and transfer is not None:
+            index, sub = transfer.index, transfer.sub
         try:
-            return self._dispatch(command, index, sub, request)
+            if specifier == 2:
+                return self._initiate_upload(index, sub)
+            if specifier == 1:
+                return self._initiate_download(command, index, sub, request)
+            if transfer is None or transfer.specifier != specifier:
+                raise SdoAbortError(Abort.UNKNOWN_COMMAND)
+            transfer.check_toggle(command)
+            if specifier == self.UPLOAD:
+                return self._upload_segment(transfer, command)
+            return self._download_segment(transfer, command, request)
         except SdoAbortError as refusal:
-            transfer = self._upload or self._download
-            if command >> 5 in {0, 3} and transfer is not None:
-                index, sub = transfer.index, transfer.sub
             self.reset()
             return abort_reply(index, sub, refusal.code)
-
-    def _dispatch(self, command: int, index: int, sub: int, request: bytes) -> bytes:
-        specifier = command >> 5
-        if specifier == 2:
-            return self._initiate_upload(index, sub)
-        if specifier == 1:
-            return self._initiate_download(command, index, sub, request)
-        if specifier == 3 and self._upload is not None:
-            return self._upload_segment(self._upload, command)
-        if specifier == 0 and self._download is not None:
-            return self._download_segment(self._download, command, request)
-        raise SdoAbortError(Abort.UNKNOWN_COMMAND)
 
     def _initiate_upload(self, index: int, sub: int) -> bytes:
         self.reset()
@@ -221,15 +220,14 @@ class SdoServer:
         if 1 <= len(data) <= 4:
             command = 0x43 | (4 - len(data)) << 2
             return HEADER.pack(command, index, sub) + data.ljust(4, b"\0")
-        self._upload = _Transfer(index, sub, data)
+        self._transfer = _Transfer(self.UPLOAD, index, sub, data)
         return HEADER.pack(0x41, index, sub) + struct.pack("<I", len(data))
 
     def _upload_segment(self, transfer: _Transfer, command: int) -> bytes:
-        transfer.check_toggle(command)
         segment, transfer.data = transfer.data[:7], transfer.data[7:]
         reply = (command & TOGGLE) | (7 - len(segment)) << 1 | (0 if transfer.data else 1)
         if not transfer.data:
-            self._upload = None
+            self.reset()
         return bytes([reply]) + segment.ljust(7, b"\0")
 
     def _initiate_download(self, command: int, index: int, sub: int, request: bytes) -> bytes:
@@ -243,11 +241,10 @@ class SdoServer:
         else:
             entry.check_writable()
             announced = struct.unpack_from("<I", request, 4)[0] if sized else None
-            self._download = _Transfer(index, sub, b"", announced)
+            self._transfer = _Transfer(self.DOWNLOAD, index, sub, b"", announced)
         return HEADER.pack(0x60, index, sub) + bytes(4)
 
     def _download_segment(self, transfer: _Transfer, command: int, request: bytes) -> bytes:
-        transfer.check_toggle(command)
         transfer.data += request[1 : 8 - (command >> 1 & 7)]
         longest = 4096
         if len(transfer.data) > longest:
@@ -256,7 +253,7 @@ class SdoServer:
             if transfer.announced not in {None, len(transfer.data)}:
                 raise SdoAbortError(Abort.WRONG_LENGTH)
             self._dictionary.entry(transfer.index, transfer.sub).download(transfer.data)
-            self._download = None
+            self.reset()
         return bytes([0x20 | command & TOGGLE]) + bytes(7)
 
 

@@ -50,13 +50,13 @@ def aggregate(kind: str, values: Mapping[str, float | int], *more: str) -> str:
     return f"{{{kind}: {', '.join([members(values), *more])}}}"
 
 
-def raw_members(text: str) -> dict[str, str]:
-    """Return the members of a structure as text; raises `KrlError`."""
+def raw_members(text: str, kind: str = "") -> dict[str, str]:
+    """Return the members of a structure as text; raises `KrlError`, also for another ``kind``."""
     match = _AGGREGATE.match(text.strip())
-    if match is None:
+    if match is None or (kind and (match[1] or kind).upper() != kind):
         raise KrlError(text)
-    parts = (part.split() for part in match[2].split(","))
-    return {name: value for name, value in parts if value}
+    parts = (part.strip().partition(" ") for part in match[2].split(","))
+    return {name: value.strip() for name, _, value in parts}
 
 
 RAIL_DRIVER = "kuka-e1"
@@ -220,7 +220,10 @@ class KrlController:
         with self._lock:
             self._strike_on_request()
             if name == "HC_TGT":
-                self._target_deg |= self._aggregate_of(text, "E6AXIS")
+                found = raw_members(text, "E6AXIS")  # whose name may be left out
+                if not all(map(_NUMBER.match, found.values())):
+                    raise KrlError(text)
+                self._target_deg |= {axis.upper(): float(deg) for axis, deg in found.items()}
             elif name in self._integers:
                 self._integers[name] = int(text)
             elif name == "$TIMER[10]":
@@ -494,20 +497,6 @@ class KrlController:
             self._halt("#P_STOP")
         if take("robot.override_zero") is not None:
             self._set_override(0)
-
-    @staticmethod
-    def _aggregate_of(text: str, kind: str) -> dict[str, float]:
-        """Return the members of a structure of ``kind``, which the text may leave out."""
-        match = _AGGREGATE.match(text.strip())
-        if match is None or (match[1] or kind).upper() != kind:
-            raise KrlError(text)
-        found: dict[str, float] = {}
-        for part in match[2].split(","):
-            name, _, number = part.strip().partition(" ")
-            if not _NUMBER.match(number.strip()):
-                raise KrlError(text)
-            found[name.upper()] = float(number)
-        return found
 
     @staticmethod
     def _boolean(value: bool) -> str:

@@ -330,7 +330,9 @@ class T2saServer(Server):
             self._halted.set()
             with self._measuring:  # another client's measurement has ended
                 self._reply(session, Answer())
-        elif (answer := self._begin(line)).finish is None:
+            return
+        answer = self._begin(line)
+        if answer.finish is None:
             self._reply(session, answer)
         else:
             self._measure(session, answer.after_s, answer.finish)

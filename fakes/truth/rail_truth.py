@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -57,14 +56,6 @@ class RailState:
     at_positive_limit: bool
 
 
-class _Rest(NamedTuple):
-    """The state after a path that has ended, with the encoder's zero of then."""
-
-    path: Path
-    zero_mm: float
-    state: RailState
-
-
 class RailTruth:
     """The rail of one simulated cell; safe to use from several threads.
 
@@ -95,7 +86,6 @@ class RailTruth:
         self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
         self._path = Path(time.now_s(), power_on_mm)
         self._stands: tuple[Path, float] | None = None  # where the slide is after a path
-        self._rested: _Rest | None = None
         self._seen_s = time.now_s()
 
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -155,13 +145,10 @@ class RailTruth:
             now_s = self._time.poll(self._path.start_s, self._path.end_s)
             self._follow(now_s)
             self._strike(now_s)
-            known = self._rested
-            if known and known.path is self._path and known.zero_mm == self._zero_mm:
-                return known.state
             motor_mm, velocity_mm_s = self._path.at(now_s)
             encoder_mm = motor_mm - self._zero_mm
             strip_mm = self._shape.strip_mm(self._slide_mm(now_s))
-            state = RailState(
+            return RailState(
                 encoder_mm=encoder_mm,
                 velocity_mm_s=velocity_mm_s,
                 strip_mm=strip_mm if self._sizes.strip else encoder_mm,
@@ -169,9 +156,6 @@ class RailTruth:
                 at_negative_limit=motor_mm <= self._low_mm,
                 at_positive_limit=motor_mm >= self._high_mm,
             )
-            if not state.moving:
-                self._rested = _Rest(self._path, self._zero_mm, state)
-            return state
 
     @property
     def still(self) -> bool:

@@ -371,16 +371,27 @@ class _Session:
         self._outputs: list[str] = []
         self._layout = struct.Struct("!B")  # of a state
         self._inputs: dict[int, list[tuple[str, str]]] = {}  # by the number of their recipe
+        self._writes = False
         self._rate_hz, self._started, self._due_s, self._silent = self.FASTEST_HZ, False, 0.0, False
 
-    def turn(self) -> bool:
+    def serve(self) -> None:
+        try:
+            while self._turn():
+                pass
+        finally:
+            if self._writes:
+                self._server.writer.release()
+
+    def _turn(self) -> bool:
         """Answer what has come, or send a state when it is due; return whether to go on."""
         wait_s = max(0.0, self._due_s - time.monotonic()) if self._started else None
         ready, _, _ = select.select([self._client], [], [], wait_s)
         if ready:
             data = self._client.recv(RECEIVE)
             return bool(data) and self._take(data)
-        self._due_s = time.monotonic() + self._server.period_s(self._rate_hz)
+        stepped_s = 0.002  # between two states, in stepped time
+        paced_s = 1.0 / min(self._rate_hz, self.FASTEST_HZ)
+        self._due_s = time.monotonic() + (stepped_s if self._server.time.stepped else paced_s)
         self._send_state()
         return True
 
@@ -425,9 +436,10 @@ class _Session:
 
     def _claimed(self, names: list[str]) -> tuple[int, list[str]]:
         """Return the number of a new recipe, 0 where there is none, and its types."""
-        free, known = self._server.claim(self), self._server.controller.inputs
+        self._writes = self._writes or self._server.writer.acquire(blocking=False)
+        known = self._server.controller.inputs
         types = [
-            "NOT_FOUND" if name not in known else self._register(name) if free else "IN_USE"
+            "NOT_FOUND" if name not in known else self._register(name) if self._writes else "IN_USE"
             for name in names
         ]
         if not set(types) <= {"INT32", "DOUBLE"}:
@@ -447,7 +459,8 @@ class _Session:
         if len(payload) == struct.calcsize(layout) > 1:
             values = struct.unpack(layout, payload)[1:]
             names = (name for name, _ in recipe)
-            self._server.write(dict(zip(names, values, strict=True)))
+            self._server.controller.write(dict(zip(names, values, strict=True)))
+            self._server.time.catch_up()
         return True
 
     def _send_state(self) -> None:
@@ -492,48 +505,16 @@ class UrServer(Server):
     STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
     def __init__(self, site: Site, port: int = 0) -> None:
-        self.controller, self.faults, self._time = UrController(site), site.faults, site.time
-        self._lock = threading.Lock()
-        self._writer: _Session | None = None
-        self._dashboard = Listener("dashboard", self._serve_dashboard)
+        self.controller, self.faults, self.time = UrController(site), site.faults, site.time
+        self.writer = threading.Lock()  # held for the one client that may write registers
         listeners = {
-            "rtde_port": Listener("rtde", self._serve_states, port=port),
+            "rtde_port": Listener("rtde", lambda client: _Session(client, self).serve(), port=port),
             "script_port": Listener("scripts", self._serve_scripts),
-            "dashboard_port": self._dashboard,
+            "dashboard_port": Listener("dashboard", self._serve_dashboard),
         }
         ports = {name: each.port for name, each in listeners.items()}
         address = {"host": HOST, **ports}
         super().__init__(address, *listeners.values(), restore=self.controller.restore)
-
-    def write(self, values: dict[str, float]) -> None:
-        """Take registers, and let others do work that became due."""
-        self.controller.write(values)
-        self._time.catch_up()
-
-    def claim(self, session: _Session) -> bool:
-        """Return whether this client may write: no other one does."""
-        with self._lock:
-            self._writer = self._writer or session
-            return self._writer is session
-
-    def release(self, session: _Session) -> None:
-        """A client has gone."""
-        with self._lock:
-            if self._writer is session:
-                self._writer = None
-
-    def period_s(self, rate_hz: float) -> float:
-        """Return the real time between two states."""
-        stepped_s = 0.002  # between two states, in stepped time
-        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, _Session.FASTEST_HZ)
-
-    def _serve_states(self, client: socket.socket) -> None:
-        session = _Session(client, self)
-        try:
-            while session.turn():
-                pass
-        finally:
-            self.release(session)
 
     def _serve_scripts(self, client: socket.socket) -> None:
         """Play what a client sends, when its ``def`` has reached its ``end``."""

@@ -24,6 +24,7 @@ from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from fakes.universal_robots.server import UrController, UrServer
+from fakes.wires import Listener
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
@@ -290,7 +291,9 @@ def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
 
 def close_idle_panels(bench: Bench) -> None:
     """Have the dashboard server close its connections, and take new ones."""
-    for client in list(bench.server._dashboard._clients):
+    *_, dashboard = bench.server._listeners
+    assert isinstance(dashboard, Listener)
+    for client in list(dashboard._clients):
         client.shutdown(socket.SHUT_RDWR)
 
 
