@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal, Self
 
+import msgspec
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.special import betaincinv, stdtrit  # scipy.stats takes half a second to import
@@ -36,12 +37,11 @@ TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Row]
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
+class Interval(msgspec.Struct, frozen=True):
     """A mean over machines and half its 95 % interval, NaN where one machine gives none."""
 
     mean: float
-    half: float
+    half: float = msgspec.field(name="half95")
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Self:
@@ -64,13 +64,12 @@ class Interval:
         return self.mean - half, self.mean + half
 
 
-@dataclass(frozen=True, slots=True)
-class Share:
+class Share(msgspec.Struct, frozen=True):
     """A share of targets (0 to 1) and its 95 % interval, NaN where one machine gives none."""
 
     mean: float
-    low: float
-    high: float
+    low: float = msgspec.field(name="low95")
+    high: float = msgspec.field(name="high95")
 
     @classmethod
     def of(cls, values: Iterable[float], targets: float) -> Self:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
 from functools import partial
 from operator import attrgetter, itemgetter
 from typing import Protocol
@@ -211,7 +210,7 @@ class Summary:
             "designs": [_design(each) for each in found.designs],
             "effects": [_effect(each) for each in found.effects],
             "buy_next": [_effect(each) for each in found.purchases],
-            "covered": None if found.covered is None else _share(found.covered),
+            "covered": found.covered,
             "explained": found.share,
             "not_estimable": found.not_estimable,
         }
@@ -263,10 +262,10 @@ def _design(each: Design) -> dict[str, object]:
     return {
         "point": each.point.number,
         "factors": {choice.factor.name: choice.shown for choice in each.point.choices},
-        "accuracy_mm": _interval(each.accuracy),
+        "accuracy_mm": each.accuracy,
         "minutes": each.minutes,
         "cost": each.point.cost,
-        "covered": _share(each.covered),
+        "covered": each.covered,
         "machines": each.machines,
     }
 
@@ -276,17 +275,9 @@ def _effect(each: Effect) -> dict[str, object]:
         "factor": each.factor.name,
         "level": each.word,
         "from": each.start,
-        "accuracy_mm": _interval(each.mean),
-        "change_mm": _interval(each.change),
+        "accuracy_mm": each.mean,
+        "change_mm": each.change,
         "minutes": each.minutes,
         "cost": each.cost,
-        "covered": _share(each.covered),
+        "covered": each.covered,
     }
-
-
-def _interval(each: Interval) -> Mapping[str, float]:
-    return {"mean": each.mean, "half95": each.half}
-
-
-def _share(each: Share) -> Mapping[str, float]:
-    return {"mean": each.mean, "low95": each.low, "high95": each.high}
