@@ -13,6 +13,7 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import re
 import shutil
 import sys
 import traceback
@@ -121,7 +122,7 @@ def print_table(table: Table) -> None:
 
 # -- encodings ------------------------------------------------------------------------------------
 
-SIMILAR, ESCAPED = "hilcell.similar", "hilcell.json-escaped"
+SIMILAR = "hilcell.similar"
 _WORDS = {
     "μ": "u", "±": "+-", "×": "x", "·": "*", "÷": "/", "°": "deg", "Δ": "d", "σ": "sigma", "−": "-",
     "–": "-", "—": "-", "‘": "'", "’": "'", "“": '"', "”": '"', "«": '"', "»": '"', "•": "*",
@@ -137,9 +138,11 @@ def never_fail_to_encode(streams: Iterable[object]) -> None:
             stream.reconfigure(errors=SIMILAR)
 
 
-def in_ascii(json: str) -> str:
+def in_ascii(text: str) -> str:
     """Return JSON that is the same in any encoding of a terminal or pipe: RFC 8259, section 7."""
-    return json.encode("ascii", ESCAPED).decode("ascii")
+    import json  # `--help` does without it
+
+    return re.sub(r"[^\x00-\x7f]+", lambda beyond: json.dumps(beyond[0])[1:-1], text)
 
 
 def _similar(error: UnicodeError) -> tuple[str, int]:
@@ -171,13 +174,4 @@ def _line(shape: list[str]) -> str:
     return "|" if "VERTICAL" in shape and "AND" not in shape else "+"
 
 
-def _escaped(error: UnicodeError) -> tuple[str, int]:
-    r"""Return characters as JSON escapes: ``\u00b5``, or two beyond the basic plane."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    units = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass").hex()
-    return "".join(f"\\u{units[n : n + 4]}" for n in range(0, len(units), 4)), error.end
-
-
 codecs.register_error(SIMILAR, _similar)
-codecs.register_error(ESCAPED, _escaped)

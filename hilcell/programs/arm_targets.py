@@ -79,14 +79,16 @@ class ArmTargets(TargetFiles):
         known = known[:: len(known) // most_known + 1]
         reach = Reach(arm, robot.base, known, robot.limits_rad)
         program = load_program(source)
+        as_joints = False
         if program is None:
-            targets, as_joints = RobotTargets.read(source, reach)
+            names, poses, joints_rad, as_joints = read_list(source, reach)
         else:
-            targets, as_joints = RobotTargets.of(program.names, program.values(), reach), False
-        names, joints_rad = targets.names, targets.joints_rad
+            names, poses = program.names, poses_from_zyx(program.values())
+            joints_rad = reach.joints(poses, names)
         errors = controller.errors(method, joints_rad)
-        command = targets.corrected(errors.error_mm)
-        bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), targets.poses)
+        command = poses.copy()
+        command[:, :3, 3] -= errors.error_mm
+        bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), poses)
         refuse(
             ~(bounds.radii_mm <= UNDETERMINED_MM),
             names,
@@ -101,7 +103,7 @@ class ArmTargets(TargetFiles):
         if program is not None:
             cls._check_program(program, reach, joints_rad, sent, source, say)
         stamp = Stamp(f"fit of {Path(train.source).name}", written_now())
-        corrected = Corrected(names, zyx_from_pose(targets.poses), sent, bounds, stamp)
+        corrected = Corrected(names, zyx_from_pose(poses), sent, bounds, stamp)
         return cls(
             source, program, corrected, ROOT, sent[:, :3], header, rows, controller,
             cls._beyond(names, joints_rad, train),
@@ -278,35 +280,16 @@ class Reach:
         return self.known_rad[np.argsort(distance, axis=1)[:, : self.STARTS]]
 
 
-@dataclass(frozen=True, eq=False)
-class RobotTargets:
-    """N targets: poses (N, 4, 4) of the tool in the root, and nominal joints (N, 6) for them."""
-
-    names: list[str]
-    poses: Array
-    joints_rad: Array
-
-    @classmethod
-    def of(cls, names: list[str], values: Array, reach: Reach) -> Self:
-        """Return targets stated as x, y, z, a, b, c (N, 6); raises `HilcellError`."""
-        poses = poses_from_zyx(values)
-        return cls(names, poses, reach.joints(poses, names))
-
-    @classmethod
-    def read(cls, path: Path, reach: Reach) -> tuple[Self, bool]:
-        """Return targets, and whether they were joints; raises `SettingsError`, `HilcellError`."""
-        rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
-        values = np.array(rows.values)
-        if rows.header == HEADER:
-            return cls.of(rows.names, values, reach), False
-        joints = np.radians(values)
-        return cls(rows.names, reach.poses(joints), joints), True
-
-    def corrected(self, error_mm: Array) -> Array:
-        """Return the poses (N, 4, 4) to command where errors (N, 3) are expected in the root."""
-        command = self.poses.copy()
-        command[:, :3, 3] -= error_mm
-        return command
+def read_list(path: Path, reach: Reach) -> tuple[list[str], Array, Array, bool]:
+    """Return N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, 6) for them, and
+    whether these are what is listed; raises `SettingsError`, `HilcellError`.
+    """
+    rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
+    if rows.header == HEADER:
+        poses = poses_from_zyx(np.array(rows.values))
+        return rows.names, poses, reach.joints(poses, rows.names), False
+    joints_rad = np.radians(rows.values)
+    return rows.names, reach.poses(joints_rad), joints_rad, True
 
 
 def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:

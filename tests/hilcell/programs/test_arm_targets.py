@@ -14,8 +14,8 @@ from hilcell.ports import HilcellError
 from hilcell.programs.arm_targets import (
     JOINT_HEADER,
     Reach,
-    RobotTargets,
     joint_rows,
+    read_list,
     with_tool_point,
 )
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
@@ -73,14 +73,6 @@ def test_poses_are_refused_where_several_postures_were_measured() -> None:
         here.joints(here.poses(joints(2)), ["a", "b"])
 
 
-def test_a_correction_moves_the_command_the_other_way() -> None:
-    targets = RobotTargets(["a", "b"], reach().poses(joints(2)), joints(2))
-    command = targets.corrected(np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(command[0, :3, 3], targets.poses[0, :3, 3] - [1, 2, 3])
-    np.testing.assert_array_equal(command[1], targets.poses[1])
-    np.testing.assert_array_equal(command[:, :3, :3], targets.poses[:, :3, :3])
-
-
 def test_joints_near_others_reach_the_corrected_pose() -> None:
     start = joints(5)
     poses = reach().poses(start)
@@ -102,21 +94,19 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
 def test_poses_are_read_and_written(tmp_path: Path) -> None:
     poses = reach().poses(joints(3))
     write_targets(tmp_path / "t.csv", list("abc"), zyx_from_pose(poses))
-    found, as_joints = RobotTargets.read(tmp_path / "t.csv", reach())
-    assert (found.names, as_joints) == (list("abc"), False)
-    np.testing.assert_allclose(found.poses, poses, atol=1e-4)
-    np.testing.assert_allclose(found.joints_rad, joints(3), atol=1e-6)
-    again = RobotTargets.of(found.names, zyx_from_pose(poses), reach())
-    np.testing.assert_allclose(again.joints_rad, joints(3), atol=1e-8)
+    names, found, joints_rad, as_joints = read_list(tmp_path / "t.csv", reach())
+    assert (names, as_joints) == (list("abc"), False)
+    np.testing.assert_allclose(found, poses, atol=1e-4)
+    np.testing.assert_allclose(joints_rad, joints(3), atol=1e-6)
 
 
 def test_joints_are_read_and_written(tmp_path: Path) -> None:
     write_rows(tmp_path / "t.csv", JOINT_HEADER, joint_rows(list("abc"), joints(3)))
-    found, as_joints = RobotTargets.read(tmp_path / "t.csv", reach())
-    assert (found.names, as_joints) == (list("abc"), True)
-    np.testing.assert_allclose(found.joints_rad, joints(3), atol=1e-8)
+    names, found, joints_rad, as_joints = read_list(tmp_path / "t.csv", reach())
+    assert (names, as_joints) == (list("abc"), True)
+    np.testing.assert_allclose(joints_rad, joints(3), atol=1e-8)
     wanted = BASE @ forward(reach().arm, joints(3))
-    np.testing.assert_allclose(found.poses, wanted, atol=1e-4)
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -131,4 +121,4 @@ def test_joints_are_read_and_written(tmp_path: Path) -> None:
 def test_odd_lists_are_refused(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(SettingsError, match=says):
-        RobotTargets.read(tmp_path / "t.csv", reach())
+        read_list(tmp_path / "t.csv", reach())
