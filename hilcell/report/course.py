@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import NamedTuple
 
 from hilcell.clean import counted
 from hilcell.journal.journal import Record
@@ -36,43 +35,72 @@ from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
 
-class Line(NamedTuple):
-    """One line of the course: its time, its words, and whether the run stopped there."""
+@dataclass(slots=True)
+class Line:
+    """One line of the course: its time, its words, and whether the run stopped there.
+
+    Every session goes through all steps again, past what is measured already: such an ``idle`` step
+    is listed only where something was measured, moved at its beginning, or ``computed`` again.
+    """
 
     t: str
     words: str
     stop: bool = False
+    points: int = 0  # of the step that begins here
+    idle: bool = False
+    computed: bool = False
+
+    @property
+    def text(self) -> str:
+        """Return the line as it is shown; "" of a step that did nothing."""
+        if self.idle:
+            return f"{self.words} Computed again, nothing measured." if self.computed else ""
+        return f"{self.words} {counted(self.points, 'point')}." if self.points else self.words
+
+    def take(self, record: Record, log: Log) -> None:
+        """Take a record of the step under way; ``log`` is without it."""
+        match fact := record.fact:
+            case Point():  # a proof of nests is none of the step
+                if fact.group != CONTROL or fact.id.kind == BACK:
+                    self.idle, self.points = False, self.points + 1
+            case StreamRecorded() | CurveMeasured():
+                self.idle = False
+            case Frame():
+                self.computed |= log.frames.get(record.key) != fact
+            case Verdict():
+                self.computed |= log.verdicts.get(record.key) != fact
 
 
 @dataclass(frozen=True, eq=False)
 class _Course:
     facts: Facts
 
-    def lines(self) -> Iterator[Line]:
-        """Yield each line with its time in the journal; a step says how many points it gave."""
-        log, last, steps, found = Log(), "", _Steps(), list[Line]()
+    def lines(self) -> list[Line]:
+        """Return each line with its time in the journal; a step says how many points it gave."""
+        log, last, known, found = Log(), "", set[str](), list[Line]()
+        step: Line | None = None  # that is under way
         # of the next session, and written before it
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
-            starts = self._starts(record.fact)
+            fact, starts = record.fact, self._starts(record.fact)
             if starts and log.session and not log.over:
                 found.append(Line(last, self._cut_off(log), stop=True))
-            for words in self._words(log, record.fact):
-                found.append(Line(record.t, words, self._stops(record)))
-                if isinstance(record.fact, StepBegun):
-                    steps.begin(len(found) - 1, record.fact.name)
-            if starts:
-                steps.leave()
+            found += [Line(record.t, each, self._stops(fact)) for each in self._words(log, fact)]
+            if isinstance(fact, StepBegun):
+                step, moves = found[-1], fact.name == "home"  # at every start
+                optional = fact.name.startswith("two-face")  # a plan may leave it out
+                step.idle = optional or (fact.name in known and not moves)
+                known.add(fact.name)
+            step = None if starts else step
             if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
                 again = key_words(record.key, self.facts.log)
                 found.append(Line(record.t, f"Measured again: {again}."))
-            else:
-                steps.take(record, log)
-            if not isinstance(record.fact, before_it_goes_on):
+            elif step is not None:
+                step.take(record, log)
+            if not isinstance(fact, before_it_goes_on):
                 last = record.t
             log.take(record)
-        shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
-        yield from (line for line in shown if line.words)
+        return [line for line in found if line.text]
 
     def _words(self, log: Log, fact: Fact) -> list[str]:
         """Return a record as sentences; the state of the calibration follows from the steps."""
@@ -118,10 +146,9 @@ class _Course:
         return f"{words[:1].upper()}{words[1:]}."
 
     @staticmethod
-    def _stops(record: Record) -> bool:
-        change = record.fact
+    def _stops(fact: Fact) -> bool:
         stops = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
-        return isinstance(change, StateChanged) and change.machine == "run" and change.to in stops
+        return isinstance(fact, StateChanged) and fact.machine == "run" and fact.to in stops
 
     @staticmethod
     def _starts(fact: Fact) -> bool:
@@ -168,75 +195,17 @@ def course(facts: Facts) -> Table:
     name = facts.zone.tzname(None)  # UTC in brackets where that is another
     columns: tuple[Column[Line], ...] = (
         Column(f"{name} (UTC)" if facts.inputs.utc_offset_min else "UTC", attrgetter("t")),
-        Column("course in words", attrgetter("words")),
+        Column("course in words", attrgetter("text")),
     )
     lines = _dated(_Course(facts).lines(), facts)
     return Table(columns, lines, "Course of the run", note, lambda row: "stop" if row.stop else "")
 
 
-def _dated(lines: Iterator[Line], facts: Facts) -> Iterator[Line]:
+def _dated(lines: Sequence[Line], facts: Facts) -> Iterator[Line]:
     """Yield lines by the time of day; the date stands where it changes."""
     date = None
-    for t, words, stop in lines:
-        moment = in_zone(t, facts.zone)
+    for line in lines:
+        moment = in_zone(line.t, facts.zone)
         time = f"{moment:%H:%M:%S}" if moment.date() == date else f"{moment:%Y-%m-%d %H:%M:%S}"
-        yield Line(f"{time} ({t[11:19]})" if moment.utcoffset() else time, words, stop)
+        yield replace(line, t=f"{time} ({line.t[11:19]})" if moment.utcoffset() else time)
         date = moment.date()
-
-
-class _Steps:
-    """The lines of steps in the course, by their numbers, with the count of points of each.
-
-    Every session goes through all steps again, past what is measured already: there a step is
-    listed only where something was measured, moved at its beginning, or computed again.
-    """
-
-    def __init__(self) -> None:
-        self._now = -1  # the line of the step under way
-        self._known = set[str]()
-        self._counts: Counter[int] = Counter()  # of points
-        self._idle, self._computed = set[int](), set[int]()
-
-    def begin(self, line: int, name: str) -> None:
-        self._now = line
-        moving = {"home"}  # at every start
-        optional = {"two-face", "two-face-closing"}  # a plan may leave them out
-        if name in self._known - moving | optional:
-            self._idle.add(line)
-        self._known.add(name)
-
-    def leave(self) -> None:
-        self._now = -1
-
-    def take(self, record: Record, log: Log) -> None:
-        """Take a record of the step under way; ``log`` is without it."""
-        if self._is_measured(record):
-            self._idle.discard(self._now)
-            self._counts[self._now] += record.kind == "point"
-        elif self._is_computed(record, log):
-            self._computed.add(self._now)
-
-    def words(self, line: int, text: str) -> str:
-        """Return the words of a line; "" of a step that did nothing."""
-        if line not in self._idle:
-            count = self._counts[line]
-            return f"{text} {counted(count, 'point')}." if count else text
-        return f"{text} Computed again, nothing measured." if line in self._computed else ""
-
-    @staticmethod
-    def _is_measured(record: Record) -> bool:
-        """Whether a record is of a reading that is no proof of nests."""
-        fact = record.fact
-        if isinstance(fact, Point):
-            return fact.group != CONTROL or fact.id.kind == BACK
-        return isinstance(fact, StreamRecorded | CurveMeasured)
-
-    @staticmethod
-    def _is_computed(record: Record, log: Log) -> bool:
-        """Whether a record is of a frame or a verdict that was not known as it is now."""
-        match record.fact:
-            case Frame() as frame:
-                return log.frames.get(record.key) != frame
-            case Verdict() as verdict:
-                return log.verdicts.get(record.key) != verdict
-        return False
