@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 import webbrowser
@@ -234,10 +235,25 @@ def plot_look(screen: BaseScreen) -> Look:
     return Look(letters=plain or few, plain=plain)
 
 
+class Pace:
+    """Draws something twice a second at most."""
+
+    REDRAW_S = 0.5
+
+    def __init__(self) -> None:
+        self._drawn_s = -math.inf
+
+    def is_due(self) -> bool:
+        """Whether it was not drawn just now; then it is drawn now."""
+        now_s = time.monotonic()
+        due = now_s - self._drawn_s >= self.REDRAW_S
+        self._drawn_s = now_s if due else self._drawn_s
+        return due
+
+
 class PlotPage(Page):
     """Draws twice a second at most, and only what is new."""
 
-    REDRAW_S = 0.5
     TALL = 28  # rows, from which tabs and title stand apart
 
     footer = ("stop", "pause", "alarms", "quit")
@@ -261,7 +277,7 @@ class PlotPage(Page):
     def __init__(self) -> None:
         super().__init__()
         self._choice = Choice()
-        self._drawn_s = -self.REDRAW_S
+        self._pace = Pace()
         self._seen: tuple[object, ...] = ()
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
@@ -279,13 +295,13 @@ class PlotPage(Page):
         self.panel("title").display = False
         if view is None or view.log.plan is None:
             return
-        size, now_s = self.panel("plot").size, time.monotonic()
-        turned = (size, self.app.theme)
-        state = (len(view.log.points), len(view.log.curves), *turned)
-        early = self._seen[2:] == turned and now_s - self._drawn_s < self.REDRAW_S
-        if state == self._seen or early or not size.height:
+        size = self.panel("plot").size
+        state = (size, self.app.theme, len(view.log.points), len(view.log.curves))
+        if state == self._seen or not size.height:
             return
-        self._seen, self._drawn_s = state, now_s
+        if self._seen[:2] == state[:2] and not self._pace.is_due():
+            return
+        self._seen = state
         self.panel("plot").show(self._lines(Measured(view.log), size.width, size.height))
 
     def _lines(self, of: Measured, width: int, height: int) -> Content:

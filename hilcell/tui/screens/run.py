@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -19,9 +16,8 @@ from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
-from hilcell.tui.plots import Look, Scale
-from hilcell.tui.screens.pages import DetailPage, FilterScreen, plot_look
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.plots import Scale
+from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_look
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.actions import ACTS, VIEWS, KeyOf, footer_lines
@@ -38,51 +34,6 @@ from hilcell.tui.text.run import (
 )
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
-
-REDRAW_S = 0.5
-
-
-class WidePanels:
-    """Draws each panel twice a second at most; ``rows`` are those of the points table."""
-
-    def __init__(self) -> None:
-        self._scale: Scale | None = None
-        self._room = 0  # rows under the points
-        self._drawn_s = {"side": -math.inf, "below": -math.inf}
-
-    def show_side(
-        self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], look: Look, theme: str
-    ) -> None:
-        """Show map and plot, where there is something new."""
-
-        def draw(width: int, height: int) -> list[Content]:
-            lines, self._scale = side_lines(view, rows, width, height, look, self._scale)
-            return lines
-
-        if panel.display and not self._early("side"):
-            state = theme, look, len(view.log.points), view.last
-            panel.show(Drawing(state, draw))
-
-    def show_below(
-        self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], glyphs: Glyphs, height: int
-    ) -> None:
-        """Show interlocks, next steps and events on a terminal of this height."""
-        room = block_rows(height, live=view.live)
-        panel.display = room > 0 and view.log.plan is not None
-        if not panel.display or (room == self._room and self._early("below")):
-            return
-        self._room = room
-        errors_mm = {row.point.key: row.norm_mm for row in rows if row.deviation is not None}
-        panel.show(below_lines(view, errors_mm, glyphs, room))
-
-    def _early(self, name: str) -> bool:
-        """Whether a panel was drawn just now; else it is drawn now."""
-        now_s = time.monotonic()
-        if now_s - self._drawn_s[name] < REDRAW_S:
-            return True
-        self._drawn_s[name] = now_s
-        return False
-
 
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 
@@ -134,7 +85,9 @@ class RunScreen(FilterScreen):
         self._footer: tuple[object, Content] = (None, Content(""))  # drawn when a slot changes
         self._rows: list[PointRow] = []  # of all points
         self._points_seen: tuple[object, ...] = ()
-        self._wide = WidePanels()
+        self._side_pace, self._below_pace = Pace(), Pace()
+        self._scale: Scale | None = None  # of the plot at the side
+        self._room = 0  # rows under the points
         self._result: tuple[object, Result | None] = (None, None)  # of which end record
         self.points_open = False  # over the verdict of a run that is done
 
@@ -302,11 +255,23 @@ class RunScreen(FilterScreen):
             self._chosen = ""
 
     def _show_wide(self, view: RunView) -> None:
+        """Show map and plot, and interlocks, next steps and events, where there is room."""
         side, below = self.panel("side"), self.panel("below")
-        if side.display:
-            self._wide.show_side(side, view, self._rows, plot_look(self), self.app.theme)
-        height = self.app.size.height
-        self._wide.show_below(below, view, self._rows, self.application.glyphs, height)
+        look = plot_look(self)
+
+        def draw(width: int, height: int) -> list[Content]:
+            lines, self._scale = side_lines(view, self._rows, width, height, look, self._scale)
+            return lines
+
+        if side.display and self._side_pace.is_due():
+            state = self.app.theme, look, len(view.log.points), view.last
+            side.show(Drawing(state, draw))
+        room = block_rows(self.app.size.height, live=view.live)
+        below.display = room > 0 and view.log.plan is not None
+        if below.display and (room != self._room or self._below_pace.is_due()):
+            self._room = room
+            errors_mm = {e.point.key: e.norm_mm for e in self._rows if e.deviation is not None}
+            below.show(below_lines(view, errors_mm, self.application.glyphs, room))
 
     def label(self, name: str) -> str:
         if name == "sort":

@@ -16,6 +16,7 @@ from hilcell.tui.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import run
+from hilcell.tui.screens.pages import Pace
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.text import finished, points
 from tests.hilcell.tui.all_screens import isolated
@@ -85,7 +86,7 @@ def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.Mo
 def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(run, "REDRAW_S", math.inf)
+    monkeypatch.setattr(Pace, "REDRAW_S", math.inf)
 
     async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
         rule = next(line for line in text_of(app).splitlines() if "─ interlocks ─" in line)
