@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from struct import Struct
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,11 +240,12 @@ def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -
         raise TRACKER.no_reading("HC-T10", operation, found, act=act)
 
 
-class SystemStatus(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class SystemStatus:
     """Processor state, version, weather monitor and serial number, as the tracker reports them."""
 
-    INITIALIZED = 5  # of the processor
-    AIR_MEASURED = 2  # the weather monitor reads, and corrects the distances by it
+    INITIALIZED: ClassVar[int] = 5  # of the processor
+    AIR_MEASURED: ClassVar[int] = 2  # the weather monitor reads, and corrects the distances by it
 
     processor: int
     version: str

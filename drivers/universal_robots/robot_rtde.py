@@ -94,11 +94,11 @@ class UrRtdeRobot:
         self._link: UrLink | None = None
         self._dashboard: Dashboard | None = None
         self._stop_line: Dashboard | None = None
-        self._watch = Supervision(ROBOT, "HC-B27", clock)
+        self.watch = Supervision(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._session = 0
         self._order = Order(0, np.zeros(6), 0.0)
-        self._rest_rad = np.zeros(6)
+        self.rest_rad = np.zeros(6)  # where the robot was sent last, or was found
         self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
         self._life_due_s = self._seen_s = 0.0
         self._asked_s = 0.0  # when the state of the last reading was asked for
@@ -123,12 +123,12 @@ class UrRtdeRobot:
             self._start_script()
             state = self._link.fresh()
             self._check_tool(state)
-            self._rest_rad = state.joints_rad
+            self.rest_rad = state.joints_rad
         return [identity]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         target_rad = checked_target(joints_rad, speed_percent)
-        distance_deg = np.degrees(target_rad - self._rest_rad)
+        distance_deg = np.degrees(target_rad - self.rest_rad)
         planned = planned_s(distance_deg, self._speed_deg_s, speed_percent)
         # The script takes the speed of the joint that moves farthest; the others keep step with it.
         leading_deg = float(np.max(np.abs(distance_deg)))
@@ -144,7 +144,7 @@ class UrRtdeRobot:
                     self.check_progress(limits, number, self.link().next())
             return self.rest(target_rad)
         finally:
-            self._watch.end()
+            self.watch.end()
 
     def read(self) -> RobotReading:
         states = self._dwell()
@@ -269,7 +269,7 @@ class UrRtdeRobot:
         number = self._order.sequence % UrLink.MAX_NUMBER + 1
         self._order = Order(number, target_rad, speed_rad_s)
         self._under_way, self._ended_s = True, None
-        self._watch.begin()
+        self.watch.begin()
         self._seen_s = time.monotonic()
         self.live()
         return number
@@ -330,7 +330,7 @@ class UrRtdeRobot:
             if bool(np.all(arrived)) and stands(states):
                 # The pose means something only with the tool that connect has verified.
                 self._check_tool(last)
-                self._under_way, self._rest_rad = False, target_rad
+                self._under_way, self.rest_rad = False, target_rad
                 self._ended_s = began_s
                 return self._reading(last, still=True)
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
@@ -364,14 +364,6 @@ class UrRtdeRobot:
     def link(self) -> UrLink:
         return ROBOT.connected(self._link)
 
-    def stands_at(self) -> Array:
-        """Return the joints (6,) in rad to which the robot was sent last, or where it was found."""
-        return self._rest_rad
-
-    def unwatch(self) -> None:
-        """Look at no motion any longer: it has ended, or is braked."""
-        self._watch.end()
-
     def brake(self, number: int) -> None:
         """Brake a motion by the script; return at standstill, also while a stop is on."""
         begun_s = time.monotonic()
@@ -389,7 +381,7 @@ class UrRtdeRobot:
             raise ROBOT.failed("HC-B71", "sweep", found, wanted=f"at rest within {REST_S:g} s")
         self._order = replace(self._order, stop=Order.GO)
         self.live()
-        self._under_way, self._rest_rad = False, state.joints_rad
+        self._under_way, self.rest_rad = False, state.joints_rad
 
     # -- wires --------------------------------------------------------------------------------
 
@@ -424,8 +416,8 @@ class UrRtdeRobot:
     def _attend(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
-        self._watch.look()
-        if self._watch.begun and time.monotonic() >= self._life_due_s:
+        self.watch.look()
+        if self.watch.begun and time.monotonic() >= self._life_due_s:
             self.live()
 
     def _close_wires(self) -> None:
@@ -495,7 +487,7 @@ class UrSweep:
         robot.look(state)
         self._fraction = state.speed_fraction
         self.speed_rad_s = self._wanted_rad_s * self._fraction
-        self._target_rad = robot.stands_at().copy()
+        self._target_rad = robot.rest_rad.copy()
         planned_s = abs(self._end_rad - self._target_rad[self._axis]) / self._wanted_rad_s
         self._target_rad[self._axis] = self._end_rad
         self._limits = MotionLimits(float(planned_s), STALL_S, self.PROGRESS_DEG)
@@ -503,7 +495,7 @@ class UrSweep:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Brake a motion under way."""
-        self._robot.unwatch()
+        self._robot.watch.end()
         if not self._under_way:
             return
         try:

@@ -200,7 +200,8 @@ def _nearest(position: Array, before_rad: Array) -> list[float]:
     vector = to_rotvec(poses_from_zyx(position[None])[0, :3, :3])
     angle = float(np.linalg.norm(vector))
     other = vector * (1.0 - 2.0 * np.pi / angle) if angle else vector
-    return list(min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad))))
+    nearer = min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad)))
+    return list(nearer)
 
 
 def read_program(file: str, text: str) -> Program:
