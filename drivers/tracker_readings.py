@@ -10,7 +10,15 @@ from msgspec import Meta
 
 from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
-from hilcell.ports import Array, Clock, DeviceError, DeviceRefused, NoReading
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    NoReading,
+    says_simulated,
+)
 
 APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
@@ -23,9 +31,12 @@ def check_serial(serial: str, wanted: str) -> None:
         raise TRACKER.refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, serial=serial)
 
 
-def with_maker(maker: str, name: str) -> str:
-    """Return the name of a model behind its maker's, once."""
-    return name if name.casefold().startswith(maker.casefold()) else f"{maker} {name}".strip()
+def leica_identity(name: str, besides: str, serial: str, address: str, firmware: str) -> Identity:
+    """Return the identity of a tracker by its name, which may bear the maker's already."""
+    maker, simulated = "Leica", says_simulated(name)
+    model = name if name.casefold().startswith("leica") else f"{maker} {name}".strip()
+    model += besides
+    return Identity(TRACKER.name, model, serial, address, simulated, "tracker", maker, firmware)
 
 
 def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") -> Array:

@@ -190,20 +190,19 @@ class Single(NamedTuple):
     """A single measurement in the units and the coordinate system that are set."""
 
     status: int
-    mode: int
     xyz: tuple[float, float, float]
     std: tuple[float, float, float]
     std_total: float
-    temperature: float
-    pressure: float
-    humidity: float
+    air: tuple[float, float, float]  # temperature, pressure, humidity
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
         """Return the result in a packet's body; raises `struct.error`."""
-        status, mode, _try_mode, *values = struct.unpack_from("<Iii17d", body)
+        status, _mode, _try_mode, *values = struct.unpack_from("<Iii17d", body)
         x, y, z, std_1, std_2, std_3, std_total = values[:7]
-        return cls(status, mode, (x, y, z), (std_1, std_2, std_3), std_total, *values[14:])
+        temperature, pressure, humidity = values[14:]
+        air = temperature, pressure, humidity
+        return cls(status, (x, y, z), (std_1, std_2, std_3), std_total, air)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -42,11 +42,11 @@ from drivers.tracker_readings import (
     check_serial,
     checked_order,
     form_at,
+    leica_identity,
     misplaced,
     std_of_repeats,
     unsteady,
     when_ready,
-    with_maker,
 )
 from drivers.wires.tcp import TcpLink
 from hilcell.clean import clean
@@ -61,7 +61,6 @@ from hilcell.ports import (
     Stopped,
     StreamBlock,
     TrackerReading,
-    says_simulated,
 )
 from hilcell.wire.channel import Host, Port
 
@@ -183,11 +182,8 @@ class LeicaEmsconTracker:
         address = f"{self._options.host}:{self._options.port}"
         answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
-        model = with_maker("Leica", name) + f", emScon {status.version}"
-        simulated, firmware = says_simulated(name), f"emScon {status.version}"
-        return Identity(
-            TRACKER.name, model, serial, address, simulated, "tracker", "Leica", firmware
-        )
+        firmware = f"emScon {status.version}"
+        return leica_identity(name, f", {firmware}", serial, address, firmware)
 
     def _system_status(self) -> SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)
@@ -340,7 +336,7 @@ class LeicaEmsconTracker:
             found = f"standard deviation {result.std_total:.4f} mm"
             act = "something vibrates, or the reflector is dirty"
             raise unsteady(found, self._options.max_std_mm, act, std_mm=result.std_total)
-        if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
+        if problem := emscon.air_problem(*result.air):
             act = "check the weather station"
             raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=self.AIR, act=act)
 
@@ -350,8 +346,7 @@ class LeicaEmsconTracker:
         std_mm = np.array(results[0].std)
         if samples > 1:
             std_mm = std_of_repeats(points_mm, self._options.max_std_mm)
-        last = results[-1]
-        air = Air(last.temperature, last.pressure, last.humidity) if self._air_measured else None
+        air = Air(*results[-1].air) if self._air_measured else None
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._arrived_s)
 

@@ -33,11 +33,11 @@ from drivers.tracker_readings import (
     check_reflector,
     check_serial,
     checked_order,
+    leica_identity,
     misplaced,
     not_kept,
     std_of_repeats,
     when_ready,
-    with_maker,
 )
 from drivers.wires.link import open_link
 from drivers.wires.text_lines import TextLines
@@ -48,7 +48,6 @@ from hilcell.ports import (
     DeviceError,
     Identity,
     TrackerReading,
-    says_simulated,
 )
 from hilcell.wire.channel import SerialLine, parse_channel
 
@@ -378,13 +377,9 @@ class LeicaGeocomTracker:
         if not name.strip():
             raise self._lost("it does not tell its name", "connect")
         firmware = ".".join(f"{part:.0f}" for part in self._numbers(Rpc.GET_FIRMWARE, 3))
-        model = with_maker("Leica", name)
-        if options.accept_uncorrected:
-            model += ", readings without full correction are accepted"
-        simulated = says_simulated(name)
-        return Identity(
-            TRACKER.name, model, serial, address, simulated, "tracker", "Leica", firmware
-        )
+        uncorrected = ", readings without full correction are accepted"
+        besides = uncorrected if options.accept_uncorrected else ""
+        return leica_identity(name, besides, serial, address, firmware)
 
     def _set_up(self) -> None:
         options, set_to = self._options, self._set_checked

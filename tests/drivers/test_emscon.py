@@ -103,7 +103,7 @@ def test_a_result_is_the_published_bytes() -> None:
     assert len(RESULT) == 156
     assert RESULT[20:44].hex() == "000000000031914000000000000004c0000000000000c03f"
     assert RESULT[-24:].hex() == "00000000008036400000000000aa8f400000000000804640"
-    assert PacketReader().feed(RESULT) == [Single(0, 0, XYZ, STD, 0.009, *AIR)]
+    assert PacketReader().feed(RESULT) == [Single(0, XYZ, STD, 0.009, AIR)]
 
 
 MULTI = bytes.fromhex(  # two samples; the peer CESAPI knows no continuous measurement
