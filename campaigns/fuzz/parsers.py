@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import struct
 import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -99,7 +100,7 @@ def tracker(data: bytes) -> None:
                 emscon.decode_tracker_name,
                 emscon.Reflector.decode,
             ):
-                with suppress(Garbled):
+                with suppress(struct.error):
                     decode(packet.body)
 
 

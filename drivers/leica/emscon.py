@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from struct import Struct
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,11 +198,9 @@ class Single(NamedTuple):
     @classmethod
     def decode(cls, body: bytes) -> Self:
         """Return the result in a packet's body; raises `struct.error`."""
-        status, _mode, _try_mode, *values = struct.unpack_from("<Iii17d", body)
-        x, y, z, std_1, std_2, std_3, std_total = values[:7]
-        temperature, pressure, humidity = values[14:]
-        air = temperature, pressure, humidity
-        return cls(status, (x, y, z), (std_1, std_2, std_3), std_total, air)
+        # Passed over: the modes, and the covariances behind the deviations.
+        values = struct.unpack_from("<I 8x 7d 56x 3d", body)
+        return cls(values[0], values[1:4], values[4:7], values[7], values[8:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,8 +251,8 @@ class SystemStatus:
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the body of the reply to GetSystemStatus; raises `Garbled`."""
-        values = unpack(Struct("<IIII iii Iii"), body)
+        """Return the body of the reply to GetSystemStatus; raises `struct.error`."""
+        values = struct.unpack_from("<IIII iii Iii", body)
         major, minor, build, weather, _flags, serial = values[4:]
         return cls(values[1], f"{major}.{minor}.{build}", weather, serial)
 
@@ -269,8 +267,8 @@ class Reflector(NamedTuple):
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the body of one reply to GetReflectors; raises `Garbled`."""
-        total, number, _kind, offset_mm, name = unpack(Struct("<iiId64s"), body)
+        """Return the body of one reply to GetReflectors; raises `struct.error`."""
+        total, number, _kind, offset_mm, name = struct.unpack_from("<iiId64s", body)
         return cls(total, number, offset_mm, _text(name))
 
 
@@ -345,17 +343,9 @@ def decode(kind: int, body: bytes) -> Packet | None:
 
 
 def decode_tracker_name(body: bytes) -> str:
-    """Return the name in the body of the reply to GetTrackerInfo."""
-    _kind, name = unpack(Struct("<I64s"), body)
+    """Return the name in the body of the reply to GetTrackerInfo; raises `struct.error`."""
+    _kind, name = struct.unpack_from("<I64s", body)
     return _text(name)
-
-
-def unpack(layout: Struct, body: bytes) -> tuple[Any, ...]:
-    """Return the values of a reply's body; raises `Garbled`."""
-    try:
-        return layout.unpack_from(body)
-    except struct.error as error:
-        raise Garbled(f"a reply of {len(body)} bytes, {layout.size} expected") from error
 
 
 def _text(field: bytes) -> str:

@@ -8,9 +8,9 @@ from the expected place is refused.
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from struct import Struct
 from typing import Annotated, Self, TypeVar
 
 import msgspec
@@ -218,7 +218,7 @@ class LeicaEmsconTracker:
         answer = self._request(Setting.FACE.read)
         if answer.status or not answer.body:
             return
-        (face,) = self._unpacked(Setting.FACE.layout, answer.body)
+        (face,) = self._decoded(Setting.FACE.layout.unpack_from, answer.body)
         if face == Value.SECOND_FACE:
             self._turn_to(Value.FIRST_FACE)
         elif face == Value.FIRST_FACE:
@@ -379,17 +379,14 @@ class LeicaEmsconTracker:
                 raise self._lost(found, emscon.spoken(command))
         raise self._lost("no answer in time", emscon.spoken(command))
 
-    def _numbers_of(self, command: int, layout: Struct) -> tuple[float, ...]:
-        return self._unpacked(layout, self._ask(command))
-
-    def _unpacked(self, layout: Struct, body: bytes) -> tuple[float, ...]:
-        return self._decoded(lambda reply: emscon.unpack(layout, reply), body)
+    def _numbers_of(self, command: int, layout: struct.Struct) -> tuple[float, ...]:
+        return self._decoded(layout.unpack_from, self._ask(command))
 
     def _decoded(self, decode: Callable[[bytes], T], body: bytes) -> T:
         try:
             return decode(body)
-        except Garbled as error:
-            raise self._lost(str(error), "decode") from error
+        except struct.error as error:
+            raise self._lost(f"a reply of {len(body)} bytes: {error}", "decode") from error
 
     def next_packet(self, patience: Patience) -> Packet | None:
         """Return the next packet, or nothing when ``patience`` is over."""

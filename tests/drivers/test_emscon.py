@@ -185,11 +185,6 @@ def test_packets_too_short_for_their_type_are_refused(kind: int, size: int) -> N
         PacketReader().feed(struct.pack("<II", size, kind) + bytes(size - 8))
 
 
-def test_short_bodies_are_refused() -> None:
-    with pytest.raises(Garbled):
-        emscon.unpack(Setting.UNITS.layout, bytes(8))
-
-
 @settings(max_examples=40)
 @given(st.data(), st.lists(st.sampled_from([RESULT, bytes.fromhex("0c000000080000001b000000")])))
 def test_any_slicing_gives_the_same_packets(data: st.DataObject, packets: list[bytes]) -> None:
@@ -293,6 +288,16 @@ def test_what_another_program_sets_is_read_back_and_refused_until_it_is_set_agai
     peer.settings[read] = ours
     tracker.connect()
     assert tracker.measure(POINT, SMR, 1).samples == 1
+
+
+@pytest.mark.parametrize("command", [1, 6, 42, 98, 132])
+def test_a_body_that_is_too_short_ends_the_connection(
+    peer: EmsconPeer, tracker: Quick, command: int
+) -> None:
+    peer.answers[command] = lambda _: [reply(command, bytes(3))]
+    found = refusal(tracker.connect)
+    assert (found.code, found.operation) == ("HC-T02", "decode")
+    assert "a reply of 3 bytes" in found.found
 
 
 @pytest.mark.parametrize("other", OTHERS)
