@@ -25,7 +25,7 @@ from hilcell.cell.file import Cell, KeepOut, Station
 from hilcell.cell.surroundings import LEAST_MM, LINKS, CapsuleTable, Surroundings
 from hilcell.cell.surroundings import posture as with_slide
 from hilcell.clean import counted
-from hilcell.compensation.station_program import Places, StationProgram
+from hilcell.compensation.programs import Places, StationProgram
 from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose

@@ -29,8 +29,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import counted, harmless
-from hilcell.compensation.programs import Stroke
-from hilcell.compensation.station_program import writer_of
+from hilcell.compensation.programs import Stroke, writer_of
 from hilcell.compensation.targets import HEADER, as_listed, target_rows
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose

@@ -17,8 +17,8 @@ from drivers.program_text import ENCODING, module_name, plain
 from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
+from hilcell.compensation.programs import Places, StationProgram
 from hilcell.compensation.stamp import Stamp
-from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
 

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from drivers.program_text import ENCODING
 from hilcell.clean import clean
+from hilcell.compensation.programs import StationProgram
 from hilcell.compensation.stamp import Stamp
-from hilcell.compensation.station_program import StationProgram
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
 from hilcell_meca500.euler import angles

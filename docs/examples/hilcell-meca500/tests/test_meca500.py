@@ -23,9 +23,8 @@ from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
-from hilcell.compensation.programs import load_program
+from hilcell.compensation.programs import Places, StationProgram, load_program, writer_of
 from hilcell.compensation.stamp import Stamp
-from hilcell.compensation.station_program import Places, StationProgram, writer_of
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import DeviceError, Robot
 
