@@ -248,8 +248,7 @@ class CanopenStrip:
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._link: CanLink | None = None
-        self._node: StripNode | None = None
-        self._inbox: Inbox | None = None
+        self._set: tuple[StripNode, Inbox] | None = None
         self._statistics = LinkStatistics()
 
     def connect(self) -> Identity:
@@ -263,7 +262,7 @@ class CanopenStrip:
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC that is sent now."""
-        inbox, node = STRIP.connected(self._inbox), STRIP.connected(self._node)
+        node, inbox = STRIP.connected(self._set)
 
         def look() -> None:
             check()
@@ -282,7 +281,7 @@ class CanopenStrip:
 
     def close(self) -> None:
         link, self._link = self._link, None
-        self._node = self._inbox = None
+        self._set = None
         if link is not None:
             self._statistics = link.statistics()
             link.close()
@@ -298,7 +297,7 @@ class CanopenStrip:
         start_nodes(link, (node,), self._clock.check)
         node.check("connect")
         node.arm()
-        self._node, self._inbox = node, inbox
+        self._set = node, inbox
         return identity
 
 

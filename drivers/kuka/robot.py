@@ -543,10 +543,9 @@ class KukaSweep:
             np.radians(self._full_deg_s) * self._velocity * self._override / 100**2
         )
         self._target_deg = robot.stands_at().copy()
-        distance_deg = np.zeros(6)
-        distance_deg[self._axis] = self._end_deg - self._target_deg[self._axis]
+        way_deg = self._end_deg - self._target_deg[self._axis]
         self._target_deg[self._axis] = self._end_deg
-        planned = planned_s(distance_deg, np.full(6, self._full_deg_s), self._velocity)
+        planned = planned_s(way_deg, np.array(self._full_deg_s), self._velocity)
         self._limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
         if self._override != found:
             try:

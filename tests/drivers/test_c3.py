@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import struct
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -136,6 +138,34 @@ def test_a_stop_ends_the_wait_for_a_reply_and_the_connection_is_not_used_again(
         time.stop.clear()
         time.silence(0.1)
         assert code_of(lambda: connection.read("$MODE_OP")) == "HC-B02"  # nothing is asked
+
+
+def test_a_stop_goes_out_though_a_request_is_in_flight() -> None:
+    came, written = b"", c3.encode(2, "HC_STOP", "TRUE")
+    asked_first, stopped, ended = threading.Event(), threading.Event(), threading.Event()
+
+    def hear(connection: socket.socket) -> None:
+        nonlocal came
+        while not came.endswith(written) and (piece := connection.recv(4096)):
+            came += piece
+            asked_first.set()
+        stopped.set()
+
+    def read() -> None:
+        with contextlib.suppress(DeviceError):
+            connection.read("$MODE_OP")
+        ended.set()
+
+    with Server(hear) as server:
+        connection = C3Connection("127.0.0.1", server.port, lambda: None)
+        thread = threading.Thread(target=read)
+        thread.start()
+        assert asked_first.wait(c3.REPLY_S)
+        connection.write_unheard("HC_STOP", "TRUE")
+        assert not ended.is_set()  # it still waits for its reply
+        assert stopped.wait(c3.REPLY_S)
+        thread.join()
+        connection.close()
 
 
 def test_a_closed_server_is_an_error(time: WireTime) -> None:

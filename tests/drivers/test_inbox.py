@@ -37,6 +37,12 @@ class SlowLink:
             now_s = self.clock.pc_s()
             self._answers.append((now_s + self.late_s, round(1000 * now_s)))
 
+    def stray(self) -> None:
+        """Hand out a value that no SYNC asked for."""
+        assert self._take is not None
+        data = struct.pack(PDO.layout, round(1000 * self.clock.pc_s()) - 100)
+        self._take(PDO.cob_id, bytearray(data), self.clock.pc_s())
+
     def check(self) -> None:
         """Let time pass, and hand out what has arrived by then."""
         self.clock.wait(POLL_S)
@@ -84,3 +90,11 @@ def test_a_lost_answer_costs_one_more_sync_and_one_more_wait(link: SlowLink, inb
         took_s.append(link.clock.pc_s() - began_s)
     assert max(took_s[:2]) < REPLY_S + 5 * POLL_S
     assert max(took_s[2:]) < 3 * POLL_S
+
+
+def test_a_pdo_that_no_sync_asked_for_answers_no_later_sync(link: SlowLink, inbox: Inbox) -> None:
+    asked(link, inbox)
+    link.late_s = 0.12
+    link.stray()
+    began_s, sampled_s, _ = asked(link, inbox)
+    assert began_s <= sampled_s + 1e-3

@@ -84,6 +84,11 @@ def test_all_that_is_watched_is_seen_within_eight_polls(
         assert max(np.diff(seen)) <= 8
 
 
+def test_a_number_is_no_state_that_is_true(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.variables["$USER_SAF"] = "1"
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B11"
+
+
 @pytest.mark.parametrize("override", ["100", "5"])
 def test_an_arm_that_creeps_for_ever_is_stopped_and_a_low_override_given_its_time(
     robot: KukaC3Robot,

@@ -102,6 +102,10 @@ def test_a_slide_that_came_to_rest_is_read_by_later_polls() -> None:
     assert after(*way, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
 
 
+def test_a_reading_is_the_median_of_the_last_five_polls() -> None:
+    assert after(*[poll(1000 + n) for n in range(10)], every_s=0.05).rest == Rest(1007, 100)
+
+
 @pytest.mark.parametrize("dwell_s", [0.05, 0.25, 0.4, 1.0, 5.0])
 def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s: float) -> None:
     windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=dwell_s)
