@@ -32,6 +32,7 @@ from hilcell.errors import (
     Stopped,
     StripLost,
 )
+from hilcell.identity import Identity
 
 if TYPE_CHECKING:
     from hilcell.cell.file import Cell
@@ -45,25 +46,6 @@ __all__ = [
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """The asset that answered: every string was cleaned at the driver's edge.
-
-    ``kind`` is robot, tracker, drive or strip; "" means the device's own name. ``maker`` and
-    ``firmware`` are "" where the device does not state them. ``simulated`` is the device's own
-    statement: see `says_simulated`.
-    """
-
-    device: str
-    model: str
-    serial: str
-    address: str
-    simulated: bool = False
-    kind: str = ""
-    maker: str = ""
-    firmware: str = ""
 
 
 def says_simulated(name: str) -> bool:

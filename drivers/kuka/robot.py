@@ -18,13 +18,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import cycle
 from typing import Annotated, Self
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 
 from drivers.device_errors import RAIL, ROBOT
 from drivers.kuka.controller import (
@@ -143,7 +143,9 @@ class KukaRobot:
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
-            self._identity = replace(identity, firmware=f"hilcell.src {PROGRAM_VERSION}")
+            self._identity = msgspec.structs.replace(
+                identity, firmware=f"hilcell.src {PROGRAM_VERSION}"
+            )
             if controller.has_slide():
                 self.hold_axis()
                 (self.slide_mm,) = controller.numbers(PROGRESS, (SLIDE,))

@@ -18,6 +18,7 @@ import numpy as np
 from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
+from hilcell.identity import Identity
 from hilcell.journal.journal import FETCH, Record, StorageError
 from hilcell.journal.log import INTERRUPTED, PROOFS, other_assets
 from hilcell.journal.states import OVER, WAITING
@@ -171,7 +172,7 @@ class Scene:
     closings: list[events.Closed] = field(default_factory=list)  # of this session
     reason: str = ""  # the first of this session's fault
     over: bool = False  # this session; a resume that was refused ends once more
-    devices: list[events.Asset] = field(default_factory=list)  # that answered last
+    devices: list[Identity] = field(default_factory=list)  # that answered last
     hilcell: str = ""  # that connected them
     accepted: bool = False  # changes, since then
 

@@ -29,6 +29,7 @@ from hilcell.cell.settings import convert
 from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import reading_variances_mm2
+from hilcell.identity import Identity
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.model import events
@@ -245,7 +246,7 @@ class Log:
         self.sights: dict[str, events.Seated] = {}
         self.streams: dict[str, events.StreamRecorded] = {}
         self.curves: dict[int, events.CurveMeasured] = {}  # by axis, 1 to 6
-        self.assets: list[events.Asset] = []  # that answered when they were last connected
+        self.assets: list[Identity] = []  # that answered when they were last connected
         self.newest: Record | None = None
         self.version = self.measured_version = 0  # newest record; newest point, frame or event
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
@@ -602,13 +603,13 @@ def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
     return noise.at(positions_mm(points), [point.samples for point in points])
 
 
-def other_assets(before: Mapping[str, events.Asset], now: Mapping[str, events.Asset]) -> list[str]:
+def other_assets(before: Mapping[str, Identity], now: Mapping[str, Identity]) -> list[str]:
     """Return the kinds of assets that are not the same ones now; both are by kind.
 
     A firmware that was not stated once proves nothing.
     """
 
-    def same(one: events.Asset | None, other: events.Asset | None) -> bool:
+    def same(one: Identity | None, other: Identity | None) -> bool:
         if one is None or other is None:
             return False
         known = (one.maker, one.model, one.serial) == (other.maker, other.model, other.serial)
@@ -618,9 +619,7 @@ def other_assets(before: Mapping[str, events.Asset], now: Mapping[str, events.As
     return [kind for kind in kinds if not same(before.get(kind), now.get(kind))]
 
 
-def differing(
-    first: list[events.Asset], second: list[events.Asset]
-) -> list[tuple[events.Asset, events.Asset]]:
+def differing(first: list[Identity], second: list[Identity]) -> list[tuple[Identity, Identity]]:
     """Return the assets of one kind that are not the same ones in both runs, by serial number."""
     there = {asset.kind: asset for asset in second}
     pairs = ((one, there[one.kind]) for one in first if one.kind in there)

@@ -6,18 +6,14 @@ An event is declared here and nowhere else; one without a type, as a plug-in has
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
 from math import nan, sqrt
-from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import msgspec
 from msgspec import field
 
+from hilcell.identity import Identity
 from hilcell.typed import Json
-
-if TYPE_CHECKING:
-    from hilcell.ports import Identity
 
 Three: TypeAlias = tuple[float, float, float]
 Pair: TypeAlias = tuple[float, float]
@@ -96,44 +92,12 @@ class Reasoned(Event, frozen=True, kw_only=True):
 # -- devices ---------------------------------------------------------------------------------------
 
 
-class Asset(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot, a tracker, a rail's drive or its strip. "" where a device does not say.
-
-    ``device`` is the port by which it was reached: drive and strip are both at "Rail", and such
-    that have no kind are of their device's.
-    """
-
-    device: str = ""
-    model: str = ""
-    serial: str = ""
-    address: str = ""
-    simulated: bool = False  # as the device says of itself
-    kind: str = ""
-    maker: str = ""
-    firmware: str = ""
-
-    def __post_init__(self) -> None:
-        """Name a device without a kind by its port."""
-        if not self.kind:
-            msgspec.structs.force_setattr(self, "kind", self.device.lower())
-
-    @property
-    def text(self) -> str:
-        """Return it in words: model and serial number."""
-        return f"{self.model}, serial {self.serial}"
-
-
 class Connected(Event, frozen=True, kw_only=True, tag="connected"):
     """All devices answered; ``hilcell`` is the version that connected them."""
 
     title: ClassVar[str] = "devices connected"
-    devices: list[Asset]
+    devices: list[Identity]
     hilcell: str = ""
-
-    @classmethod
-    def of(cls, identities: Iterable[Identity], hilcell: str) -> Self:
-        """Return the event of devices as they named themselves."""
-        return cls(devices=[Asset(**asdict(each)) for each in identities], hilcell=hilcell)
 
 
 class DeviceLost(Reasoned, frozen=True, kw_only=True, tag="device lost"):

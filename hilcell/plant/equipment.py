@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, and_, func, or_, select
 
+from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import other_assets
-from hilcell.model.events import Asset
 from hilcell.model.verdicts import OTHERS, VALIDATION
 from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.record import TRACKER
@@ -291,11 +291,11 @@ class _Robots:
         found += [f"{row.code} {row.title} ({row.name})" for row in self.connection.execute(alarms)]
         return list(dict.fromkeys(found))
 
-    def _devices(self, run: Found) -> dict[str, Asset]:
+    def _devices(self, run: Found) -> dict[str, Identity]:
         asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
-        names = [name for name in Asset.__struct_fields__ if name in DEVICE.c]
+        names = [name for name in Identity.__struct_fields__ if name in DEVICE.c]
         return {
-            row.kind: Asset(**{name: getattr(row, name) for name in names})
+            row.kind: Identity(**{name: getattr(row, name) for name in names})
             for row in self.connection.execute(asked)
         }
 

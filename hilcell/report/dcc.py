@@ -18,7 +18,7 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration.decision import guard_of
-from hilcell.model.events import Asset
+from hilcell.identity import Identity
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
 from hilcell.present.renderers import environment
@@ -120,7 +120,7 @@ def dcc_bytes(facts: Facts) -> bytes:
         schema="3.1.2",
         version=__version__,
         release=content.release,
-        robot=facts.asset("robot") or Asset(),
+        robot=facts.asset("robot") or Identity(),
         statements=content.statements(),
         title=title(facts),
         method=procedure_words(facts),

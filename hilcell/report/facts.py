@@ -20,13 +20,14 @@ from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable, harmless
+from hilcell.identity import Identity
 from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
 from hilcell.journal.words import in_zone, zone_of
-from hilcell.model.events import Asset, CalibrationRevoked
+from hilcell.model.events import CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Sent
@@ -56,7 +57,7 @@ class Facts:
         """Return a part of the result as its type; None where the run has none."""
         return typed(self.result[key], kind) if key in self.result else None
 
-    def asset(self, kind: str) -> Asset | None:
+    def asset(self, kind: str) -> Identity | None:
         """Return the device of a kind that answered; None where none did."""
         return next((each for each in self.log.assets if each.kind == kind), None)
 

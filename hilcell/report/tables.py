@@ -23,8 +23,8 @@ from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, 
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
+from hilcell.identity import Identity
 from hilcell.model.events import (
-    Asset,
     Invalidating,
     OutlierMeasuredAgain,
     RetakeAsked,
@@ -203,7 +203,7 @@ class Tables:
         note = f"CAN link: {link.counts}." if link is not None else ""
         if link is not None and link.warning:
             note += f" Warning: {link.warning}."
-        columns: tuple[Column[Asset], ...] = tuple(
+        columns: tuple[Column[Identity], ...] = tuple(
             Column(name, attrgetter(name))
             for name in ("kind", "maker", "model", "serial", "firmware", "address")
         )

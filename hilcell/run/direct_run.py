@@ -77,7 +77,7 @@ def direct_run(
     )
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
     identities = connect_all(devices, lambda _: None)
-    journal.append("event", "", Connected.of(identities, ""))
+    journal.append("event", "", Connected(devices=identities))
     session = CellSession(
         cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
     )

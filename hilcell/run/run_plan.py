@@ -17,7 +17,6 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
 from hilcell.journal.log import Log, other_assets
-from hilcell.model.events import Asset, Connected
 from hilcell.ports import DeviceRefused, HilcellError, Identity
 from hilcell.run.procedure import Plan, Procedure
 
@@ -177,19 +176,19 @@ def changed_inputs(log: Log, uses: str) -> list[str]:
     return changes
 
 
-def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str]:
+def changed_assets(before: Sequence[Identity], now: Sequence[Identity]) -> list[str]:
     """Return the assets that are not those which answered before; none answered at a first time."""
     if not before:
         return []
     first = {asset.kind: asset for asset in before}
-    found = {asset.kind: asset for asset in Connected.of(now, "").devices}
+    found = {asset.kind: asset for asset in now}
     return [
         f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
         for kind in other_assets(first, found)
     ]
 
 
-def _words(asset: Asset | None) -> str:
+def _words(asset: Identity | None) -> str:
     if asset is None:
         return "none"
     firmware = f", firmware {asset.firmware}" if asset.firmware else ""

@@ -223,7 +223,7 @@ class Worker:
     def _perform(self) -> None:
         identities = connect_all(self.devices, self._claim)
         changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
-        connected = Connected.of(identities, __version__)
+        connected = Connected(devices=identities, hilcell=__version__)
         self._changes.check(changes)
         if not changes:
             self._journal.append("event", "", connected)

@@ -105,12 +105,18 @@ class IdentitySame(Robot):
 
     def connect(self) -> Any:
         type(self).connects += 1
-        return [replace(each, serial=f"{each.serial}{self.connects}") for each in super().connect()]
+        return [
+            msgspec.structs.replace(each, serial=f"{each.serial}{self.connects}")
+            for each in super().connect()
+        ]
 
 
 class IdentityClean(Robot):
     def connect(self) -> Any:
-        return [replace(each, model=f"{each.model}\x1b[2J") for each in super().connect()]
+        return [
+            msgspec.structs.replace(each, model=f"{each.model}\x1b[2J")
+            for each in super().connect()
+        ]
 
 
 class IdentityWrong(Robot):

@@ -2,13 +2,13 @@
 
 from msgspec.structs import replace
 
+from hilcell.identity import Identity
 from hilcell.journal.log import differing
-from hilcell.model.events import Asset
 
 ASSETS = [
-    Asset(device="Rail", model="drive", serial="2014001", kind="drive"),
-    Asset(device="Rail", model="strip", serial="2014002", kind="strip"),
-    Asset(device="Robot", model="#KR210R2700_2 C4 FLR SIMULATED", serial="860112"),
+    Identity(device="Rail", model="drive", serial="2014001", kind="drive"),
+    Identity(device="Rail", model="strip", serial="2014002", kind="strip"),
+    Identity(device="Robot", model="#KR210R2700_2 C4 FLR SIMULATED", serial="860112"),
 ]
 
 

@@ -1,19 +1,18 @@
 """I18: what answers after a resume is what answered before, or somebody has agreed."""
 
 import shutil
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from hilcell import __version__
 from hilcell.cell.file import load_cell
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_log
-from hilcell.model.events import Connected
 from hilcell.ports import DeviceError, Identity
 from hilcell.run.cell_session import CellSession
 from hilcell.run.run_plan import Changes, cell_file, changed_assets, changed_inputs
@@ -83,7 +82,7 @@ def test_a_cell_is_found_again_from_any_folder(file: Path, monkeypatch: pytest.M
     ],
 )
 def test_another_asset_is_noticed(now: list[Identity], differs: str) -> None:
-    before = Connected.of((DRIVE, STRIP), "").devices
+    before = (DRIVE, STRIP)
     found = changed_assets(before, now)
     assert len(found) == bool(differs)
     assert all(differs in change for change in found)

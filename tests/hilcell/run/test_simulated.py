@@ -1,8 +1,8 @@
 """A run is a simulated one when its cell is, or when a device says that it is."""
 
-import dataclasses
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from hilcell.journal.index import row_of
@@ -19,7 +19,7 @@ def run_of(
     monkeypatch.setitem(PLAN, "simulated", cell)
     monkeypatch.setitem(PLAN, "cell", CELL)
     bed = Bed(folder)
-    bed.rail.identity = dataclasses.replace(bed.rail.identity, simulated=device)
+    bed.rail.identity = msgspec.structs.replace(bed.rail.identity, simulated=device)
     for other in (bed.robot, bed.tracker):
         monkeypatch.setattr(other, "connect", list)
     assert bed.run(procedure(Points(1))) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from hilcell.identity import Identity
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Record
 from hilcell.model import events
@@ -31,7 +32,7 @@ SAMPLES = {record.kind: record for record in measuring().records}
 PLAN, POINT = SAMPLES["plan"].fact, SAMPLES["point"].fact
 assert isinstance(PLAN, PlanRecord)
 assert isinstance(POINT, Point)
-DRIVE = events.Asset(device="Rail", model="drive", serial="1")
+DRIVE = Identity(device="Rail", model="drive", serial="1")
 SAID: list[tuple[str, Fact, str]] = [
     ("", PLAN, "calibrate, 21 points, seed 1"),
     ("", replace(PLAN, machine_seed=7), "calibrate, 21 points, seed 1, machine 7"),

@@ -1,0 +1,36 @@
+"""The identity of an asset: as a device states it, as journals keep it, as reports show it.
+
+Apart from `hilcell.ports`, so that a journal can be read without loading arrays.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """A robot, a tracker, a rail's drive or its strip; strings were cleaned at the driver's edge.
+
+    ``device`` is the port by which it was reached: drive and strip are both at "Rail". ``kind`` is
+    robot, tracker, drive or strip; without one it is that of the device. A device that does not
+    say something has "". ``simulated`` is its own statement: see `hilcell.ports.says_simulated`.
+    """
+
+    device: str = ""
+    model: str = ""
+    serial: str = ""
+    address: str = ""
+    simulated: bool = False
+    kind: str = ""
+    maker: str = ""
+    firmware: str = ""
+
+    def __post_init__(self) -> None:
+        """Name a device without a kind by its port."""
+        if not self.kind:
+            msgspec.structs.force_setattr(self, "kind", self.device.lower())
+
+    @property
+    def text(self) -> str:
+        """Return it in words: model and serial number."""
+        return f"{self.model}, serial {self.serial}"
