@@ -18,7 +18,7 @@ import threading
 import time
 from bisect import bisect_left, bisect_right
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter, itemgetter
 
@@ -437,30 +437,37 @@ class RecordedWire(Server):
 
         def send(messages: Sequence[bytes]) -> None:
             with sending:
-                client.sendall(b"".join(messages))
+                if messages:
+                    client.sendall(b"".join(messages))
 
         def send_come(now_s: float) -> None:
-            with sending:
-                client.sendall(b"".join(player.come(now_s)))
+            with sending:  # also in the thread of another wire, which a lost client must not end
+                if come := player.come(now_s):
+                    client.sendall(b"".join(come))
 
         send(greeting)
         with self._time.followed_by(send_come):
-            rest, due_s = b"", 0.0
-            while True:
-                if (now_s := time.monotonic()) >= due_s:
-                    due_s = now_s + player.due_every_s
+            for message in self._messages(client, player.due_every_s):
+                if message is None:
                     send(player.due())
-                if not select.select([client], [], [], due_s - now_s)[0]:
-                    continue
-                if not (data := client.recv(self.RECEIVE)):
-                    return
-                messages, rest = self._dialect.split_questions(rest + data)
-                for message in messages:
-                    if self._dialect.unheard(message):
-                        self._dialect.passed(message)
-                        player.passed()
-                        continue
+                elif self._dialect.unheard(message):
+                    self._dialect.passed(message)
+                    player.passed()
+                else:
                     send_come(float("inf"))  # they had come before it was asked
                     send(player.reply(message))
                     if not player.knows(message):
                         self._leave(f"asks {shown(message)}")
+
+    def _messages(self, client: socket.socket, due_every_s: float) -> Iterator[bytes | None]:
+        """Yield a driver's messages until it leaves, and None every ``due_every_s``."""
+        rest, due_s = b"", 0.0
+        while True:
+            if (now_s := time.monotonic()) >= due_s:
+                due_s = now_s + due_every_s
+                yield None
+            if select.select([client], [], [], due_s - now_s)[0]:
+                if not (data := client.recv(self.RECEIVE)):
+                    return
+                messages, rest = self._dialect.split_questions(rest + data)
+                yield from messages

@@ -15,32 +15,43 @@ import tty
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 from hilcell.wire.channel import BAUD, SerialLine, Socket, addressed, wires_of
+from hilcell.wire.relay import Door
 
-HOST = "127.0.0.1"
 PIECE = 65536
 
 
-class End(Protocol):
-    """One end of a wire."""
+class End:
+    """One end of a serial line."""
 
-    def fileno(self) -> int: ...
+    def __init__(self, descriptor: int) -> None:
+        os.set_blocking(descriptor, False)
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
 
     def receive(self) -> bytes:
         """Return bytes that have come; none at the end."""
+        return os.read(self.fileno(), PIECE)
 
-    def send(self, data: bytes) -> None: ...
+    def send(self, data: bytes) -> None:
+        """Send them; bytes that nobody reads are lost, as at a UART that overruns."""
+        with suppress(BlockingIOError):
+            while data:
+                data = data[os.write(self._descriptor, data) :]
 
     def close(self, *, reset: bool) -> None:
         """Close it, by RST where it has one."""
+        os.close(self._descriptor)
 
     def leave(self) -> None:
-        """Close it when the other end has been closed, too, which has then taken all."""
+        """Close it when the other end has been closed, too: a line has no connections."""
+        self.close(reset=False)
 
 
-class _SocketEnd:
+class _SocketEnd(End):
     """One end of a TCP connection."""
 
     RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
@@ -48,13 +59,8 @@ class _SocketEnd:
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
+        self.fileno = link.fileno
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def fileno(self) -> int:
-        return self._link.fileno()
-
-    def receive(self) -> bytes:
-        return self._link.recv(PIECE)
 
     def send(self, data: bytes) -> None:
         self._link.sendall(data)
@@ -76,33 +82,6 @@ class _SocketEnd:
                 self._link.settimeout(left_s)
                 if not self._link.recv(PIECE):
                     return
-
-
-class _LineEnd:
-    """One end of a serial line."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        os.set_blocking(descriptor, False)
-
-    def fileno(self) -> int:
-        return self._descriptor
-
-    def receive(self) -> bytes:
-        return os.read(self._descriptor, PIECE)
-
-    def send(self, data: bytes) -> None:
-        """Send them; bytes that nobody reads are lost, as at a UART that overruns."""
-        with suppress(BlockingIOError):
-            while data:
-                data = data[os.write(self._descriptor, data) :]
-
-    def close(self, *, reset: bool) -> None:
-        os.close(self._descriptor)
-
-    def leave(self) -> None:
-        """Close it: a line has no connections."""
-        self.close(reset=False)
 
 
 class Wire:
@@ -230,15 +209,8 @@ class Proxy(Wire):
     def __init__(self, place: Socket) -> None:
         super().__init__()
         self._behind = place
-        self._listening = socket.create_server((HOST, 0))
-        self.port: int = self._listening.getsockname()[1]
-        self._accepting = threading.Thread(target=self._accept, daemon=True)
-        self._accepting.start()
-
-    @property
-    def channel(self) -> str:
-        """Return the driver's end."""
-        return f"socket://{HOST}:{self.port}"
+        self._door = Door(self._entered)
+        self.port, self.channel = self._door.port, self._door.channel  # the driver's end
 
     def lead_to(self, place: Socket | SerialLine) -> None:
         """Lead to another place from the next connection on."""
@@ -247,7 +219,7 @@ class Proxy(Wire):
 
     def drop(self) -> None:
         """End every connection, also one that was not taken yet; the device has seen it then."""
-        self._hang_up()
+        self._door.close()
         with self._lock:
             pairs, self._pairs = self._pairs, []
             threads, self._threads = self._threads, []
@@ -259,36 +231,23 @@ class Proxy(Wire):
 
     def refuse(self) -> None:
         """Break every connection, and take none."""
-        self._hang_up()
+        self._door.close()
         self.reset()
 
     def admit(self) -> None:
-        self._listening = socket.create_server((HOST, self.port))
-        self._accepting = threading.Thread(target=self._accept, daemon=True)
-        self._accepting.start()
+        self._door = Door(self._entered, self.port)
 
     def close(self) -> None:
         self._ended = True
-        self._hang_up()
+        self._door.close()
         super().close()
 
-    def _hang_up(self) -> None:
-        with suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)
-        self._listening.close()
-        self._accepting.join()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                near, _ = self._listening.accept()
-            except OSError:
-                return
-            try:
-                far = socket.create_connection((self._behind.host, self._behind.port))
-            except OSError:
-                near.close()
-                continue
+    def _entered(self, near: socket.socket) -> None:
+        try:
+            far = socket.create_connection((self._behind.host, self._behind.port))
+        except OSError:
+            near.close()
+        else:
             self._start(_SocketEnd(near), _SocketEnd(far))
 
 
@@ -299,8 +258,7 @@ class Line(Wire):
         super().__init__()
         self._behind = place
         self._folder = tempfile.TemporaryDirectory(prefix="hilcell-line-")
-        self._link = Path(self._folder.name) / "line"
-        self.path = str(self._link)
+        self.path = f"{self._folder.name}/line"
         self._ours = -1  # the driver's end, kept open: a line has no connections
         self.admit()
 
@@ -331,7 +289,7 @@ class Line(Wire):
         with suppress(OSError):
             os.close(self._ours)
         self._ours = -1
-        self._link.unlink(missing_ok=True)
+        Path(self.path).unlink(missing_ok=True)
 
     def admit(self) -> None:
         self._ended = False
@@ -340,8 +298,8 @@ class Line(Wire):
         for each in (near, self._ours, far):
             with suppress(termios.error):
                 tty.setraw(each)
-        self._link.symlink_to(os.ttyname(self._ours))
-        self._start(_LineEnd(near), _LineEnd(far))
+        Path(self.path).symlink_to(os.ttyname(self._ours))
+        self._start(End(near), End(far))
 
     def close(self) -> None:
         super().close()

@@ -15,6 +15,7 @@ import socket
 import sys
 import threading
 import tty
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -37,6 +38,34 @@ class WireOrder(msgspec.Struct, frozen=True):
     place: Socket | SerialLine
 
 
+class Door:
+    """Listens in the place of a device, and hands each connection of a driver on at once."""
+
+    def __init__(self, entered: Callable[[socket.socket], None], port: int = 0) -> None:
+        loopback = "127.0.0.1"
+        self._entered = entered
+        self._listening = socket.create_server((loopback, port))
+        self.port: int = self._listening.getsockname()[1]
+        self.channel = f"socket://{loopback}:{self.port}"
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self._accepting.start()
+
+    def close(self) -> None:
+        """Take no connection any more; the last one has been handed on."""
+        with suppress(OSError):
+            self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        self._accepting.join()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listening.accept()
+            except OSError:
+                return
+            self._entered(near)
+
+
 class SocketRelay:
     """Listens for a driver, and connects to its device for each connection of it."""
 
@@ -44,25 +73,18 @@ class SocketRelay:
         self._place, self._recorder = place, recorder
         self._count = 0
         self._open: set[int] = set()
-        loopback = "127.0.0.1"
-        self._listening = socket.create_server((loopback, 0))
-        self.channel = f"socket://{loopback}:{self._listening.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._door = Door(self._entered)
+        self.channel = self._door.channel
 
     def close(self) -> None:
         """End the recording: without its end a connection would look cut off."""
         for number in sorted(self._open.copy()):
             self._recorder.take(number, "end")
-        with suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)
-        self._listening.close()
+        self._door.close()
 
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                near, _ = self._listening.accept()
-                self._count += 1
-                threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
+    def _entered(self, near: socket.socket) -> None:
+        self._count += 1
+        threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
 
     def _serve(self, near: socket.socket, number: int) -> None:
         connect_s = 3.0

@@ -496,6 +496,23 @@ def test_an_idle_connection_is_kept_alive_by_what_another_was_asked() -> None:
         assert two.recv(9) == b"1\n"
 
 
+def test_a_client_that_is_lost_ends_no_other_wire() -> None:
+    """Time passes in the thread of the wire that is asked, and tells all others."""
+    pieces = [Piece.of(0.1, 1, "open"), Piece.of(1, 1, ">", b"ask\n"), Piece.of(9, 1, "end")]
+    time, (near, far) = EventTime(), socket.socketpair()
+    served = RecordedWire(pieces, Dialect(), time, "here")
+    served._take_note(near)
+    serving = threading.Thread(target=served._serve, args=(near,))
+    with closing(served), near, far:
+        near.shutdown(socket.SHUT_WR)
+        serving.start()
+        while not time._followers:
+            pass
+        time.reach(2.0)
+        far.close()
+        serving.join()
+
+
 def test_a_robot_takes_a_sign_of_life_that_was_never_given() -> None:
     """A motion that is over within the time of one, as it was recorded."""
     c3 = dialects_of("kuka-c3")[""]
