@@ -299,11 +299,15 @@ class LeicaGeocomTracker:
                     f" ({self.temperature_c:g}): a wet bulb is never warmer than the air"
                 )
 
+        def accuracy(self, range_m: float) -> tuple[float, float]:
+            """Make these options `hilcell.ports.StatesAccuracy`."""
+            along_mm = self.distance_mm + self.distance_ppm * 1e-3 * range_m
+            return along_mm, self.angle_arcsec * (math.pi / 648_000)
+
         def std_mm(self, xyz_mm: Array) -> Array:
             """Return the standard deviations (3,) of one reading at a position (3,)."""
             range_mm = float(np.linalg.norm(xyz_mm))
-            along_mm = self.distance_mm + self.distance_ppm * 1e-3 * (range_mm / MM_PER_M)
-            across_rad = self.angle_arcsec * (math.pi / 648_000)
+            along_mm, across_rad = self.accuracy(range_mm / MM_PER_M)
             along_2 = (xyz_mm / range_mm) ** 2
             return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
 
