@@ -435,12 +435,9 @@ def place(
 
 def _rows_away(line: Bools) -> Ints:
     """Return how many rows each cell (rows, columns) is from a line above or below it."""
-    height = len(line)
-    away = np.where(line, 0, height)
-    for row in range(1, height):
-        away[row] = np.minimum(away[row], away[row - 1] + 1)
-    for row in reversed(range(height - 1)):
-        away[row] = np.minimum(away[row], away[row + 1] + 1)
+    rows = np.arange(len(line))
+    apart = abs(rows[:, None] - rows)[..., None]  # of each row from each other one
+    away: Ints = np.where(line, apart, len(line)).min(axis=1)
     return away
 
 

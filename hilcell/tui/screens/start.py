@@ -395,10 +395,8 @@ class Checked:
         Where room is short, steps that do nothing are left out first.
         """
         plan = self.plan
-        if self.refused:
-            return Stack(section("plan", "refused"), self._refusals(glyphs))
         if plan is None:
-            return Stack(section("plan"), ("  is being checked ...", "$label"))
+            return self._without_plan("plan", glyphs)
         whole = [*enumerate(plan.steps, start=1)]
 
         def draw(width: int, height: int) -> list[Content]:
@@ -425,10 +423,8 @@ class Checked:
 
     def check_lines(self, glyphs: Glyphs) -> Lines:
         """Return what has been checked, or every refusal with its reason."""
-        if self.refused:
-            return Stack(section("checks", "refused"), self._refusals(glyphs))
         if self.plan is None:
-            return Stack(section("checks"), ("  being done ...", "$label"))
+            return self._without_plan("checks", glyphs)
         said = ["cell file and options are sound"]
         said += ["poses in reach, in limits, in sight"] if self.plan.points else []
         said += ["the slide's way is clear"] if self.has_rail else []
@@ -436,8 +432,10 @@ class Checked:
         at = "" if self.at is None else f" at {self.at:%H:%M}"
         return Stack(section("checks", f"{len(said)} of {len(said)}{at}"), *done)
 
-    def _refusals(self, glyphs: Glyphs) -> Lines:
+    def _without_plan(self, title: str, glyphs: Glyphs) -> Lines:
         """Return each line of a refusal whole, where there are rows enough; else its beginning."""
+        if not self.refused:
+            return Stack(section(title), ("  being checked ...", "$label"))
         rows = [
             ((glyphs.warned, "bold $ask"), harmless(text)) for text in self.refused_words if text
         ]
@@ -447,7 +445,7 @@ class Checked:
             lines = whole.lines(width)
             return lines if not height or len(lines) < height else cut.lines(width)
 
-        return Drawing(whole.state, draw)
+        return Stack(section(title, "refused"), Drawing(whole.state, draw))
 
     @property
     def refused_words(self) -> list[str]:
