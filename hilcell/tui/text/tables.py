@@ -14,6 +14,7 @@ from hilcell.journal.words import in_zone
 from hilcell.model.events import (
     Closing,
     Connected,
+    Event,
     LinkCounted,
     OtherEvent,
     after,
@@ -138,15 +139,20 @@ def record_words(key: str, fact: Fact) -> str:
             return f"{key} {fact.outcome.words}{after(fact.words)}"
         case Ended():
             return f"{fact.state}, exit {fact.exit}"
-        # An event's own words, and such facts of it as they leave out.
-        case Connected(devices=devices):
-            return fact.text + after("; ".join(each.text for each in devices))
-        case Closing(problems=problems):
-            return fact.text + after("; ".join(problems.values()))
-        case LinkCounted():
-            return f"rail's wire: {fact.counts}"
-        case OtherEvent(what=what):
-            facts = ", ".join(f"{name} {value}" for name, value in fact.fields.items())
-            return f"{what} {facts}".strip()
         case _:
-            return fact.text or fact.what
+            return _event_words(fact)
+
+
+def _event_words(event: Event | OtherEvent) -> str:
+    """Return an event's own words, and such facts of it as they leave out."""
+    match event:
+        case Connected(devices=devices):
+            return event.text + after("; ".join(each.text for each in devices))
+        case Closing(problems=problems):
+            return event.text + after("; ".join(problems.values()))
+        case LinkCounted():
+            return f"rail's wire: {event.counts}"
+        case OtherEvent():
+            facts = ", ".join(f"{name} {value}" for name, value in event.fields.items())
+            return f"{event.what} {facts}".strip()
+    return event.text or event.what
