@@ -212,6 +212,11 @@ class Faults:
                 del self._armed[name]
             return armed.value
 
+    def instead(self, name: str, usual: int) -> int:
+        """Return the whole number of a fault that strikes, else the ``usual`` one."""
+        value = self.take(name)
+        return usual if value is None else int(value)
+
     def number(self, name: str) -> float | None:
         """Return as `take`, as a number."""
         value = self.take(name)

@@ -97,14 +97,14 @@ class Host:
                 "control", self._serve, limit=100, port=ports.get("control", 0)
             )
             made.pop_all()
-        self._commands: dict[str, Callable[[Values], Values]] = {
+        self._commands: dict[str, Callable[[Values], Values | None]] = {
             "addresses": lambda order: self.addresses(),
             "now": lambda order: {"now_s": self._time.now_s()},
             "wait": self._wait,
-            "fault": self._fault,
+            "fault": lambda order: self._faults.set(**order),
             "clear": self._clear,
             "truth": self._truth,
-            "seat": self._carry,
+            "seat": lambda order: self._plant.seat(str(order["place"])),
             "quit": lambda order: {"leaving": True},
         }
 
@@ -146,7 +146,7 @@ class Host:
             if command is None:
                 known = ", ".join(self._commands)
                 return {"ok": False, "error": f"do: one of {known}"}
-            return {"ok": True} | command(order)
+            return {"ok": True} | (command(order) or {})
         except (msgspec.DecodeError, HilcellError, KeyError, TypeError, ValueError) as error:
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
@@ -159,18 +159,13 @@ class Host:
         self._time.catch_up()
         return {"now_s": self._time.now_s()}
 
-    def _fault(self, order: Values) -> Values:
-        self._faults.set(**order)
-        return {}
-
-    def _clear(self, order: Values) -> Values:
+    def _clear(self, order: Values) -> None:
         """Disarm faults; with no name also put their consequences right."""
         name = str(order.get("name", ""))
         self._faults.clear(name)
         if not name:
             for device in self._devices.values():
                 device.restore()
-        return {}
 
     def _truth(self, order: Values) -> Values:
         if not self._order.truth:
@@ -178,11 +173,6 @@ class Host:
                 "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
             )
         return truth_of(self._plant, order) if isinstance(self._plant, Plant) else {}
-
-    def _carry(self, order: Values) -> Values:
-        """Do a person's acts with the reflector of a cell where it is carried by hand."""
-        self._plant.seat(str(order["place"]))
-        return {}
 
     @staticmethod
     def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:

@@ -7,6 +7,7 @@ which needs it for its own safe stop: so it has a session of its own.
 from __future__ import annotations
 
 import math
+import re
 import socket
 import subprocess
 import sys
@@ -200,12 +201,10 @@ class Control(AbstractContextManager["Control"]):
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    host, _, port = address.rpartition(":")
-    last_port = 65535
-    known = ":" not in host and port.isdecimal() and len(port) <= 5 and int(port) <= last_port
-    if not (host and known):
+    known, last_port = re.fullmatch(r"([^:]+):(\d{1,5})", address, re.DOTALL), 65535
+    if known is None or int(known[2]) > last_port:
         raise SettingsError("simulation.address", [f"expected HOST:PORT, got {address[:80]!r}"])
-    return host, int(port)
+    return known[1], int(known[2])
 
 
 def _start(order: bytes) -> tuple[subprocess.Popen[bytes], IO[bytes], dict[str, Any]]:

@@ -445,21 +445,17 @@ class RailDrive(CanopenSlave):
             raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _shown_mode(self) -> int:
-        wrong = self._faults.take("rail.wrong_mode")
-        return self._mode if wrong is None else int(wrong)
+        return self._faults.instead("rail.wrong_mode", self._mode)
 
     def _note_command(self, _word: int) -> None:
         self._commanded = True
-
-    def _product(self) -> int:
-        wrong = self._faults.take("rail.wrong_identity")
-        return IDENTITY.product if wrong is None else int(wrong)
 
     def _add_objects(self, table: RailTable) -> None:
         speed = round(table.speed_mm_s * self.COUNTS_PER_MM)
         acceleration = round(table.acceleration_mm_s2 * self.COUNTS_PER_MM)
         add, record = self.dictionary.add, self.dictionary.add_array
-        self.dictionary.entry(0x1018, 2).read = self._product
+        product = partial(self._faults.instead, "rail.wrong_identity", IDENTITY.product)
+        self.dictionary.entry(0x1018, 2).read = product
         add(0x6007, 0, Entry("h", 1, allowed=range(4)))
         add(0x603F, 0, Entry("H", 0, "ro", mappable=True))
         add(0x6040, 0, Entry("H", 0, mappable=True, write=self._note_command))

@@ -305,10 +305,6 @@ class Pdo:
     def cob_id(self) -> int:
         return self._cob_id.number & 0x7FF
 
-    @property
-    def transmission(self) -> int:
-        return self._type.number
-
     def mapped(self) -> list[Entry]:
         return [self._mapped(place) for place in self._places[: self._count.number]]
 
@@ -375,7 +371,7 @@ class TransmitPdo(Pdo):
 
     def at_sync(self) -> bytes | None:
         """Return the data due at this SYNC."""
-        kind = self.transmission
+        kind = self._type.number
         if kind not in self.SYNC_TYPES or not self.valid:
             return None
         self._syncs += 1
@@ -386,7 +382,7 @@ class TransmitPdo(Pdo):
 
     def at_event(self, now_s: float) -> bytes | None:
         """Return the data due now, by the event timer or because it changed."""
-        if self.transmission not in self.EVENT_TYPES or not self.valid:
+        if self._type.number not in self.EVENT_TYPES or not self.valid:
             return None
         data = self.assemble()
         if data == self._sent and now_s < self.next_s():
@@ -396,7 +392,7 @@ class TransmitPdo(Pdo):
 
     def next_s(self) -> float:
         """Return when the event timer runs out."""
-        if self.transmission in self.EVENT_TYPES and self.valid and self._timer_ms.number:
+        if self._type.number in self.EVENT_TYPES and self.valid and self._timer_ms.number:
             return self._sent_s + self._timer_ms.number / 1000.0
         return math.inf
 
@@ -409,7 +405,7 @@ class ReceivePdo(Pdo):
 
     def take(self, data: bytes) -> bool:
         """Take a frame; False when it is shorter than the mapping."""
-        if self.transmission in self.SYNC_TYPES:
+        if self._type.number in self.SYNC_TYPES:
             self._held = data
             return True
         return self.distribute(data)

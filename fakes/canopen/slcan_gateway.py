@@ -208,6 +208,7 @@ class BusServer(Server):
         """``faults`` are the gateway's."""
         serial = str(stated.get("channel", "")).startswith("/") and not port
         self._gateway = SlcanGateway(faults, self._open, self._receive, port=port, serial=serial)
+        self.port = self._gateway.port
         address: dict[str, object] = {"channel": self._gateway.channel}
         slcan = "slcan"
         if stated.get("interface", slcan) != slcan:  # of the kernel, which is served as well
@@ -218,11 +219,6 @@ class BusServer(Server):
         self.now_s = OwnTime().now_s
         self._wake, self._waker = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name=name)
-
-    @property
-    def port(self) -> int:
-        """Return the TCP port on 127.0.0.1."""
-        return self._gateway.port
 
     def start(self) -> None:
         super().start()

@@ -57,7 +57,9 @@ class C3Server(Server):
         if parsed is None:
             return None
         kind, name, text = parsed
-        footer = self._failure()
+        restarted = self._faults.take("robot.restarted") is not None
+        failure = 1 if restarted else self._faults.number("robot.failure_footer")
+        footer = self.SUCCESS if failure is None else self.FAILURES[int(failure)]
         try:
             if footer != self.SUCCESS:
                 text = ""
@@ -71,13 +73,6 @@ class C3Server(Server):
         tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag
         body = struct.pack("!BH", kind, len(value)) + value + footer
         return self.HEAD.pack(tag, len(body)) + body
-
-    def _failure(self) -> bytes:
-        """Return the footer of a reply: that of a failure if one strikes."""
-        if self._faults.take("robot.restarted") is not None:
-            return self.FAILURES[1]
-        failure = self._faults.number("robot.failure_footer")
-        return self.SUCCESS if failure is None else self.FAILURES[int(failure)]
 
     def _parse(self, request: bytes) -> tuple[int, str, str] | None:
         """Return type, name and value of a request, None where it is malformed or unknown."""

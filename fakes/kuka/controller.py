@@ -26,7 +26,7 @@ from fakes.truth.noise import Dither
 from fakes.truth.plant import strike
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotState
-from fakes.truth.transforms import Array
+from fakes.truth.transforms import Array, components
 from hilcell.cell.file import RailTable
 
 _AGGREGATE = re.compile(r"^\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}$", re.DOTALL)
@@ -252,8 +252,8 @@ class KrlController:
             "$PRO_STATE": lambda: self._program,
             "$PRO_STATE1": lambda: self._program,
             "$OV_PRO": lambda: str(self._override),
-            "$ACT_TOOL": lambda: str(self._number("robot.wrong_tool", 1)),
-            "$ACT_BASE": lambda: str(self._number("robot.wrong_base", 0)),
+            "$ACT_TOOL": lambda: str(self._faults.instead("robot.wrong_tool", 1)),
+            "$ACT_BASE": lambda: str(self._faults.instead("robot.wrong_base", 0)),
             "$TOOL": lambda: aggregate("FRAME", self._tool),
             "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
             "$ACCU_STATE": lambda: "#CHARGE_OK",
@@ -286,10 +286,6 @@ class KrlController:
         if other is None:
             return f'"{self._arm.model} SIMULATED"'
         return '"#KR6R900"' if other is True else f'"{other}"'
-
-    def _number(self, fault: str, value: int) -> int:
-        found = self._faults.number(fault)
-        return value if found is None else int(found)
 
     def _read_acknowledge(self) -> str:
         if self._moment is None:
@@ -326,7 +322,7 @@ class KrlController:
             return aggregate("E6AXIS", axes, self._external())
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm
-            self._pose = arm.components(state.joints_rad)
+            self._pose = components(arm.chain.pose(state.joints_rad))
             self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
         pose = (self._pose + self.FLICKER_POSE * off).tolist()
         return aggregate(

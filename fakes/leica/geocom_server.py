@@ -87,7 +87,7 @@ class GeocomDevice:
         self._prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
         self._state = _State()
         self._wait: Callable[[float], None] = lambda _duration_s: None
-        state = self._state
+        state, take = self._state, site.faults.take
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
             107: (1, self._keep("places", lambda places: 0 <= places <= 15)),
@@ -108,7 +108,7 @@ class GeocomDevice:
             2029: (0, lambda: self._reals(*state.atmosphere)),
             2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
             2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
-            5003: (0, self._serial),
+            5003: (0, lambda: _whole(self.SERIAL + (take("tracker.wrong_identity") is not None))),
             5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
             5034: (0, lambda: _whole(8, 50, 0)),
             9027: (5, lambda hz, v, exact, aim, dummy: self._turn(hz, v, aim)),
@@ -154,9 +154,6 @@ class GeocomDevice:
     def _set_atmosphere(self, *values: float) -> Answer:
         sound = 500 <= values[1] <= 1200
         return self._set("atmosphere", values) if sound else Answer(Code.INVALID)
-
-    def _serial(self) -> Answer:
-        return _whole(self.SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
 
     # -- turning and aiming -----------------------------------------------------------------------
 
@@ -343,7 +340,7 @@ class GeocomServer(Server):
             if line == b"c":
                 self._abort(session)
             elif (found := self.REQUEST.fullmatch(line)) is None:
-                session.send(self.NOT_DECODED, 0, Answer())
+                session.say(encoded(self.NOT_DECODED, 0, Answer()))
             else:
                 rpc, transaction = int(found[1]), int(found[2] or 0)
                 with self._requests:
@@ -376,7 +373,7 @@ class GeocomServer(Server):
         results = (2082, 2108)
         if rpc not in results:
             known = self.device.knows(rpc)
-            session.send(0 if known else self.UNAVAILABLE, transaction, answer)
+            session.say(encoded(0 if known else self.UNAVAILABLE, transaction, answer))
             return
         take = self._faults.take
         if take("tracker.eof") is not None:
@@ -397,9 +394,6 @@ def encoded(communication: int, transaction: int, answer: Answer) -> bytes:
 
 class _Session(LineSession):
     """A client that may end the request under way."""
-
-    def send(self, communication: int, transaction: int, answer: Answer) -> None:
-        self.say(encoded(communication, transaction, answer))
 
     def aborted(self, timeout_s: float) -> bool:
         """Whether the request under way is to end; others wait for their turn."""

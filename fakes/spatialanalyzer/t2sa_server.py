@@ -25,10 +25,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from fakes.faults import Faults, Vanished
+from fakes.faults import Vanished
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array, frame, inverse
 from fakes.wires import HOST, Connection, LineSession, Listener, Server
 from hilcell.cell.file import Cell
@@ -72,17 +70,12 @@ class T2saDevice:
     POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
     SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        faults: Faults,
-        time: PlantTime,
-        points: Mapping[str, Array],
-        group: str,
-    ) -> None:
-        """``group`` is COLLECTION;GROUP of the ``points`` (3,) by name."""
-        self._instrument, self._faults, self._time = instrument, faults, time
-        self._points, self._group = points, group
+    def __init__(self, site: Site, points: Mapping[str, Array]) -> None:
+        """``points`` (3,) are those of the cell file's group, by name."""
+        self._instrument, self._faults = site.plant.tracker, site.faults
+        self._time, options = site.plant.time, site.cell.tracker.options
+        self._points = points
+        self._group = f"{options.get('collection', 'A')};{options.get('group', 'HILCELL')}"
         self._warm_s: float | None = None
         self._window_mm = self.SEARCH_MM
         self._former_mm: Array | None = None
@@ -294,29 +287,25 @@ class T2saServer(Server):
 
     HALT = b"!HALT"
 
-    def __init__(
-        self,
-        device: T2saDevice,
-        faults: Faults,
-        time: PlantTime,
-        *,
-        port: int = 0,
-        folder: tempfile.TemporaryDirectory[str] | None = None,
-        points: str = "",
-    ) -> None:
-        """``folder`` is removed at the end; ``points`` in it is the list that was imported."""
-        self._device, self._faults, self._time = device, faults, time
-        self._folder = folder
+    def __init__(self, site: Site, port: int = 0) -> None:
+        """The points are those of the cell file's list; without one it names a list of its own."""
+        listed = str(site.cell.tracker.options.get("points", ""))
+        address: dict[str, str] = {}
+        points = imported(Path(listed)) if listed else fan(site.cell)
+        self._folder = tempfile.TemporaryDirectory(prefix="t2sa-")
+        if not listed:
+            address = {"points": str(Path(self._folder.name) / "points.csv")}
+            write(Path(address["points"]), points)
+        self._device = T2saDevice(site, points)
+        self._faults, self._time = site.faults, site.time
         self._turn = threading.Lock()
         self._measuring, self._halted = threading.Lock(), threading.Event()
         listener = Listener("t2sa", self._serve_client, port=port)
-        address: dict[str, object] = {"host": HOST, "port": listener.port}
-        super().__init__(address | ({"points": points} if points else {}), listener)
+        super().__init__({"host": HOST, "port": listener.port, **address}, listener)
 
     def close(self) -> None:
         super().close()
-        if self._folder is not None:
-            self._folder.cleanup()
+        self._folder.cleanup()
 
     def _serve_client(self, client: socket.socket) -> None:
         session = LineSession(Connection(client))
@@ -387,24 +376,4 @@ class T2saServer(Server):
             session.answer(reply, self._faults)
 
 
-def serve(site: Site, port: int) -> T2saServer:
-    """Return the bridge of a simulated cell, with the points of its file or a fan of its own."""
-    options = site.cell.tracker.options
-    folder, listed = None, str(options.get("points", ""))
-    if listed:
-        points = imported(Path(listed))
-    else:
-        folder = tempfile.TemporaryDirectory(prefix="t2sa-")
-        listed = str(Path(folder.name) / "points.csv")
-        points = fan(site.cell)
-        write(Path(listed), points)
-    group = f"{options.get('collection', 'A')};{options.get('group', 'HILCELL')}"
-    device = T2saDevice(site.plant.tracker, site.faults, site.time, points, group)
-    return T2saServer(
-        device,
-        site.faults,
-        site.time,
-        port=port,
-        folder=folder,
-        points="" if folder is None else listed,
-    )
+serve = T2saServer

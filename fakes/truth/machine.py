@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, field
 
-from fakes.truth.transforms import Array, Chain, components, frame, from_rows
+from fakes.truth.transforms import Array, Chain, frame, from_rows
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
@@ -247,10 +247,6 @@ class ControllerArm:
     chain: Chain
     model: str
     serial: int
-
-    def components(self, joints_rad: Array) -> Array:
-        """Return X, Y, Z in mm and A, B, C in deg (6,) of the reflector's frame."""
-        return components(self.chain.pose(joints_rad))
 
     def status(self, joints_rad: Array) -> int:
         """Return the status of joints (6,)."""

@@ -279,9 +279,6 @@ class ReplayTracker:
         return Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
 
 
-Instrument = TrackerTruth | ReplayTracker
-
-
 class Followed(NamedTuple):
     """A reflector that is followed from now on, until `end`."""
 
@@ -311,10 +308,6 @@ class StreamTruth:
         """Return the tracker's own time at a plant time."""
         return self.offset_s + (1.0 + self.drift) * time_s
 
-    def plant_s(self, device_s: Array) -> Array:
-        """Return the plant times at which the tracker's clock shows times (N,)."""
-        return (device_s - self.offset_s) / (1.0 + self.drift)
-
     def follow(self, name: str) -> Followed:
         """Follow a reflector. ``read`` takes device times (N,), returns readings (M, 3).
 
@@ -323,7 +316,8 @@ class StreamTruth:
         noise = self._noise.next_generator(name)
 
         def read(device_s: Array) -> Array:
-            at_mm = self._path(name, self.plant_s(device_s))
+            plant_s: Array = (device_s - self.offset_s) / (1.0 + self.drift)
+            at_mm = self._path(name, plant_s)
             draws = noise.standard_normal((len(device_s), 3))
             return self._tracker.read(at_mm, draws[: len(at_mm)])
 

@@ -96,17 +96,13 @@ class UrController:
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._tcp = np.array([*cell.robot.smr_mm, 0.0, 0.0, 0.0]) / 1000.0
-        self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
-        self._inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
+        # the registers that a client may write
+        self.inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
+        self.inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
         self._session = self._count = self._acknowledged = self._error = 0
         self._timer = LifeTimer(self._life_ran_out)
         self._stale: Values | None = None
         self.restore()
-
-    @property
-    def inputs(self) -> set[str]:
-        """Return the names of the registers that a client may write."""
-        return set(self._inputs)
 
     def restore(self) -> None:
         """The operator puts everything right; no program plays."""
@@ -144,8 +140,8 @@ class UrController:
         life = "input_int_register_26"  # the PC's sign
         with self._lock:
             self._strike_on_request()
-            changed = {name for name, value in values.items() if self._inputs[name] != value}
-            self._inputs |= values
+            changed = {name for name, value in values.items() if self.inputs[name] != value}
+            self.inputs |= values
             if life in changed:
                 self._timer.set_ms(-self.LIFE_MS)
             self._run()
@@ -169,7 +165,7 @@ class UrController:
             session = self.SESSION.search(script)
             if self._program == "hilcell" and session:
                 self._session = int(session[1])
-                self._acknowledged = int(self._inputs["input_int_register_24"])
+                self._acknowledged = int(self.inputs["input_int_register_24"])
                 self._error = Error.OK
 
     def ask(self, command: str) -> str:
@@ -236,7 +232,7 @@ class UrController:
         }
         registers = zip(range(24, 30), tool, strict=True)
         found |= {f"output_double_register_{n}": float(value) for n, value in registers}
-        return found | self._inputs
+        return found | self.inputs
 
     # -- the program --------------------------------------------------------------------------
 
@@ -248,25 +244,25 @@ class UrController:
         if not self._ours:
             return
         self._count += 1
-        stop = self._inputs["input_int_register_27"] != 0
+        stop = self.inputs["input_int_register_27"] != 0
         if self._moves:
             if stop:
                 self._brake(Error.BRAKED)
             elif not self._motion.moving and not self._frozen:
                 self._acknowledge(Error.OK)
-        elif self._inputs["input_int_register_24"] != self._acknowledged:
+        elif self.inputs["input_int_register_24"] != self._acknowledged:
             error = Error.BRAKED if stop else self._start()
             if error != Error.OK:
                 self._acknowledge(error)
-        if self._inputs["input_int_register_27"] == self._session:
+        if self.inputs["input_int_register_27"] == self._session:
             self._end_program()
 
     def _start(self) -> int:
-        speed_rad_s = self._inputs["input_double_register_30"]
+        speed_rad_s = self.inputs["input_double_register_30"]
         move_joints = 1
-        if self._inputs["input_int_register_25"] != move_joints or not speed_rad_s > 0.0:
+        if self.inputs["input_int_register_25"] != move_joints or not speed_rad_s > 0.0:
             return Error.UNKNOWN_COMMAND
-        target = [self._inputs[f"input_double_register_{n}"] for n in range(24, 30)]
+        target = [self.inputs[f"input_double_register_{n}"] for n in range(24, 30)]
         target_deg = np.degrees(target)
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
@@ -287,7 +283,7 @@ class UrController:
         if not self._keeps_acknowledge:
             self._timer.stop()
             self._moves, self._error = False, error
-            self._acknowledged = int(self._inputs["input_int_register_24"])
+            self._acknowledged = int(self.inputs["input_int_register_24"])
 
     def _brake(self, why: int) -> None:
         self._motion.brake()

@@ -20,7 +20,6 @@ from fakes.spatialanalyzer.t2sa_server import (
     T2saServer,
     fan,
     imported,
-    serve,
     write,
 )
 from fakes.time import PlantTime
@@ -67,21 +66,24 @@ class Bridge:
 
 
 @contextlib.contextmanager
-def running(cell: Cell, speed: float = math.inf) -> Iterator[Bridge]:
+def running(cell: Cell, folder: Path, speed: float = math.inf) -> Iterator[Bridge]:
     faults, clock = Faults(), PlantTime()
     plant = Plant(cell, 1, clock, faults)
     at_mm = plant.tracker.reflectors()
     points = {"NEAR": 0.8 * at_mm["F1"] + [0, 30, 0], "AWAY": -at_mm["F1"], "F2": at_mm["F2"]}
-    device = T2saDevice(plant.tracker, faults, clock, points, "A;G")
-    server = T2saServer(device, faults, PlantTime(speed))
+    write(folder / "points.csv", points)
+    options = {"points": str(folder / "points.csv"), "collection": "A", "group": "G"}
+    tracker = msgspec.structs.replace(cell.tracker, options=options)
+    cell = msgspec.structs.replace(cell, tracker=tracker)
+    server = T2saServer(Site(cell, plant, faults, PlantTime(speed)))
     with contextlib.closing(server):
         server.start()
         yield Bridge(plant, faults, clock, points, server)
 
 
 @pytest.fixture
-def bridge(cell: Cell) -> Iterator[Bridge]:
-    with running(cell) as found:
+def bridge(cell: Cell, tmp_path: Path) -> Iterator[Bridge]:
+    with running(cell, tmp_path) as found:
         yield found
 
 
@@ -151,9 +153,13 @@ def test_a_late_result_and_one_in_pieces(client: Client, bridge: Bridge) -> None
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_a_halt_overtakes_a_measurement(cell: Cell, own: bool) -> None:
+def test_a_halt_overtakes_a_measurement(cell: Cell, tmp_path: Path, own: bool) -> None:
     slow = 0.01  # a measurement takes a minute
-    with running(cell, slow) as bridge, bridge.client() as client, bridge.client() as other:
+    with (
+        running(cell, tmp_path, slow) as bridge,
+        bridge.client() as client,
+        bridge.client() as other,
+    ):
         client.ask("!LST:1")
         bridge.time.advance(T2saDevice.WARM_UP_S)
         client.write(b"!MEAS_SINGLE_POINT:A;G;F2\r\n")
@@ -170,7 +176,7 @@ def test_a_halt_overtakes_a_measurement(cell: Cell, own: bool) -> None:
 def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -> None:
     faults, clock = Faults(), PlantTime()
     plant = Plant(cell, 1, clock, faults)
-    server = serve(Site(cell, plant, faults, clock), 0)
+    server = T2saServer(Site(cell, plant, faults, clock))
     listed = Path(str(server.address["points"]))
     points = imported(listed)
     assert len(points) > 1000
@@ -180,10 +186,10 @@ def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -
     own = tmp_path / "own.csv"
     write(own, {"P1": np.array([1.0, 2.0, 3.0])})
     tracker = msgspec.structs.replace(cell.tracker, options={"points": str(own)})
-    server = serve(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock), 0)
+    server = T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock))
     assert "points" not in server.address
     server.close()
     assert own.exists()
     own.write_text("P1,1,two,3\n", "ascii")
     with pytest.raises(SettingsError):
-        serve(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock), 0)
+        T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock))

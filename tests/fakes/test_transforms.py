@@ -65,7 +65,7 @@ def test_controller_states_pose_status_and_turn_of_the_standard(name: str) -> No
     cell = load_cell(name, {"simulation.data": "A.csv"} if name == "replay" else {})
     arm, controller = cell.robot.arm(), controller_arm(cell)
     for q in joints(40):
-        stated = frames.pose_from_zyx(*controller.components(q).tolist())
+        stated = frames.pose_from_zyx(*components(controller.chain.pose(q)).tolist())
         np.testing.assert_allclose(stated, forward(arm, q), atol=1e-9)
         assert controller.status(q) == int(status_of(arm, q))
         assert controller.turn(q) == int(np.sum((q < 0) << np.arange(6)))

@@ -80,7 +80,7 @@ def test_the_program_moves_and_acknowledges(robot: Robot) -> None:
         client.begin()
         client.write(4, 1, target)
         # Two ports have no order: the registers come first here.
-        until(lambda: robot.server.controller._inputs["input_int_register_24"] == 4)
+        until(lambda: robot.server.controller.inputs["input_int_register_24"] == 4)
         assert client.state()[-2] == 0  # no program plays
         script.sendall(SCRIPT[:20].encode())
         script.sendall(SCRIPT[20:].encode())
