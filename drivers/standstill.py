@@ -223,19 +223,26 @@ class Standing(Generic[P]):
             fields={"alarms": alarms},
         )
 
-    def settle(self) -> P:
-        """Return the newest poll of a slide at rest whose strip reads; raises `DeviceError`."""
+    def read(self, ended_s: float | None) -> RailReading:
+        """Return a reading whose strip reads, of a slide that may move; raises `DeviceError`.
+
+        ``ended_s`` is when the last motion was seen to have ended.
+        """
+        return self._reading(self.check_strip("read", self.confirm("read")), ended_s)
+
+    def settle(self, ended_s: float | None) -> RailReading:
+        """Return a reading of a slide at rest whose strip reads; raises `DeviceError`."""
         limit_s = self.SETTLE_S + self._windows.dwell_s
         for _ in looks(limit_s):
             now = self.poll("settle")
             if self.rest is not None:
                 now = self.check_strip("settle", now)
             if self.rest is not None:  # a strip that is back may show that the slide moves
-                return now
+                return self._reading(now, ended_s)
             self.pause()
         raise self._restless(now, limit_s)
 
-    def reading(self, now: P, ended_s: float | None) -> RailReading:
+    def _reading(self, now: P, ended_s: float | None) -> RailReading:
         """Return the poll ``now``, or the medians of which it is the newest part."""
         rest = self.rest
         at: Poll | Rest = now if rest is None else rest

@@ -170,12 +170,11 @@ class CanopenRail:
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
         self._mend_strip()
-        return self._reading(self._used().standing.settle())
+        return self._used().standing.settle(self._ended_s)
 
     def read(self) -> RailReading:
         self._mend_strip()
-        standing = self._used().standing
-        return self._reading(standing.check_strip("read", standing.confirm("read")))
+        return self._used().standing.read(self._ended_s)
 
     def hold(self) -> None:
         self._used().disable()
@@ -275,9 +274,6 @@ class CanopenRail:
 
     def _used(self) -> Drive:
         return RAIL.connected(self._drive)
-
-    def _reading(self, now: Snapshot) -> RailReading:
-        return self._used().standing.reading(now, self._ended_s)
 
     def _move(self, motion: Callable[[], None]) -> None:
         self._ended_s = None

@@ -115,13 +115,11 @@ class KukaE1Rail:
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
         self._strip.mend()
-        return self._standing.reading(self._standing.settle(), self._ended_s)
+        return self._standing.settle(self._ended_s)
 
     def read(self) -> RailReading:
         self._strip.mend()
-        standing = self._standing
-        now = standing.check_strip("read", standing.confirm("read"))
-        return standing.reading(now, self._ended_s)
+        return self._standing.read(self._ended_s)
 
     def hold(self) -> None:
         """Have the controller refuse every motion of E1; a reading must say so."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cached_property, partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from drivers.kuka.program_krl.data import (
     statements,
     text_of,
 )
-from drivers.kuka.program_krl.flow import ExternalRule, Stop, kept_postures
+from drivers.kuka.program_krl.flow import ENDS, ExternalRule, Stop, kept_postures
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
 from drivers.kuka.program_krl.program import DATA, Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
@@ -81,9 +80,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
 class _Surely:
     """Follows a program's statements and knows which may not be executed before its motions."""
 
-    CONDITIONAL: ClassVar = {
-        "IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR",
-    }  # fmt: skip
+    CONDITIONAL = ("IF", "SWITCH", "WHILE", "FOR")
 
     def __init__(self, moving: Set[str]) -> None:
         """Take the own subprograms that move."""
@@ -102,7 +99,7 @@ class _Surely:
         """Take a statement below the header."""
         if statement.head in self.CONDITIONAL:
             self._open.append((statement.head, statement.line))
-        elif statement.head in self.CONDITIONAL.values() and self._open:
+        elif ENDS.get(statement.head) in self.CONDITIONAL and self._open:
             self._open.pop()
         elif statement.head == "GOTO":
             self._jump = self._jump or statement.line

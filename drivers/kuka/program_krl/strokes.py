@@ -13,17 +13,17 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 from drivers.kuka.program_krl.data import KrlError, Statement, aggregate, closing, number, quoted
+from drivers.kuka.program_krl.flow import ENDS, PARTS
 
 STROKES = ("LIN_REL", "SLIN_REL")
 MOTIONS = (
     "PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL", "SPLINE", "PTP_SPLINE", "PTP_REL",
     "CIRC_REL", "SPTP_REL", "SCIRC_REL", "ASYPTP",
 )  # fmt: skip
-BRANCHES = (
-    "DEF", "DEFFCT", "GLOBAL", "END", "ENDFCT", "IF", "ELSE", "ENDIF", "FOR", "ENDFOR", "WHILE",
-    "ENDWHILE", "LOOP", "ENDLOOP", "REPEAT", "UNTIL", "SWITCH", "CASE", "DEFAULT", "ENDSWITCH",
-    "GOTO", "EXIT", "RETURN", "RESUME",
-)  # fmt: skip
+BRANCHES = {
+    *ENDS, *ENDS.values(), *PARTS, "DEF", "DEFFCT", "GLOBAL", "END", "ENDFCT", "GOTO", "EXIT",
+    "RETURN", "RESUME",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
