@@ -14,7 +14,6 @@ import dataclasses
 from itertools import chain, permutations
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -343,27 +342,10 @@ class Deviations(NamedTuple):
     freedom: float
 
 
-class Scatter(msgspec.Struct, frozen=True):
-    """A variance of the targets as a share of the expected one, its limit, and the excess."""
-
-    ratio: float
-    limit: float
-    size: float
-    unit: str
-
-    @property
-    def holds(self) -> bool:
-        """Whether chance explains the scatter."""
-        return self.ratio <= self.limit
-
-
 def scattered(log: Log) -> Suspicion | None:
     """Return a repeatability worse than the run's own, where the corrected targets show it."""
-    found = log.once_measured(_scatter)
-    if found is None or found.holds:
-        return None
-    noticed_by = "scatter of the corrected targets"
-    return Suspicion(Cause.REPEATABILITY, found.size, found.unit, noticed_by)
+    found = log.once_measured(deviations_of)
+    return None if found is None else worst_scatter(found)
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
@@ -386,11 +368,6 @@ def worse_than_stated(log: Log) -> Suspicion | None:
     size_mm = isotropic * float(np.sqrt(seen_mm2 - noise_mm2))
     noticed_by = f"repeated visits, RP {stated_mm:g} mm stated"
     return Suspicion(Cause.REPEATABILITY, size_mm, "mm", noticed_by)
-
-
-def _scatter(log: Log) -> Scatter | None:
-    deviations = deviations_of(log)
-    return None if deviations is None else worst_scatter(deviations)
 
 
 def deviations_of(log: Log) -> Deviations | None:
@@ -424,14 +401,14 @@ def deviations_of(log: Log) -> Deviations | None:
     )  # fmt: skip
 
 
-def worst_scatter(found: Deviations) -> Scatter:
-    """Return the test that comes closest to its limit, or is farthest beyond it."""
+def worst_scatter(found: Deviations) -> Suspicion | None:
+    """Return what the test farthest beyond its limit shows; None where chance explains all."""
     off_mm, columns = found.off_mm, found.columns
     weighted = np.linalg.solve(found.covariance_mm2, np.dstack([off_mm, columns]))
     count, axes = len(off_mm), columns.shape[2]
     limit = SPREAD * f_quantile(1.0 - RISK, 3 * count, found.freedom)
     ratio = float(np.einsum("ni,ni->", off_mm, weighted[:, :, 0])) / (3 * count)
-    tests = [Scatter(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
+    tests = [(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
     along = np.einsum("nik,ni->nk", columns, weighted[:, :, 0])
     information = np.einsum("nik,nik->nk", columns, weighted[:, :, 1:])
     directions = 3  # of a covariance: one of them has a third of its degrees of freedom
@@ -440,10 +417,11 @@ def worst_scatter(found: Deviations) -> Scatter:
         known = information[:, axis] > 0.0
         ratio = float(np.mean(along[known, axis] ** 2 / information[known, axis]))
         excess_rad = np.sqrt(max(0.0, ratio - 1.0) / information[known, axis].mean())
-        tests.append(
-            Scatter(ratio, limit, float(np.degrees(excess_rad)), f"deg of axis {axis + 1}")
-        )
-    return max(tests, key=lambda test: test.ratio / test.limit)
+        tests.append((ratio, limit, float(np.degrees(excess_rad)), f"deg of axis {axis + 1}"))
+    ratio, limit, size, unit = max(tests, key=lambda test: test[0] / test[1])
+    if ratio <= limit:
+        return None
+    return Suspicion(Cause.REPEATABILITY, size, unit, "scatter of the corrected targets")
 
 
 def _again(log: Log, kind: str) -> Suspicion | None:

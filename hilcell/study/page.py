@@ -65,8 +65,8 @@ def _front(study: Study, found: Answers) -> str:
     figure, axes = axes_sheet(3.6)
     ax: Axes = axes[0, 0]
     if len(found.front) > 1 and not study.has_costs:
-        minutes, means_mm = zip(*((d.minutes, d.accuracy.mean) for d in found.front), strict=True)
-        ax.step(minutes, means_mm, where="post", color=BLUE)
+        places = ((each.minutes, each.accuracy.mean) for each in found.front)
+        ax.step(*zip(*places, strict=True), where="post", color=BLUE)
     for on_front, colour, face in ((False, MUTED, "white"), (True, BLUE, BLUE)):
         own = [each for each in found.designs if each.on_front is on_front]
         minutes = [each.minutes for each in own]
