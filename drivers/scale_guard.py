@@ -10,23 +10,9 @@ missed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import nlargest
 
 from drivers.device_errors import RAIL
-
-
-@dataclass(frozen=True, slots=True)
-class Ways:
-    """How far the slide went, by the drive and by the strip, in mm; signed."""
-
-    drive_mm: float
-    strip_mm: float
-
-    @property
-    def ratio(self) -> float:
-        """Return how many times further the slide went by the strip."""
-        return self.strip_mm / self.drive_mm if self.drive_mm else float("inf")
 
 
 class ScaleGuard:
@@ -57,22 +43,24 @@ class ScaleGuard:
             self._parted_mm.append(abs(strip_step_mm - drive_step_mm))
             self._last = drive_mm, strip_mm
 
-    def contradiction(self) -> Ways | None:
-        """Return the ways where they are too far apart to be one."""
+    def contradiction(self) -> tuple[float, float] | None:
+        """Return the ways by drive and strip, in mm, where they are too far apart to be one."""
         drive_mm, strip_mm = self._drive_mm, self._strip_mm
         apart_mm = abs(strip_mm - drive_mm) - sum(nlargest(self._uncounted, self._parted_mm))
         allowed_mm = self._apart_mm + self.SHARE * max(abs(strip_mm), abs(drive_mm))
-        return None if apart_mm <= allowed_mm else Ways(drive_mm, strip_mm)
+        return None if apart_mm <= allowed_mm else (drive_mm, strip_mm)
 
     def check(self, operation: str) -> None:
         """Raise `DeviceError` where the ways are too far apart to be one."""
         if (ways := self.contradiction()) is None:
             return
+        drive_mm, strip_mm = ways
+        ratio = strip_mm / drive_mm if drive_mm else float("inf")
         act = (
             "correct counts_per_mm of the drive or of the strip by that ratio, or check coupling "
             "and strip head; then home the rail"
         )
-        if ways.ratio < 0:
+        if ratio < 0:
             act = (
                 "drive and strip count in opposite directions: change the polarity of the drive "
                 "(607Eh of CiA 402) or the strip's direction of counting; then home the rail"
@@ -80,11 +68,11 @@ class ScaleGuard:
         raise RAIL.failed(
             "HC-R47",
             operation,
-            f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
-            f"the strip: a ratio of {ways.ratio:.4g}",
+            f"the slide went {drive_mm:.1f} mm by the drive and {strip_mm:.1f} mm by "
+            f"the strip: a ratio of {ratio:.4g}",
             wanted=f"one way within {self.SHARE:.0%}",
             act=act,
-            drive_mm=ways.drive_mm,
-            strip_mm=ways.strip_mm,
-            ratio=ways.ratio,
+            drive_mm=drive_mm,
+            strip_mm=strip_mm,
+            ratio=ratio,
         )
