@@ -28,7 +28,7 @@ from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, SEAT, Point, Readings
 from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 FUTURE_S = -0.001  # two readings of one clock
 NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
@@ -129,10 +129,6 @@ class _Uncertainty(msgspec.Struct, frozen=True):
     drift_limit_mm: float = 0.02  # of the tracker's frame
 
 
-class _Simulation(msgspec.Struct, frozen=True):
-    address: str = ""
-
-
 class CellFacts(msgspec.Struct, frozen=True):
     """The cell as it was frozen, as far as the rules need it."""
 
@@ -142,7 +138,7 @@ class CellFacts(msgspec.Struct, frozen=True):
     settle: _Settle = _Settle()
     layout: _Layout = _Layout()
     uncertainty: _Uncertainty = _Uncertainty()
-    simulation: _Simulation | None = None
+    simulation: Json | None = None
 
 
 @dataclass(slots=True)

@@ -89,7 +89,7 @@ def facts_of(
 
 
 def _kind(verdicts: Mapping[str, Verdict], recheck: Rechecked | None) -> Kind:
-    """Return the kind, as `Log.calibrates` and `calibration_after` tell them apart."""
+    """Return the kind, as `calibration_after` tells them apart."""
     if "fit" in verdicts:
         return "made"
     if "touch" in verdicts:

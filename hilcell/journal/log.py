@@ -30,6 +30,7 @@ from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.identity import Identity
+from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.model import events
@@ -38,7 +39,7 @@ from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, CONTROL, Point, PointId
 from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
-from hilcell.model.verdicts import Fitted, Judged, Rechecked, Touched, Verdict
+from hilcell.model.verdicts import Fitted, Verdict
 from hilcell.ports import Array
 from hilcell.typed import Json, learn, typed
 
@@ -432,12 +433,7 @@ class Log:
     @property
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
-        recheck, folded = self.verdict(Rechecked), self.verdict(Judged, "targets")
-        made = self.verdict(Fitted) is not None or self.verdict(Touched) is not None
-        updated = recheck is not None and recheck.verdict == "update"
-        return self.state == "finished" and (
-            made or updated or (folded is not None and folded.holds)
-        )
+        return self.state == "finished" and facts_of(self.verdicts).kind != ""
 
     @property
     def cell(self) -> Cell:

@@ -8,7 +8,7 @@ returned as it is: that, and nothing else, is what makes a run resumable.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -67,11 +67,9 @@ class CellSession(Watch):
         ids = [id.at_seat(seat) for seat in range(1, count + 1)]
         waiting = [each for each in ids if retake or self.log.find(each) is None]
         if waiting:
-            facts = {"nominal_mm": nominal_mm}
-            if nominal_deg is not None and count > 1:
-                facts["nominal_deg"] = nominal_deg
+            nominal = nominal_mm, nominal_deg if count > 1 else None
             self._flange_points(
-                waiting, station, joints_rad, facts, retake=retake, straight=straight
+                waiting, station, joints_rad, nominal, retake=retake, straight=straight
             )
         return self.log.point(id)
 
@@ -85,16 +83,10 @@ class CellSession(Watch):
             if refused := still_refused(self.log, point):
                 self.add(RetakeRefused(key=point.key, reason=refused))
                 continue
-            facts: dict[str, object] = {"nominal_mm": point.nominal_mm}
-            if point.nominal_deg is not None:
-                facts["nominal_deg"] = point.nominal_deg
-            self._flange_points(
-                [point.id],
-                self.cell.station_named(point.station),
-                np.radians(point.commanded_deg or ()),
-                facts,
-                retake=True,
-            )
+            station = self.cell.station_named(point.station)
+            joints_rad = np.radians(point.commanded_deg or ())
+            nominal = point.nominal_mm, point.nominal_deg
+            self._flange_points([point.id], station, joints_rad, nominal, retake=True)
         return bool(waiting)
 
     def flange_at(self, station: Station) -> None:
@@ -109,17 +101,19 @@ class CellSession(Watch):
         ids: Sequence[PointId],
         station: Station,
         joints_rad: Array,
-        facts: Mapping[str, object],
+        nominal: tuple[object, object],
         *,
         retake: bool,
         straight: Straight | None = None,
     ) -> None:
         """Go to joints (6,) and measure reflectors on the flange there; only of the tool point is a
-        nominal target known.
+        ``nominal`` target known, mm and deg, None where it is not.
         """
         self.checkpoint()
         self.prove_where_doubtful()
         self.flange_at(station)
+        facts = {"nominal_mm": nominal[0]}
+        facts |= {} if nominal[1] is None else {"nominal_deg": nominal[1]}
         above, what = ids[0].side > 0, ids[0].key
         robot = self.robot_to(joints_rad, what, above=above, straight=straight)
         T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)

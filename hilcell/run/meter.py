@@ -5,8 +5,6 @@ A reflector that is carried by hand is asked for; the tracker proves where it si
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
@@ -79,24 +77,6 @@ class Meter(Mover):
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))
-
-    def check_expected(
-        self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float
-    ) -> None:
-        """Refuse a reflector further than ``limit_mm`` from (3,) in {W}, once {B} was measured."""
-        if not self.frames.based():
-            return
-        found_mm = self.frames.world_from_tracker(reading.xyz_mm)[0]
-        off_mm = math.dist(found_mm, expected_mm)
-        if not off_mm <= limit_mm:
-            raise DeviceError(
-                "HC-T17",
-                "Tracker",
-                f"measure {key}",
-                f"reflector {off_mm:.2f} mm from its expected place",
-                wanted=f"<= {limit_mm:.1f} mm",
-                fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
-            )
 
     def keep(
         self,

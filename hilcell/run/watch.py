@@ -19,6 +19,7 @@ While the run is suspended the tracker looks at a floor nest for its weather sta
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
@@ -109,8 +110,18 @@ class Watch(Meter):
         """
         near_mm = self.frames.tracker_from_world(expected_mm)[0]
         reading = self.measured(key, place, near_mm, samples)
-        if limit_mm is not None:
-            self.check_expected(key, reading, expected_mm, limit_mm)
+        if limit_mm is None or not self.frames.based():
+            return reading
+        off_mm = math.dist(self.frames.world_from_tracker(reading.xyz_mm)[0], expected_mm)
+        if not off_mm <= limit_mm:
+            raise DeviceError(
+                "HC-T17",
+                "Tracker",
+                f"measure {key}",
+                f"reflector {off_mm:.2f} mm from its expected place",
+                wanted=f"<= {limit_mm:.1f} mm",
+                fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
+            )
         return reading
 
     # -- the tracker's set-up ---------------------------------------------------------------------
