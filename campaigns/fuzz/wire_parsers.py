@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
-from drivers.device_errors import Garbled
+from drivers.device_errors import ROBOT, Garbled
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
@@ -21,10 +21,11 @@ from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.files import read_program
 from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState
+from drivers.wires.tcp import Link
 from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
-from hilcell.errors import DeviceError, HilcellError
+from hilcell.errors import HilcellError
 from tests.clocks import DrivenClock
 from tests.drivers.program_urscript.samples import SCRIPT
 
@@ -37,12 +38,11 @@ TYPES = ",".join(
 )
 
 
-class Wire:
-    """Satisfies `drivers.wires.link.Link`: what an input brings, and then nothing any more."""
-
-    address = "fuzz"
+class Wire(Link):
+    """What an input brings, and then nothing any more."""
 
     def __init__(self, data: bytes) -> None:
+        super().__init__(ROBOT, "fuzz", lambda: None)
         self._size, self._left = max(data[0], 1) if data else 1, data[1:]
 
     def send(self, data: bytes, operation: str) -> None:
@@ -50,12 +50,11 @@ class Wire:
 
     def receive(self, size: int, patience: Patience) -> bytes:
         """Return the next piece, none at the end."""
+        return self._come(size, wait=False)
+
+    def _come(self, size: int, *, wait: bool) -> bytes:
         piece, self._left = self._left[: self._size], self._left[self._size :]
         return piece
-
-    def broken(self, operation: str, found: str) -> DeviceError:
-        """Return the error of a lost wire."""
-        return DeviceError("HC-B02", "Fuzz", operation, found)
 
     def close(self) -> None:
         """Take it."""

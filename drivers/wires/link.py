@@ -9,41 +9,20 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable
-from typing import Protocol
 
 import serial
 
 from drivers.device_errors import Device
-from drivers.supervision import Patience
-from drivers.wires.tcp import POLL_S, SEND_S, TcpLink
+from drivers.wires.tcp import POLL_S, SEND_S, Link, TcpLink
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
 
-class Link(Protocol):
-    """An open wire. One thread receives; any thread may send."""
-
-    address: str
-
-    def send(self, data: bytes, operation: str) -> None:
-        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
-
-    def receive(self, size: int, patience: Patience) -> bytes:
-        """Return 1 to ``size`` bytes, or none when ``patience`` is over; raises `DeviceError`."""
-
-    def broken(self, operation: str, found: str) -> DeviceError:
-        """Return the error that this wire's failure is."""
-
-    def close(self) -> None:
-        """Close the wire; a second close does nothing."""
-
-
-class SerialLink:
-    """An open serial line. One thread receives; any thread may send."""
+class SerialLink(Link):
+    """An open serial line."""
 
     def __init__(self, device: Device, line: SerialLine, check: Callable[[], None]) -> None:
-        self._device, self.address, self._check = device, line.path, check
-        check()
+        super().__init__(device, line.path, check)
         try:
             self._port = serial.Serial(
                 line.path, line.baud, timeout=POLL_S, write_timeout=SEND_S, exclusive=True
@@ -65,24 +44,13 @@ class SerialLink:
         except (serial.SerialException, OSError, TypeError) as error:
             raise self._gone(operation, error) from error
 
-    def receive(self, size: int, patience: Patience) -> bytes:
-        """Return 1 to ``size`` bytes, or none when ``patience`` is over.
-
-        Raises `DeviceError` when the line has gone.
-        """
-        while True:
-            self._check()
-            over = patience.over()
-            try:
-                first = self._port.read(1)
-                rest = self._port.read(min(self._port.in_waiting, size - 1)) if first else b""
-            except (serial.SerialException, OSError, TypeError) as error:
-                raise self._gone("receive", error) from error
-            if first or over:
-                return first + rest
-
-    def broken(self, operation: str, found: str) -> DeviceError:
-        return self._device.broken(self.address, operation, found)
+    def _come(self, size: int, *, wait: bool) -> bytes:
+        """Wait as long as the port does, whose settings each other wait would write again."""
+        try:
+            first = self._port.read(1)
+            return first + self._port.read(min(self._port.in_waiting, size - 1)) if first else b""
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone("receive", error) from error
 
     def _gone(self, operation: str, error: Exception) -> DeviceError:
         found = f"the line failed: {system_words(error)}"

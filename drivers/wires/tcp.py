@@ -1,4 +1,4 @@
-"""One TCP connection to a device, whose every wait ends within 20 ms of a stop.
+"""A device's wire, whose every wait ends within 20 ms of a stop; here a TCP connection.
 
 By default keepalive notices a dead peer after two hours. So the probe times are set, unsent bytes
 expire by TCP_USER_TIMEOUT where the system has it, and every read has a deadline. It counts from
@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import select
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -21,8 +22,40 @@ POLL_S = 0.02
 SEND_S = 1.0
 
 
-class TcpLink:
-    """A connected socket. One thread receives; any thread may send."""
+class Link(ABC):
+    """An open wire. One thread receives; any thread may send."""
+
+    def __init__(self, device: Device, address: str, check: Callable[[], None]) -> None:
+        self._device, self.address, self._check = device, address, check
+        check()
+
+    @abstractmethod
+    def send(self, data: bytes, operation: str) -> None:
+        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the wire; a second close does nothing."""
+
+    @abstractmethod
+    def _come(self, size: int, *, wait: bool) -> bytes:
+        """Return what has come, or comes within `POLL_S`; raises `DeviceError` at the end."""
+
+    def receive(self, size: int, patience: Patience) -> bytes:
+        """Return 1 to ``size`` bytes, or none when ``patience`` is over; raises `DeviceError`."""
+        while True:
+            self._check()
+            over = patience.over()
+            if (data := self._come(size, wait=not over)) or over:
+                return data
+
+    def broken(self, operation: str, found: str) -> DeviceError:
+        """Return the error that this wire's failure is."""
+        return self._device.broken(self.address, operation, found)
+
+
+class TcpLink(Link):
+    """A connected socket."""
 
     CONNECT_S = 3.0
     LEAVE_S = 0.5
@@ -30,10 +63,8 @@ class TcpLink:
     UNSENT_MS = 5000
 
     def __init__(self, device: Device, host: str, port: int, check: Callable[[], None]) -> None:
-        self._device, self.address = device, f"{host}:{port}"
-        self._check = check
+        super().__init__(device, f"{host}:{port}", check)
         self.unheard = False  # something was sent whose answer nobody awaits
-        check()
         try:
             self._socket = socket.create_connection((host, port), timeout=self.CONNECT_S)
         except OSError as error:
@@ -61,28 +92,17 @@ class TcpLink:
             except OSError as error:
                 raise self.broken(operation, _words(error)) from error
 
-    def receive(self, size: int, patience: Patience) -> bytes:
-        """Return 1 to ``size`` bytes, or none when ``patience`` is over.
-
-        Raises `DeviceError` when the stream ends.
-        """
-        while True:
-            self._check()
-            over = patience.over()
-            try:
-                ready, _, _ = select.select([self._socket], [], [], 0.0 if over else POLL_S)
-                data = self._socket.recv(size) if ready else b""
-            except BlockingIOError:  # ready, and then nothing after all: the next look tells
-                ready, data = [], b""
-            except (OSError, ValueError) as error:
-                raise self.broken("receive", _words(error)) from error
-            if ready and not data:
-                raise self.broken("receive", "the device closed the connection")
-            if data or over:
-                return data
-
-    def broken(self, operation: str, found: str) -> DeviceError:
-        return self._device.broken(self.address, operation, found)
+    def _come(self, size: int, *, wait: bool) -> bytes:
+        try:
+            ready, _, _ = select.select([self._socket], [], [], POLL_S if wait else 0.0)
+            data = self._socket.recv(size) if ready else b""
+        except BlockingIOError:  # ready, and then nothing after all: the next look tells
+            return b""
+        except (OSError, ValueError) as error:
+            raise self.broken("receive", _words(error)) from error
+        if ready and not data:
+            raise self.broken("receive", "the device closed the connection")
+        return data
 
     def close(self) -> None:
         """Close the socket; a second close does nothing.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from drivers.supervision import Patience
-from drivers.wires.link import Link
+from drivers.wires.tcp import Link
 
 
 class TextLines:

@@ -13,7 +13,8 @@ import pytest
 
 from drivers.device_errors import TRACKER
 from drivers.supervision import Patience
-from drivers.wires.link import Link, open_link
+from drivers.wires.link import open_link
+from drivers.wires.tcp import Link
 from drivers.wires.text_lines import TextLines
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
