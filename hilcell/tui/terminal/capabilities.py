@@ -46,43 +46,31 @@ def _is_colourless(environment: Mapping[str, str]) -> bool:
 class Glyphs:
     """One set of shapes; each is a single column wide, but for the two bars of a pause.
 
-    Other shapes are written as they are: `to_ascii` replaces them where there is ASCII only.
+    These and other shapes are written as they are: `to_ascii` replaces them where there is ASCII
+    only.
     """
 
     states: dict[str, str]
-    fresh: str
-    moving: str
-    stale: str
-    lost: str
-    locked: str
-    gone: str
-    warned: str
-    done: str
-    degree: str
-    plain: bool
+    fresh: str = "●"
+    moving: str = "►"
+    stale: str = "○"
+    lost: str = "×"
+    locked: str = "■"
+    gone: str = "□"
+    warned: str = "▲"
+    done: str = "√"
+    degree: str = "°"
+    plain: bool = False
 
 
-UNICODE = Glyphs(
-    states={
-        "looking": "○", "idle": "○", "checking": "○", "running": "►", "pausing": "▌▌",
-        "paused": "▌▌", "suspended": "?", "stopping": "▼", "done": "●", "intolerant": "▲",
-        "aborted": "□", "fault": "×", "refused": "×", "silent": "×", "unreadable": "×", "gone": "×",
-    },
-    fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲",
-    done="√", degree="°",
-    plain=False,
-)  # fmt: skip
-
+UNICODE = Glyphs({
+    "looking": "○", "idle": "○", "checking": "○", "running": "►", "pausing": "▌▌",
+    "paused": "▌▌", "suspended": "?", "stopping": "▼", "done": "●", "intolerant": "▲",
+    "aborted": "□", "fault": "×", "refused": "×", "silent": "×", "unreadable": "×", "gone": "×",
+})  # fmt: skip
 ASCII = Glyphs(
-    states={
-        "looking": "o", "idle": "o", "checking": "o", "running": ">", "pausing": "||",
-        "paused": "||", "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!",
-        "aborted": "#", "fault": "X", "refused": "X", "silent": "X", "unreadable": "X", "gone": "X",
-    },
-    fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!",
-    done="v", degree="",
-    plain=True,
-)  # fmt: skip
+    UNICODE.states | {"pausing": "||", "paused": "||", "aborted": "#"}, degree="", plain=True
+)
 
 _PLAIN = str.maketrans(
     {
