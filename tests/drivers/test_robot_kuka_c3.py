@@ -425,7 +425,7 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     soon(lambda: peer.requests.count("read $MODE_OP") >= 5)
     assert peer.connections == 2  # only now: a connection is made before it is accepted
     peer.server.drop()
-    keeper = robot.wire()._keeper  # type: ignore[attr-defined]  # of the C3 wires
+    keeper = robot.wire()._keeper
     keeper._thread.join()
     assert refusal(robot.read).code == "HC-B02"
     robot.close()

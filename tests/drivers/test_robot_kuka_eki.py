@@ -183,7 +183,7 @@ def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
     robot.connect()
     peer.stop_server.drop()
     time.wait(1.0)
-    robot.wire()._keeper._thread.join()  # type: ignore[attr-defined]  # of the EKI wires
+    robot.wire()._keeper._thread.join()
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B02"
     robot.close()
 
