@@ -96,16 +96,61 @@ class JointText:
         return lower, upper
 
 
-@dataclass(slots=True)
 class UrdfText:
-    """The bytes of a URDF, the robot's name, where its tag ends, its joints."""
+    """The bytes of a URDF, the robot's name, where its tag ends, and the joints directly in it.
+
+    Raises `NotUrdf`.
+    """
 
     SPACE = re.compile(rb"\s*")
+    TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
 
-    content: bytes
-    name: str = ""
-    tag_end: int = 0
-    joints: list[JointText] = field(default_factory=list)
+    def __init__(self, content: bytes) -> None:
+        if b"\0" in content:
+            raise NotUrdf("has NUL bytes: not XML, or saved as UTF-16; save it as UTF-8")
+        self.content, self.name, self.tag_end = content, "", 0
+        self.joints = list[JointText]()
+        self._open = list[str]()  # the elements around, the outermost first
+        self._parser = expat.ParserCreate()
+        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = lambda _: self._open.pop()
+        try:
+            self._parser.Parse(content, True)
+        except NotUrdf:
+            raise
+        except expat.ExpatError as error:
+            raise NotUrdf(f"is not XML: {error}") from error
+        except (ValueError, LookupError) as error:  # of an encoding that expat does not have
+            raise NotUrdf(f"cannot be read: {error}; save it as UTF-8") from error
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self._open.append(name)
+        at = self._parser.CurrentByteIndex
+        tag = at, self._end(self.TAG, at)
+        match self._open:
+            case ["robot"]:
+                self.name, self.tag_end = attributes.get("name", ""), tag[1]
+            case [_]:
+                raise NotUrdf(f"is no URDF: its root is <{name}>, expected <robot>")
+            case [_, "joint"]:
+                words = attributes.get("name", ""), attributes.get("type", "")
+                self.joints.append(JointText(*words, tag[1]))
+            case [_, "joint", "origin" | "parent" | "child" | "axis" | "limit" | "mimic"]:
+                joint = self.joints[-1]
+                if name in joint.parts:
+                    raise NotUrdf(f"joint {joint.name} has <{name}> twice")
+                joint.parts[name] = attributes
+                joint.origin = tag if name == "origin" else joint.origin
+
+    @staticmethod
+    def _refuse_doctype(name: str, *rest: object) -> None:
+        raise NotUrdf(f"has a document type, <!DOCTYPE {name}; entities are refused")
+
+    def _end(self, pattern: re.Pattern[bytes], at: int) -> int:
+        """Return where a pattern ends that matches at a place."""
+        match = pattern.match(self.content, at)
+        return match.end() if match else at
 
     def with_origins(
         self, origins: Sequence[tuple[JointText, str]], comment: Sequence[str]
@@ -119,7 +164,7 @@ class UrdfText:
                 edits.append((start, end, (tag + ("/>" if closed else ">")).encode()))
             else:
                 at = joint.tag_end
-                indent = _matched(self.SPACE, self.content, at)
+                indent = self._end(self.SPACE, at)
                 edits.append((at, at, self.content[at:indent] + f"{tag}/>".encode()))
         content = self.content
         for start, end, text in sorted(edits, reverse=True):
@@ -141,64 +186,6 @@ class UrdfText:
                 )
             above[child] = joint
         return above
-
-
-def read_urdf_text(content: bytes) -> UrdfText:
-    """Return what a file says; raises `NotUrdf`."""
-    if b"\0" in content:
-        raise NotUrdf("has NUL bytes: not XML, or saved as UTF-16; save it as UTF-8")
-    reader = _Reader(content)
-    try:
-        reader.parser.Parse(content, True)
-    except NotUrdf:
-        raise
-    except expat.ExpatError as error:
-        raise NotUrdf(f"is not XML: {error}") from error
-    except (ValueError, LookupError) as error:  # of an encoding that expat does not have
-        raise NotUrdf(f"cannot be read: {error}; save it as UTF-8") from error
-    return reader.found
-
-
-class _Reader:
-    """Takes elements one by one; joints are those directly in the robot."""
-
-    TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
-
-    def __init__(self, content: bytes) -> None:
-        self.found, self.parser = UrdfText(content), expat.ParserCreate()
-        self._open = list[str]()  # the elements around, the outermost first
-        self.parser.StartDoctypeDeclHandler = self._refuse_doctype
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = lambda _: self._open.pop()
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        self._open.append(name)
-        at = self.parser.CurrentByteIndex
-        tag = at, _matched(self.TAG, self.found.content, at)
-        match self._open:
-            case ["robot"]:
-                self.found.name, self.found.tag_end = attributes.get("name", ""), tag[1]
-            case [_]:
-                raise NotUrdf(f"is no URDF: its root is <{name}>, expected <robot>")
-            case [_, "joint"]:
-                words = attributes.get("name", ""), attributes.get("type", "")
-                self.found.joints.append(JointText(*words, tag[1]))
-            case [_, "joint", "origin" | "parent" | "child" | "axis" | "limit" | "mimic"]:
-                joint = self.found.joints[-1]
-                if name in joint.parts:
-                    raise NotUrdf(f"joint {joint.name} has <{name}> twice")
-                joint.parts[name] = attributes
-                joint.origin = tag if name == "origin" else joint.origin
-
-    @staticmethod
-    def _refuse_doctype(name: str, *rest: object) -> None:
-        raise NotUrdf(f"has a document type, <!DOCTYPE {name}; entities are refused")
-
-
-def _matched(pattern: re.Pattern[bytes], content: bytes, at: int) -> int:
-    """Return where a pattern ends that matches at a place."""
-    match = pattern.match(content, at)
-    return match.end() if match else at
 
 
 def _comment(lines: Sequence[str]) -> bytes:
@@ -259,7 +246,7 @@ class Urdf(Robot):
 def read_urdf(path: Path, tip: str = "") -> Urdf:
     """Read the chain to ``tip``, or the only one of six revolute joints; raises `SettingsError`."""
     try:
-        text = read_urdf_text(read_bytes(path))
+        text = UrdfText(read_bytes(path))
         joints = _chain_to(tip, text)
     except OSError as error:
         raise unreadable(str(path), error) from error
@@ -391,7 +378,7 @@ def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
             "  </joint>",
         ]
     content = "\n".join([*lines, "</robot>", ""]).encode()
-    return read_urdf_text(content).with_origins([], comment)
+    return UrdfText(content).with_origins([], comment)
 
 
 NEARLY_PARALLEL = 0.1  # sine of the angle between axes: below it Hayati's form is used

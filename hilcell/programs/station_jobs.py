@@ -115,7 +115,7 @@ class StationJob:
         """Return its holes for the sheet, in order: nominal places in {W}, and what is known."""
         nominal_mm, targets = self.plan.poses[:, :3], self.targets
         moved_mm = lengths_mm(targets.command[:, :3] - nominal_mm)
-        columns = [
+        columns: list[Column[int]] = [
             Column("hole", self.plan.holes.__getitem__),
             *(Column(axis, nominal_mm[:, n].item, "mm", ".2f") for n, axis in enumerate("xyz")),
             Column("corrected by", moved_mm.item, "mm", ".3f"),
