@@ -30,9 +30,9 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import (
     apply,
-    cross_matrix,
     inverse,
     matrix,
+    point_variance_mm2,
     rigid_fit,
     three_point_frame,
 )
@@ -191,7 +191,7 @@ class Compared:
         """
         log, cell = self.log, self.log.cell
         frames, centre_mm = Frames(cell, log), cell.grid.centre.matrix()[:3, 3]
-        reference_mm2 = self._variance_mm2(log.matrix("base"), log.frames["base"].C, centre_mm)
+        reference_mm2 = point_variance_mm2(log.matrix("base"), log.frames["base"].C, centre_mm)
         found = []
         for station in other_stations(cell):
             by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)
@@ -203,7 +203,7 @@ class Compared:
             covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(cell))
             u_mm = np.sqrt(
                 reference_mm2
-                + self._variance_mm2(by_bases, covariance, centre_mm)
+                + point_variance_mm2(by_bases, covariance, centre_mm)
                 + self.result.stations[station.name].tool_uncertainty_mm ** 2
             )
             found.append((float(np.linalg.norm(off_mm)), float(u_mm)))
@@ -344,12 +344,6 @@ class Compared:
             nearness = 1.0 / np.linalg.norm(vertices_mm[corners] - point, axis=1)
             found.append(nearness / nearness.sum() @ vertex_errors_mm[corners])
         return np.array(found)
-
-    @staticmethod
-    def _variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
-        """Return the variance (trace) of a point (3,) that a frame with this covariance carries."""
-        J = np.hstack([np.eye(3), -cross_matrix(T[:3, :3] @ point_mm)])
-        return float(np.trace(J @ covariance @ J.T))
 
     @staticmethod
     def _longest_work_piece(cell: Cell) -> Holes:

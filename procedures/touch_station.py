@@ -11,6 +11,7 @@ targets' places in {W} stay where they were defined before. A validation touches
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from operator import itemgetter
 
@@ -30,7 +31,7 @@ from hilcell.calibration.touch import (
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
-from hilcell.geometry.frames import apply, cross_matrix, to_rotvec
+from hilcell.geometry.frames import apply, point_variance_mm2, to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry
 from hilcell.model.events import Three
@@ -110,9 +111,11 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     )
     centre_mm = cell.grid.centre.matrix()[None, :3, 3]
     shift_mm = (apply(found.T, centre_mm) - apply(T_W_B, centre_mm))[0]
-    J = np.hstack([np.eye(3), -cross_matrix(T_W_B[:3, :3] @ centre_mm[0])])
     before = visit_covariance(log, station, points)[:6, :6]
-    u_mm = [float(np.sqrt(np.trace(J @ each @ J.T))) for each in (before, found.covariance)]
+    u_mm = [
+        math.sqrt(point_variance_mm2(T_W_B, each, centre_mm[0]))
+        for each in (before, found.covariance)
+    ]
     session.frame(
         f"touch.{station.name}",
         TouchedBase(

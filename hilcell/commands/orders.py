@@ -44,11 +44,16 @@ from hilcell.run.order import Release
 HOLES_FILE: str = option(HOLES, "HOLES.csv", word=True)
 
 
-class Pause(Signature):
-    """Pause a live run after the point in flight."""
+class OfRun(Signature):
+    """A run, and the folder where it is."""
 
     run: str = RUN
     runs: Path = RUNS
+
+
+class Pause(OfRun):
+    """Pause a live run after the point in flight."""
+
     json: bool = option("print JSON: the engine's answer", default=False)
 
 
@@ -56,11 +61,9 @@ class Stop(Pause):
     """Stop a live run now, safely; it can be resumed."""
 
 
-class Watch(Signature):
+class Watch(OfRun):
     """Follow a run from another terminal."""
 
-    run: str = RUN
-    runs: Path = RUNS
     json: bool = JSON_LINES
 
 
@@ -164,11 +167,9 @@ class Compensate(Signature):
     json: bool = JSON
 
 
-class Show(Signature):
+class Show(OfRun):
     """Show a run, computed from its journal."""
 
-    run: str = RUN
-    runs: Path = RUNS
     check: bool = option(
         "judge the run's invariants from its journal; exit 1 where one is broken", default=False
     )
@@ -190,21 +191,17 @@ class ListRuns(Signature):
     json: bool = option("print JSON: one object with all runs", default=False)
 
 
-class Report(Signature):
+class Report(OfRun):
     """Write a run's report."""
 
-    run: str = RUN
-    runs: Path = RUNS
     output: str = option(
         "one file; FILE.pdf is printed by a browser of this machine", "FILE.html", flags=OUTPUT
     )
 
 
-class Export(Signature):
+class Export(OfRun):
     """Export a run's tables."""
 
-    run: str = RUN
-    runs: Path = RUNS
     form: Literal["csv", "xlsx", "json", "dcc"] = option(
         switches={
             "csv": "the points",
@@ -232,11 +229,9 @@ class Explain(Signature):
     json: bool = JSON
 
 
-class Revoke(Signature):
+class Revoke(OfRun):
     """Revoke the calibration of a run."""
 
-    run: str = RUN
-    runs: Path = RUNS
     reason: str = option("kept in the journal", "TEXT", reason)
     operator: str = NOTED
     json: bool = JSON

@@ -107,11 +107,15 @@ def rigid_fit(
     return RigidFit(T, covariance, residuals, rms(lengths_mm(residuals)))
 
 
-def point_uncertainty(fit: RigidFit, point_mm: ArrayLike) -> float:
+def point_uncertainty(fit: RigidFit, point_mm: Array) -> float:
     """Return 1 sigma (mm, root of the trace) of ``T`` applied at a point (3,) given in a."""
-    lever = fit.T[:3, :3] @ np.asarray(point_mm, dtype=float)
-    J = np.hstack([np.eye(3), -cross_matrix(lever)])
-    return float(np.sqrt(np.trace(J @ fit.covariance @ J.T)))
+    return float(np.sqrt(point_variance_mm2(fit.T, fit.covariance, point_mm)))
+
+
+def point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
+    """Return the variance (trace) of a point (3,) that a frame with this covariance carries."""
+    J = np.hstack([np.eye(3), -cross_matrix(T[:3, :3] @ point_mm)])
+    return float(np.trace(J @ covariance @ J.T))
 
 
 def orientations(places_mm: Array, seen_mm: Array) -> Array:

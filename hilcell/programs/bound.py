@@ -260,9 +260,10 @@ class Separation:
         """Return cuts that the shares (E,) of edges (E, 2) break."""
         used = share > 0.0
         shares = _Shares(edges[used], share[used], self._size)
-        found = [*shares.by_parts()]
+        sought = [*shares.by_parts()]
         for nodes in self._stretches(shares):
-            found += shares.cuts_of(nodes)
+            sought += shares.cuts_of(nodes)
+        found = [cut for cut in sought if cut.missed(shares.edges, shares.share) > VIOLATED]
         self._stars.remember(found)
         found += self._stars.broken(shares.edges, shares.share)
         return list({cut.sets.tobytes(): cut for cut in found}.values())
@@ -314,17 +315,17 @@ class _Shares:
         self.edges, self.share, self._size = edges, share, size
 
     def by_parts(self) -> Iterator[Cut]:
-        """Seek among the parts into which edges of middling and of large shares fall."""
+        """Yield cuts of the parts into which edges of middling and of large shares fall."""
         for level in self.LEVELS:
             for nodes in self._parts(self.share > level):
-                yield from self._subtour(nodes)
+                yield Cut(nodes[None], 2.0)
             if level < 0.5:
                 for nodes in self._parts((self.share > level) & (self.share < 1.0 - level)):
                     yield from self._blossom(nodes)
 
     def cuts_of(self, nodes: Bools) -> Iterator[Cut]:
-        """Yield the subtour and the blossom around ``nodes`` (M,) that are broken."""
-        yield from self._subtour(nodes)
+        """Yield the subtour and the blossom around ``nodes`` (M,)."""
+        yield Cut(nodes[None], 2.0)
         yield from self._blossom(nodes)
 
     def _parts(self, chosen: Bools) -> Iterator[Bools]:
@@ -334,13 +335,6 @@ class _Shares:
         count, label = connected_components(graph, directed=False)
         for each in np.flatnonzero(np.bincount(label) > 1) if count > 1 else ():
             yield label == each
-
-    def _broken(self, cut: Cut) -> Iterator[Cut]:
-        if cut.missed(self.edges, self.share) > VIOLATED:
-            yield cut
-
-    def _subtour(self, nodes: Bools) -> Iterator[Cut]:
-        yield from self._broken(Cut(nodes[None], 2.0))
 
     def _blossom(self, handle: Bools) -> Iterator[Cut]:
         """Yield the blossom whose teeth are the edges that mostly leave the handle."""
@@ -354,7 +348,7 @@ class _Shares:
             return
         sets = np.zeros((len(teeth), self._size), dtype=bool)
         np.put_along_axis(sets, teeth, values=True, axis=1)
-        yield from self._broken(star(handle[None], sets))
+        yield star(handle[None], sets)
 
     def _teeth(self, handle: Bools) -> Ints:
         """Return the edges (T, 2) that mostly leave the handle."""
