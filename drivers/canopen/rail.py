@@ -202,12 +202,10 @@ class CanopenRail:
         o, check, feed = self._options, self._clock.check, self._feed
         expected = Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
                             o.drive_serial)  # fmt: skip
-        drive_node = Node(link, expected, check)
-        strip: StripNode | None = None
-        self._nodes = (drive_node,)
+        self._nodes = (Node(link, expected, check),)
         if feed is None:
             strip = StripNode(link, self._strip, check)
-            self._nodes = (drive_node, strip)
+            self._nodes = (*self._nodes, strip)
             image = ProcessImage(
                 link, o.drive_node, lambda values, _: strip.values(values), strip.pdo
             )
@@ -218,19 +216,12 @@ class CanopenRail:
         if feed is not None:
             identities.append(feed.connect())
         try:
-            self._configure(link, drive_node, strip, image, supervision)
+            self._configure(link, image, supervision)
         except DeviceError:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
-        drive = Drive(
-            image,
-            drive_node.sdo,
-            self._clock,
-            self._limits,
-            self._check_nodes,
-            supervision,
-            cia.alarm_text if feed is None else feed.alarm_text,
-        )
+        sdo, text = self._nodes[0].sdo, cia.alarm_text if feed is None else feed.alarm_text
+        drive = Drive(image, sdo, self._clock, self._limits, self._check_nodes, supervision, text)
         drive.reset_fault()
         for node in self._nodes:
             node.arm()
@@ -238,26 +229,20 @@ class CanopenRail:
         self._image, self._drive, self._held_by_sdo = image, drive, 0
         return identities
 
-    def _configure(
-        self,
-        link: CanLink,
-        drive: Node,
-        strip: StripNode | None,
-        image: ProcessImage,
-        supervision: Supervision,
-    ) -> None:
-        """Set both nodes up and start them; raises `DeviceError`."""
-        options = self._options
+    def _configure(self, link: CanLink, image: ProcessImage, supervision: Supervision) -> None:
+        """Set the nodes up and start them; raises `DeviceError`."""
+        options, drive = self._options, self._nodes[0]
+        strips = [node for node in self._nodes if isinstance(node, StripNode)]
         for node in self._nodes:
             node.begin_set_up()
         period_s = heartbeat_period_s(options.bitrate)
         link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
         drive.set_heartbeat(options.bitrate)
         set_up_drive(drive.sdo, self._limits, options.heartbeat_node, options.homing_mm_s)
-        if strip is not None:
+        for strip in strips:
             strip.set_heartbeat(options.bitrate)
         image.configure(drive.sdo)
-        if strip is not None:
+        for strip in strips:
             strip.map(image.inbox)
         start_nodes(link, self._nodes, self._clock.check)
         self._check_nodes("connect")
