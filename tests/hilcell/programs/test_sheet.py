@@ -55,3 +55,16 @@ def test_columns_are_those_that_have_figures(jobs: StationJobs) -> None:
     page = with_targets(jobs, turns_deg=np.array([0.01234, 0.02, 0.03])).sheet()
     assert "<td>0.0123</td>" in page
     assert 'colspan="9"' in page
+
+
+def test_bounds_are_on_the_sheet_where_every_station_states_them(jobs: StationJobs) -> None:
+    """The note that none are stated would contradict those of another station."""
+    (job,) = jobs.stations
+    (without,) = with_targets(jobs, bounds=NoBound("none")).stations
+    page = replace(jobs, stations=[job, without]).sheet()
+    assert "No bounds are stated" in page
+    assert "95 % bound mm" not in page
+    (turned,) = with_targets(jobs, turns_deg=np.array([0.01, 0.02, 0.03])).stations
+    page = replace(jobs, stations=[job, turned]).sheet()
+    assert page.count("95 % bound mm") == 2
+    assert "95 % bound °" not in page
