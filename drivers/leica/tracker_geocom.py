@@ -58,7 +58,7 @@ BUSY = frozenset({13, 786, 1293})
 # Communication codes of an instrument that is in step: unknown procedure, asleep, off.
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)
 # A name may have the mark of an arcsecond in it, escaped or not: a quote that ends no value.
-_VALUE = re.compile(r'"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*)')
+_VALUE = re.compile(r'(?:^|,)(?:"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*))')
 
 
 class Rpc(IntEnum):
@@ -206,13 +206,10 @@ def parse(line: str) -> Reply:
     if found is None:
         raise Garbled(f"no reply: {clean(line[:80])!r}")
     communication, transaction, code, text = found.groups()
-    values, at = list[str](), 0
-    while text is not None and at <= len(text):
-        value = _VALUE.match(text, at)
-        if value is None or text[value.end() : value.end() + 1] not in ("", ","):
-            raise Garbled(f"no values: {clean(text[:80])!r}")
-        values.append(value[2] if value[1] is None else re.sub(r'\\(["\\])', r"\1", value[1]))
-        at = value.end() + 1
+    parts = [] if text is None else list(_VALUE.finditer(text))
+    if "".join(part.group() for part in parts) != (text or ""):
+        raise Garbled(f"no values: {clean(text[:80])!r}")
+    values = (m[2] if m[1] is None else re.sub(r'\\(["\\])', r"\1", m[1]) for m in parts)
     return Reply(int(communication), int(transaction), int(code), tuple(values))
 
 
@@ -239,12 +236,8 @@ def status_text(code: int) -> str:
 def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
     """Return the position (3,) at two angles and a slope distance."""
     across_m = distance_m * math.sin(v_rad)
-    xyz_m = (
-        across_m * math.cos(hz_rad),
-        -across_m * math.sin(hz_rad),
-        distance_m * math.cos(v_rad),
-    )
-    return MM_PER_M * np.array(xyz_m)
+    x_m, y_m = across_m * math.cos(hz_rad), -across_m * math.sin(hz_rad)
+    return MM_PER_M * np.array([x_m, y_m, distance_m * math.cos(v_rad)])
 
 
 class LeicaGeocomTracker:

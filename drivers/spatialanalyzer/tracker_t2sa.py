@@ -267,11 +267,10 @@ class T2saTracker:
 
     def _set_up(self) -> None:
         options = self._options
-        simulation = self._exchange("!SET_SIM:0")
-        if not simulation.accepted:
-            raise TRACKER.refused(
-                "HC-T71", "switch simulation off", simulation.found, status=simulation.code
-            )
+        reply = self._exchange("!SET_SIM:0")
+        if not reply.accepted:
+            found, operation = reply.found, "switch simulation off"
+            raise TRACKER.refused("HC-T71", operation, found, status=reply.code)
         self._warm()
         settings = {
             "station lock": "!SET_STATION_LOCK:1",

@@ -37,10 +37,8 @@ class Dashboard:
         self._lines = TextLines(self._link, end=b"\n")
         with on_failure(self._link.close):
             greeting = self._lines.receive(Patience(ANSWER_S))
-            if greeting is None or not greeting.startswith(self.GREETING):
-                found = (
-                    f"no answer within {ANSWER_S:.0f} s" if greeting is None else clean(greeting)
-                )
+            found = f"no answer within {ANSWER_S:.0f} s" if greeting is None else clean(greeting)
+            if not found.startswith(self.GREETING):
                 raise self._link.broken(
                     "connect", f"{found}; is dashboard_port that of the dashboard server?"
                 )

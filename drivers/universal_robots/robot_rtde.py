@@ -255,8 +255,9 @@ class UrRtdeRobot:
         wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
-            found = f"the TCP is {frame_text(state.tool)}"
-            raise ROBOT.refused("HC-B06", "connect", found, wanted=frame_text(wanted))
+            form = "X {:.3f}, Y {:.3f}, Z {:.3f}, RX {:.3f}, RY {:.3f}, RZ {:.3f}".format
+            found = f"the TCP is {form(*state.tool)}"
+            raise ROBOT.refused("HC-B06", "connect", found, wanted=form(*wanted))
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -433,12 +434,6 @@ def script_text(session: int) -> bytes:
         "ascii"
     )
     return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
-
-
-def frame_text(values: Array) -> str:
-    """Return a frame's values (6,), mm and rad, in words."""
-    names = ("X", "Y", "Z", "RX", "RY", "RZ")
-    return ", ".join(f"{n} {v:.3f}" for n, v in zip(names, values, strict=True))
 
 
 def stands(states: Sequence[UrState]) -> bool:
