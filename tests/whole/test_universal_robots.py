@@ -7,7 +7,7 @@ import signal
 import socket
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 from drivers.universal_robots import dashboard
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
 from drivers.universal_robots.robot_rtde import STOPPED, UrRtdeRobot, script_text
-from drivers.universal_robots.rtde import Runtime, UrLink, UrState
+from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
@@ -545,6 +545,23 @@ def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> Non
         leave()
     assert not bench.plant.robot.moving
     assert robot.move_to(HOME, 100.0).still
+
+
+def test_a_brake_ends_when_the_script_has_taken_it_and_no_joint_moves(
+    robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state at rest of before the brake proves as little as one that still rolls out."""
+    now = robot.link().fresh()
+    taken = replace(now, acknowledged=7, error=STOPPED)
+    rolls = replace(taken, speeds_rad_s=np.full(6, 0.01))
+    at_rest = replace(taken, joints_rad=now.joints_rad + 0.1)
+    states, orders = iter([now, rolls, at_rest, now]), list[int]()
+    with monkeypatch.context() as patch:
+        patch.setattr(UrLink, "fresh", lambda link, patiently=False: next(states))
+        patch.setattr(UrLink, "write", lambda link, order: orders.append(order.stop))
+        robot.brake(7)
+    assert robot.rest_rad is at_rest.joints_rad
+    assert orders == [Order.BRAKE, Order.BRAKE, Order.BRAKE, Order.GO]
 
 
 def test_a_sweep_whose_states_come_late_goes_on(bench: Bench, robot: UrRtdeRobot) -> None:
