@@ -579,12 +579,11 @@ class Release:
     def leave_at_rest(self) -> None:
         """Return when no program plays and the joints stand; raises `DeviceError`."""
         link = self._link
-        if link is None:
-            self._stop_again()
-            raise self._unconfirmed("no connection by RTDE")
         for _ in looks(self.RELEASE_S, LOOK_S):
-            self._stop_again()
             try:
+                self._stop_again()
+                if link is None:
+                    break
                 first = link.fresh(patiently=True)
                 time.sleep(DWELL_S)
                 by_s = link.fresh(patiently=True).by_s
@@ -597,6 +596,8 @@ class Release:
             if ended and stands(states) and last.timestamp_s > first.timestamp_s:
                 return
             self._hear(Patience(0.0))
+        if link is None:
+            raise self._unconfirmed("no connection by RTDE")
         fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
         where = joints_text(np.degrees(last.joints_rad))
         raise self._unconfirmed(
@@ -606,13 +607,9 @@ class Release:
 
     def _stop_again(self) -> None:
         now_s = time.monotonic()
-        if now_s < self._again_s:
-            return
-        self._again_s = now_s + self.AGAIN_S
-        try:
+        if now_s >= self._again_s:
+            self._again_s = now_s + self.AGAIN_S
             self.stop()
-        except DeviceError as error:
-            raise self._unconfirmed(error.found) from error
 
     def _hear(self, patience: Patience) -> None:
         """Take note of what the dashboard has answered to the stops."""
