@@ -61,8 +61,11 @@ class SweepStream:
                 "the controller's times of the joints run back, or some are missing; sweep again"
             )
 
-    def joint_line(self, axis: int, angle_rad: Array) -> _Line:
-        """Return the line through the axis's readings at the constant speed that was seen."""
+    def joint_line(self, axis: int, angle_rad: Array) -> tuple[float, float, float, float]:
+        """Return the line through the axis's readings at the constant speed that was seen.
+
+        A time in the cell's, the joint then, its speed, and the standard uncertainty of the time.
+        """
         others = np.delete(self.joints_rad, axis, axis=1)
         moved_rad = np.ptp(others, axis=0).max()
         others_rad = 1e-3  # by which the other axes may seem to move
@@ -93,7 +96,7 @@ class SweepStream:
                 f"expected <= {np.degrees(uneven_rad):.3f} deg: the axis paused or a clock "
                 "jumped; sweep again"
             )
-        return _Line(centre_s, float(middle), float(slope), clock_s)
+        return centre_s, float(middle), float(slope), clock_s
 
     def _read_times(self) -> tuple[Array, Bools, float]:
         """Return when joints were read (M,), in the cell's time, and which were answered promptly;
@@ -159,17 +162,17 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     time_s, angle_rad = time_s[kept], angle_rad[kept]
     window_s = stream.window_s[inner][kept]
     _check_even(time_s, angle_rad)
-    line = stream.joint_line(axis, angle_rad)
+    middle_s, middle_rad, speed_rad_s, read_s = stream.joint_line(axis, angle_rad)
     seen_rad_s = float(np.polyfit(time_s, angle_rad, 1)[0])
     scale = 0.01  # by which both speeds may differ
-    if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= scale:
+    if not abs(seen_rad_s / speed_rad_s - 1.0) <= scale:
         raise BadStream(
             f"the tracker sees the axis turn at {np.degrees(seen_rad_s):.4f} deg/s, the joints' "
-            f"readings at {np.degrees(line.speed_rad_s):.4f} deg/s, expected equal within "
+            f"readings at {np.degrees(speed_rad_s):.4f} deg/s, expected equal within "
             f"{100 * scale:g} %: angles or times are in other units, or a stream is another's"
         )
     offset_s, clock_s = _clock(time_s, window_s)
-    joint_rad = line.at_rad(time_s + offset_s)
+    joint_rad = middle_rad + speed_rad_s * (time_s + offset_s - middle_s)
     separation_s = float(np.median(np.diff(time_s)))
     wanted = round((time_s[-1] - time_s[0]) / separation_s) + 1
     lost = wanted - len(time_s)
@@ -179,21 +182,8 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
             f"{lost} of {wanted} samples never came, expected <= {100 * lost_share:g} %: see the "
             "beam's way and the tracker's link"
         )
-    clock_s = float(np.hypot(clock_s, line.clock_s))
-    return Motion(joint_rad, angle_rad - joint_rad, line.speed_rad_s, clock_s, lost)
-
-
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A joint in the cell's time."""
-
-    middle_s: float
-    middle_rad: float
-    speed_rad_s: float
-    clock_s: float  # standard uncertainty of its time
-
-    def at_rad(self, cell_s: Array) -> Array:
-        return self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
+    clock_s = float(np.hypot(clock_s, read_s))
+    return Motion(joint_rad, angle_rad - joint_rad, speed_rad_s, clock_s, lost)
 
 
 def _between_ends(angle_rad: Array) -> slice:
