@@ -157,8 +157,7 @@ class Inbox:
                 if self._link.clock.pc_s() - arrived_s <= STALE_S:
                     return values, earlier_s  # the SYNC before may have been answered
                 sent, before, sent_s = self._sent, dict(self._answered), self._link.clock.pc_s()
-        missing = [f"0x{cob_id:03X}" for cob_id in before
-                   if self._answered[cob_id] == before[cob_id]]  # fmt: skip
+        missing = [f"0x{cob_id:03X}" for cob_id, n in before.items() if self._answered[cob_id] == n]
         if not missing:
             raise RAIL.failed(
                 "HC-R39",
