@@ -332,10 +332,16 @@ class EkiController(Controller):
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""
         axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
-        self._start(number, Kind.MOVE, speed_percent, axes=axes, e1=e1)
+        motion = command(
+            number, Kind.MOVE, axes=axes, e1=e1, percent=speed_percent, life_ms=self.LIFE_MS
+        )
+        self._state = self._line.ask(number, motion)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
-        self._start(number, Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
+        motion = command(
+            number, Kind.MOVE_SLIDE, e1=place_mm, percent=speed_percent, life_ms=self.LIFE_MS
+        )
+        self._state = self._line.ask(number, motion)
 
     def hold_slide(self, held: bool) -> None:
         self._send(Kind.HOLD_SLIDE if held else Kind.FREE_SLIDE)
@@ -381,18 +387,6 @@ class EkiController(Controller):
 
     def _known(self) -> State:
         return self._state or self._send(Kind.ASK)
-
-    def _start(
-        self,
-        number: int,
-        kind: Kind,
-        percent: int,
-        *,
-        axes: Sequence[float] = (0.0,) * 6,
-        e1: float = 0.0,
-    ) -> None:
-        motion = command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=self.LIFE_MS)
-        self._state = self._line.ask(number, motion)
 
     def _send(self, kind: Kind, percent: int = 1) -> State:
         self._number = -1 - (-self._number) % self.LARGEST_ID
