@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, Unpack, cast
 
-from textual.app import ComposeResult
+from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical
 from textual.content import Content
@@ -16,15 +16,22 @@ from textual.screen import ModalScreen, Screen
 from textual.widget import Widget
 from textual.widgets import Input
 
+from hilcell.errors import HilcellError
+from hilcell.tui.engine import process
+from hilcell.tui.engine.background import run_in_thread
+from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.keys import BY_NAME, Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.terminal.themes import NAMES
-from hilcell.tui.text.actions import pause_command
+from hilcell.tui.text.actions import ELSEWHERE, no_answer_reason, pause_command, refusal
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
-    from hilcell.tui.app import HilcellApp
+    from subprocess import Popen
+
+    from hilcell.run.control import Command, Subject
     from hilcell.tui.engine.run_view import RunView
+    from hilcell.tui.engine.session import Session
     from hilcell.tui.text.alarms import AlarmContext
 
 
@@ -43,6 +50,217 @@ class Options:
     settings: tuple[str, ...] = ()
     theme: str = NAMES[0]
     slow: bool = False
+
+
+class Application(App[int]):
+    """The application as its screens see it: the run that is shown, its actions, and notices."""
+
+    def __init__(self, options: Options) -> None:
+        self.open_runs = OpenRuns()  # first: the terminal's driver wants its stop
+        super().__init__()
+        self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
+        self.key_is_deliberate = True  # whether the current key came by itself, not in a burst
+
+    @property
+    def session(self) -> Session | None:
+        """Return the session of the run that is shown."""
+        return self.open_runs.shown
+
+    @property
+    def view(self) -> RunView | None:
+        """Return what is known of the run that is shown."""
+        return self.session.view if self.session is not None else None
+
+    @property
+    def page(self) -> BaseScreen | Screen[object]:
+        """Return the screen under an open question or the palette."""
+        pages = (each for each in reversed(self.screen_stack) if isinstance(each, BaseScreen))
+        return next(pages, self.screen)
+
+    @property
+    def live(self) -> bool:
+        return self.view is not None and self.view.live
+
+    @property
+    def shown_session(self) -> Session:
+        """Return the session of the run that is shown; raises `HilcellError` where none is."""
+        if self.session is None:
+            raise HilcellError("no run is shown")
+        return self.session
+
+    def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
+        """Show a run in place of the one shown; a live one goes on in background."""
+        raise NotImplementedError
+
+    def open_run(self, folder: Path) -> None:
+        """Show another run; leaving a live one asks."""
+        if self.session is not None and self.session.folder == folder:
+            self.screen.dismiss()
+        elif self.live and self.open_runs.background is None:
+            self.ask(
+                "A run is live.",
+                "It goes on while you look at another one; Esc still stops it, q goes back to it.",
+                "look at the other",
+                lambda: self.attach(folder),
+            )
+        else:
+            self.attach(folder)
+
+    def show_background_run(self) -> None:
+        if self.open_runs.background is not None:
+            self.attach(self.open_runs.background.folder)
+
+    def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
+        """Show a notice on the line above the keys, as `BaseScreen.show_notice` does."""
+        if isinstance(self.page, BaseScreen):
+            self.page.show_notice(text, for_now=for_now, over=over)
+
+    def start_task(self, work: Awaitable[None]) -> None:
+        """Start work that may take a while; show its error as a notice."""
+
+        async def guarded() -> None:
+            try:
+                await work
+            except HilcellError as error:
+                self._show_error(error)
+
+        self.run_worker(guarded(), exit_on_error=True)
+
+    def _show_error(self, error: HilcellError) -> None:
+        from hilcell.journal.words import in_words
+
+        self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
+
+    def allowed(self, name: str) -> bool:
+        return not self.refusal(name)
+
+    def refusal(self, name: str) -> str:
+        """Return why an action does nothing now on the top screen."""
+        if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
+            return ELSEWHERE[name]
+        unacknowledged = self.session is not None and self.session.latch.waits()
+        behind = self.open_runs.background is not None
+        return refusal(name, self.view, background=behind, unacknowledged=unacknowledged)
+
+    def label(self, name: str) -> str:
+        """Return the current label of an action on the page that is shown."""
+        return self.page.label(name) if isinstance(self.page, BaseScreen) else BY_NAME[name].label
+
+    def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
+        """Ask before an act; only a yes does it; show its error as a notice."""
+
+        def replied(yes: bool | None) -> None:
+            try:
+                if yes:
+                    act()
+            except HilcellError as error:
+                self._show_error(error)
+
+        question = Content.assemble((title, "bold $ask"), f"\n{text}\n")
+        self.push_screen(Confirm(question, yes), replied)
+
+    # -- keys become commands to the engine, or start one ------------------------------------------
+
+    def do_pause(self) -> None:
+        """Pause, go on, answer the prompt, or resume, as the state allows."""
+        view = self.shown_session.view
+        command = pause_command(view)
+        if view.prompt is not None:
+            self.answer_prompt()
+        elif command == "pause":
+            self._command("pause")
+        elif command == "resume":
+            from hilcell.tui.text.run import resume_text
+
+            self.ask("Resume this run?", resume_text(view), "resume", self.resume_run)
+        else:
+            what = "The robot and the rail" if view.has_rail else "The robot"
+            text = f"{what} may move at once."
+            self.ask("Go on?", text, "go on", lambda: self._command("proceed"))
+
+    def do_abort(self) -> None:
+        """End the run after the point in flight."""
+        self.ask(
+            "Abort this run?",
+            "The point in flight is finished, then the run ends. It can be resumed later.",
+            "abort",
+            lambda: self._command("abort"),
+        )
+
+    def answer_prompt(self) -> None:
+        """Answer the prompt, where the engine answers and the tracker sees the reflector."""
+        session = self.shown_session
+        prompt = session.view.prompt
+        if prompt is None:
+            return
+        if refused := no_answer_reason(session.view):
+            self.show_notice(refused)
+        elif prompt.check and not prompt.ready:
+            from hilcell.tui.text.prompt import lost_devices
+
+            lost = lost_devices(session.view)
+            waits = "the tracker sees the reflector in its place"
+            if lost:
+                waits = f"no device is lost; now: {lost}"
+            self.show_notice(f"Enter works when {waits}", for_now=True)
+        elif not self.key_is_deliberate:
+            self.show_notice("Enter in one burst with other keys is no answer: press it by itself")
+        else:
+            self.start_task(self._ask_once_more(session))
+
+    def retake(self, key: str) -> None:
+        """Re-measure a point: in the live run, or by opening a finished one again."""
+        from hilcell.journal.words import in_words, key_words
+        from hilcell.run.states import retake_refusal
+
+        view = self.shown_session.view
+        refused = retake_refusal(view.log, key) if key else "no point is chosen"
+        point = key_words(key, view.log) if key in view.log.points else key
+        if refused:
+            self.show_notice(in_words(refused, view.log))
+        elif view.live:
+            self.ask(
+                "Re-measure this point?",
+                f"{point}: before the robot's next point; it moves there.",
+                "re-measure",
+                lambda: self._command("retake", key=key),
+            )
+        else:
+            self.ask(
+                "Open this run again and re-measure the point?",
+                f"{point}: the devices are connected, the control points proved, the robot moves.",
+                "re-measure",
+                lambda: self.resume_run("--retake", key),
+            )
+
+    def resume_run(self, *options: str) -> None:
+        """Start an engine that goes on with the run that is shown."""
+        session = self.shown_session
+        folder = session.folder
+        attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
+        command = ["resume", folder.name, "--runs", str(folder.parent), *attended, *options]
+        self.start_engine(folder, command)
+
+    def start_engine(self, folder: Path, arguments: list[str]) -> None:
+        """Start an engine and show its run; report an end that the journal does not hold."""
+        started = process.start_engine(folder.parent, folder.name, arguments)
+        self.attach(folder, started.process)
+
+        async def watch() -> None:
+            if reason := await run_in_thread(started.wait_for_end):
+                raise HilcellError(reason)
+
+        self.start_task(watch())
+
+    async def _ask_once_more(self, session: Session) -> None:
+        self.show_notice("the tracker looks once more ...")
+        await run_in_thread(session.ask, "answer")
+        self.show_notice("")
+
+    def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
+        """Send a command to the engine from another thread: keys do not wait."""
+        session = self.shown_session
+        self.start_task(run_in_thread(session.ask, command, **subject))
 
 
 class BaseScreen(Screen[None]):
@@ -66,8 +284,8 @@ class BaseScreen(Screen[None]):
         return built and self.app.is_running and self in self.app.screen_stack
 
     @property
-    def application(self) -> HilcellApp:
-        return cast("HilcellApp", self.app)
+    def application(self) -> Application:
+        return cast("Application", self.app)
 
     @property
     def line_width(self) -> int:
@@ -266,5 +484,5 @@ class Confirm(ModalScreen[bool]):
         question.styles.max_height = max(room, 1)
 
     def action_reply(self, yes: bool) -> None:
-        if not yes or cast("HilcellApp", self.app).key_is_deliberate:
+        if not yes or cast("Application", self.app).key_is_deliberate:
             self.dismiss(yes)
