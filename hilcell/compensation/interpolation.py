@@ -96,11 +96,8 @@ class Interpolation(LearntModel):
             residual = np.array(found.residual_covariance_mm2, dtype=float)
         except (msgspec.ValidationError, ValueError) as error:
             raise ModelError(f"no covariances of a lattice: {error}") from error
-        for name, covariance, shape in (
-            ("vertex_covariance_mm2", vertices, (*grid.shape, 3, 3)),
-            ("residual_covariance_mm2", residual, (3, 3)),
-        ):
-            check_covariance(name, covariance, shape)
+        check_covariance("vertex_covariance_mm2", vertices, (*grid.shape, 3, 3))
+        check_covariance("residual_covariance_mm2", residual, (3, 3))
         return cls(MeasuredGrid(grid, errors_mm, vertices), residual)
 
     def parameters(self) -> Json:

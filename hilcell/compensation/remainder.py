@@ -51,7 +51,7 @@ class Remainder:
     def __init__(self, passes: Sequence[Pass], variance_mm2: float) -> None:
         self.passes, self.variance_mm2 = tuple(passes), variance_mm2
         self._known = _Known.of(passes)
-        self._solved = self._known.solved(variance_mm2)
+        self._pull, self._inverses, _ = self._known.solved(variance_mm2)
 
     @classmethod
     def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> Remainder:
@@ -63,7 +63,7 @@ class Remainder:
         step = -(-sum(len(each.poses) for each in passes) // enough)
         known = _Known.of([each.every(step) for each in passes])
         variances = factors * stated_mm2
-        likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
+        likelihood = np.array([known.solved(float(each))[2] for each in variances])
         spread = 1.5  # standard deviation of their logarithm, before any target says so
         likelihood -= 0.5 * np.square(np.log(factors) / spread)
         return cls(passes, float(variances[int(np.argmax(likelihood))]))
@@ -75,14 +75,14 @@ class Remainder:
 
     def at(self, poses: Array) -> tuple[Array, Array]:
         """Return remainders (M, 3) in {B} at poses (M, 4, 4), the share (M,) of variance left."""
-        known, solved = self._known, self._solved
+        known = self._known
         mean_mm, left = np.zeros((len(poses), 3)), np.ones(len(poses))
         near, nearest = known.nearest(poses)
-        for group, inverse in zip(known.groups, solved.inverses, strict=True):
+        for group, inverse in zip(known.groups, self._inverses, strict=True):
             for row in np.flatnonzero(np.isin(group.members, nearest).any(axis=1)):
                 part, members = near[np.isin(nearest, group.members[row])], group.members[row]
                 K = self.variance_mm2 * _alike(_places(poses[part]), known.places[members])
-                mean_mm[part] = (K @ solved.pull[members].reshape(-1)).reshape(-1, 3)
+                mean_mm[part] = (K @ self._pull[members].reshape(-1)).reshape(-1, 3)
                 gained = np.einsum("ij,ij->i", K @ inverse[row], K).reshape(-1, 3).sum(axis=1)
                 left[part] = np.clip(1.0 - gained / (3 * self.variance_mm2), 0.0, 1.0)
         return mean_mm, left
@@ -90,11 +90,11 @@ class Remainder:
     def sigmas(self) -> Array:
         """Return the remainders (N,) in standard deviations of a coordinate, each by the others."""
         sigmas = np.empty(len(self.poses))
-        for group, inverse in zip(self._known.groups, self._solved.inverses, strict=True):
+        for group, inverse in zip(self._known.groups, self._inverses, strict=True):
             count, size = group.members.shape
             blocks = inverse.reshape(count, size, 3, size, 3)
             own = np.moveaxis(np.diagonal(blocks, axis1=1, axis2=3), -1, 1)
-            pull = self._solved.pull[group.members]
+            pull = self._pull[group.members]
             squares = np.einsum("gmi,gmij,gmj->gm", pull, np.linalg.inv(own), pull)
             sigmas[group.members] = np.sqrt(squares / 3)
         return sigmas
@@ -113,16 +113,6 @@ class WithRemainder:
         mean_mm, left = self.remainder.at(poses)
         covariance_mm2 = found.covariance_mm2 * left[:, None, None]
         return Prediction(found.error_mm + mean_mm, covariance_mm2, found.turn)
-
-
-class _Solved(NamedTuple):
-    """The inverse covariance times the remainders (N, 3), its diagonal blocks as `_Groups` has
-    them, and the logarithm of the likelihood.
-    """
-
-    pull: Array
-    inverses: list[Array]
-    likelihood: float
 
 
 class _Groups(NamedTuple):
@@ -188,8 +178,12 @@ class _Known:
         near = np.flatnonzero(np.isfinite(distances))
         return near, np.asarray(nearest)[near]
 
-    def solved(self, variance_mm2: float) -> _Solved:
-        """Return the solution under a variance of the model's error."""
+    def solved(self, variance_mm2: float) -> tuple[Array, list[Array], float]:
+        """Return the solution under a variance of the model's error.
+
+        The inverse covariance times the remainders (N, 3), its diagonal blocks as `_Groups` has
+        them, and the logarithm of the likelihood.
+        """
         alone, log_det = [], 0.0
         weighted, levered = np.empty_like(self.remainders_mm), np.empty_like(self.levers)
         for members, alike, own_mm2 in self.groups:
@@ -215,7 +209,7 @@ class _Known:
             U = self._rows(levered, members)
             inverses.append(inverse - U @ inner @ np.swapaxes(U, -1, -2))
         square = float(self.remainders_mm.reshape(-1) @ pull.reshape(-1))
-        return _Solved(pull, inverses, -0.5 * (square + log_det))
+        return pull, inverses, -0.5 * (square + log_det)
 
     @staticmethod
     def _rows(values: Array, members: Ints) -> Array:

@@ -7,32 +7,26 @@ import re
 from collections import Counter
 from functools import partial
 from operator import attrgetter, itemgetter
-from typing import Protocol
 
 from hilcell.present.table import Column, Table
 from hilcell.study.analysis import Design, Effect, Interval, Rows, Share, answers, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
-from hilcell.study.design import Point
+from hilcell.study.design import Case
 from hilcell.study.study_file import Optimum, Study
 
 NONE = "–"  # stands for a figure that is not estimable
 
 
-class _OfPoint(Protocol):
-    @property
-    def point(self) -> Point: ...
-
-
-def point_columns(study: Study) -> list[Column[_OfPoint]]:
+def point_columns(study: Study) -> list[Column[Design | Case]]:
     """Return the number of a point, and a column for each factor."""
     factors = enumerate(each.title for each in study.factor)
     return [
         Column("point", lambda row: str(row.point.number)),
-        *(Column[_OfPoint](title, partial(_choice, n)) for n, title in factors),
+        *(Column[Design | Case](title, partial(_choice, n)) for n, title in factors),
     ]
 
 
-def _choice(n: int, row: _OfPoint) -> str:
+def _choice(n: int, row: Design | Case) -> str:
     return row.point.choices[n].word
 
 
