@@ -159,12 +159,18 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             built[field.name] = _value(values[key], field.type, f"{path}{key}", problems)
         elif field.required:
             problems.append(f"{path}{key}: missing")
+    refused: list[str] = []
+    if len(problems) == before:
+        try:
+            return kind(**built)
+        except ValueError as error:
+            refused = str(error).splitlines()
     unsound = _Unsound(kind, built)
-    for line in _refused(unsound):
+    for line in refused or _refused(unsound):
         named = re.match(r"(\w+)[\w.\[\]]*:", line)  # as a table's own check begins
         known = named is not None and named[1] in fields
         problems.append(f"{path}{line}" if known else f"{place}: {line}")
-    return kind(**built) if len(problems) == before else unsound
+    return unsound
 
 
 class _Unsound:

@@ -197,3 +197,16 @@ def test_each_typo_of_the_cell_s_own_checks_fails_though_any_table_is_unread(
             patched.setattr(Cell, check, with_typo)
             with pytest.raises(AttributeError, match="gird"):
                 load_cell("paper", {name: "3"})
+
+
+def test_the_check_of_a_sound_table_sees_the_table_itself() -> None:
+    """A driver's Options may use all that msgspec offers there."""
+
+    class Half(msgspec.Struct):
+        whole: int
+        half: float = 0.0
+
+        def __post_init__(self) -> None:
+            msgspec.structs.force_setattr(self, "half", self.whole / 2)
+
+    assert convert({"whole": 3}, Half, "file.toml") == Half(3, 1.5)
