@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The parts of a `hilcell.errors.DeviceError`; of other errors the code and ``found`` alone."""
+    """The parts of a `hilcell.errors.DeviceError`; of other errors the code and ``found`` alone.
+
+    ``at`` is its record, if one dates it; ``severity`` only where it is not the entry's.
+    """
 
     code: str
     device: str
@@ -38,6 +41,10 @@ class Finding:
     found: str
     wanted: str = ""
     act: str = ""
+    at: Record | Change | None = None
+    severity: Severity | None = None
+    cause: Cause = "over"
+    origin: int = 0
 
     @property
     def where(self) -> str:
@@ -56,6 +63,42 @@ class Finding:
         end = "" if text.endswith((".", "?", "!")) else "."
         return f"{text[:1].upper()}{text[1:]}{end}" if text else ""
 
+    def alarm(self, run: str, go_on: str, *, over: bool) -> Alarm:
+        at, entry = self.at, entry_of(self.code, self.device)
+        severity = self.severity or entry.severity
+        # An entry that knows its fault advises better than the error itself.
+        steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
+        if not entry.specific:
+            steps.insert(0, (self.advice, "you"))
+        name = quote(line(run))
+        command = f", or `hilcell resume {name}`" if over else ""
+        ways = {
+            "resume": f"Continue: {go_on}{command}.",
+            "new run": "Start a new run: `hilcell run`.",
+        }
+        then = "" if severity == "notice" else ways.get(entry.then, "")
+        steps.append((then, "you"))
+        # An entry, which knows no run, says last: by now that may be another.
+        last, this = "`hilcell show last`", f"`hilcell show {name}`"
+        steps = [(step.replace(last, this), by) for step, by in steps if step]
+        return Alarm(
+            entry.code,
+            severity,
+            entry.title,
+            self.where,
+            self.text,
+            entry.means,
+            tuple(step for step, _ in steps),
+            "" if at is None else at.t,
+            0 if at is None else at.seq,
+            entry.then == "new run",
+            entry.passes,
+            self.cause,
+            tuple(by for _, by in steps),
+            bool(then),
+            self.origin,
+        )
+
 
 def line(text: str) -> str:
     """Return a device's or an error's text as one clean line."""
@@ -67,7 +110,8 @@ def findings_of(error: Json) -> list[Finding]:
     if causes := error.get("causes"):
         return [finding for cause in causes for finding in findings_of(cause)]
     parts = ("code", "device", "operation", "found", "wanted", "act")
-    return [Finding(*(str(error.get(name, "")) for name in parts))]
+    code, device, operation, found, wanted, act = (str(error.get(name, "")) for name in parts)
+    return [Finding(code, device, operation, found, wanted, act)]
 
 
 DRIFT_LIMIT_K = 2.0
@@ -109,54 +153,6 @@ class Alarm:
         return self.code, self.origin or self.seq, self.where
 
 
-@dataclass(frozen=True, slots=True)
-class _Moment:
-    """A finding and its record, if one dates it; ``severity`` only where it is not the entry's."""
-
-    finding: Finding
-    at: Record | Change | None = None
-    severity: Severity | None = None
-    cause: Cause = "over"
-    origin: int = 0
-
-    def alarm(self, run: str, go_on: str, *, over: bool) -> Alarm:
-        finding, at = self.finding, self.at
-        entry = entry_of(finding.code, finding.device)
-        severity = self.severity or entry.severity
-        # An entry that knows its fault advises better than the error itself.
-        steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
-        if not entry.specific:
-            steps.insert(0, (finding.advice, "you"))
-        name = quote(line(run))
-        command = f", or `hilcell resume {name}`" if over else ""
-        ways = {
-            "resume": f"Continue: {go_on}{command}.",
-            "new run": "Start a new run: `hilcell run`.",
-        }
-        then = "" if severity == "notice" else ways.get(entry.then, "")
-        steps.append((then, "you"))
-        # An entry, which knows no run, says last: by now that may be another.
-        last, this = "`hilcell show last`", f"`hilcell show {name}`"
-        steps = [(step.replace(last, this), by) for step, by in steps if step]
-        return Alarm(
-            entry.code,
-            severity,
-            entry.title,
-            finding.where,
-            finding.text,
-            entry.means,
-            tuple(step for step, _ in steps),
-            "" if at is None else at.t,
-            0 if at is None else at.seq,
-            entry.then == "new run",
-            entry.passes,
-            self.cause,
-            tuple(by for _, by in steps),
-            bool(then),
-            self.origin,
-        )
-
-
 def alarms_of(
     log: Log, run: str, *, live: bool, go_on: str = GO_ON, lost: bool = False
 ) -> list[Alarm]:
@@ -170,14 +166,14 @@ def alarms_of(
     if log.plan is None:
         return []
     raised = _Raised(log, [record for record in log.events if record.seq > log.began], live)
-    moments = [*raised.temperature(), *raised.verdicts(), *raised.happened(), *raised.points()]
-    moments += raised.strip()
-    moments += raised.devices() if live else []
-    moments += [*raised.cut_off(), *raised.end()]
-    moments += raised.lost() if lost and not live else []
-    moments.sort(key=lambda moment: 0 if moment.at is None else moment.at.seq)
+    found = [*raised.temperature(), *raised.verdicts(), *raised.happened(), *raised.points()]
+    found += raised.strip()
+    found += raised.devices() if live else []
+    found += [*raised.cut_off(), *raised.end()]
+    found += raised.lost() if lost and not live else []
+    found.sort(key=lambda each: 0 if each.at is None else each.at.seq)
     over = not live or log.over
-    return [moment.alarm(run, go_on, over=over) for moment in moments]
+    return [each.alarm(run, go_on, over=over) for each in found]
 
 
 # -- alarms of the journal's records --------------------------------------------------------------
@@ -185,13 +181,13 @@ def alarms_of(
 
 @dataclass(frozen=True, eq=False)
 class _Raised:
-    """The moments that a run's journal raises; ``session`` are the events of the last session."""
+    """The findings that a run's journal raises; ``session`` are the events of the last session."""
 
     log: Log
     session: list[Record]
     live: bool
 
-    def temperature(self) -> Iterator[_Moment]:
+    def temperature(self) -> Iterator[Finding]:
         """Yield the first point at which the air is too far from that of the run's first."""
         first_c = next(iter(self.log.celsius.values()), 0.0)
         for key, now_c in self.log.celsius.items():
@@ -199,17 +195,17 @@ class _Raised:
             if not abs(off_k) <= DRIFT_LIMIT_K:
                 found = f"{now_c:.1f} C at {key}, {off_k:+z.1f} K from the start"
                 wanted = f"within {DRIFT_LIMIT_K:.0f} K"
-                yield _Moment(_cell("HC-V04", "temperature", found, wanted))
+                yield Finding("HC-V04", "Cell", "temperature", found, wanted)
                 return
 
-    def verdicts(self) -> Iterator[_Moment]:
+    def verdicts(self) -> Iterator[Finding]:
         for key, record in self.log.judged.items():
             verdict = self.log.verdicts[key]
             if not verdict.holds:
                 code = code_of_verdict(key, verdict.outcome)
-                yield _Moment(_cell(code, f"verdict {key}", verdict.why), record)
+                yield _cell(code, f"verdict {key}", verdict.why, record)
 
-    def happened(self) -> Iterator[_Moment]:
+    def happened(self) -> Iterator[Finding]:
         back = max(
             (r.seq for r in self.session if isinstance(r.fact, events.ScreenBack)), default=0
         )
@@ -217,36 +213,36 @@ class _Raised:
             match record.fact:
                 case events.NoReadingOf(error=error):
                     # Tried again at once; whether that helped is elsewhere.
-                    yield from self._moments(error, record, "notice")
+                    yield from self._of_error(error, record, "notice")
                 case events.SafeStopSent() | events.Closed() as closing:
                     code = "HC-C02" if isinstance(closing, events.SafeStopSent) else "HC-C03"
                     for name in closing.problems:
-                        finding = _cell(code, closing.what, self._problem(name, closing))
-                        yield _Moment(finding, record, cause="not watched")
+                        found = self._problem(name, closing)
+                        yield _cell(code, closing.what, found, record, "not watched")
                 case events.CommandRefused() as impossible:
-                    yield _Moment(_cell("HC-C06", "command", impossible.why), record)
+                    yield _cell("HC-C06", "command", impossible.why, record)
                 case events.ScreenLost() if record.seq > back:
-                    finding = _cell("HC-C08", "screen lost", "nobody watches any more")
-                    yield _Moment(finding, record, cause="watched")
+                    found = "nobody watches any more"
+                    yield _cell("HC-C08", "screen lost", found, record, "watched")
                 case events.AnswerRefused() | events.RetakeRefused() as refused:
                     found = refused.subject + after(refused.why) if refused.subject else refused.why
                     code = "HC-C09" if isinstance(refused, events.AnswerRefused) else "HC-C14"
-                    yield _Moment(_cell(code, refused.what, found), record)
+                    yield _cell(code, refused.what, found, record)
                 case events.LinkCounted() if self.log.link is not None and self.log.link.warning:
-                    yield _Moment(_cell("HC-R12", "link", self.log.link.counts), record)
+                    yield _cell("HC-R12", "link", self.log.link.counts, record)
 
-    def points(self) -> Iterator[_Moment]:
+    def points(self) -> Iterator[Finding]:
         """Yield the points and sweeps that were not as they should be."""
         for record in self.session:
             match record.fact:
                 case events.OutlierMeasuredAgain(key=key):
                     found = f"{key} stands out from its neighbours and was measured again"
-                    yield _Moment(_cell("HC-V05", "outlier", found), record)
+                    yield _cell("HC-V05", "outlier", found, record)
                 case events.CurveMeasured(holds=False) as sweep:
                     found = f"A{sweep.axis}: {sweep.reason}"
-                    yield _Moment(_cell("HC-V06", "axis sweep", found), record)
+                    yield _cell("HC-V06", "axis sweep", found, record)
 
-    def strip(self) -> Iterator[_Moment]:
+    def strip(self) -> Iterator[Finding]:
         """Yield the holds that took long, or at which drive and strip have moved apart."""
         rail, first_mm = self.log.cell.rail, dict[str, float]()
         for record in self.session:
@@ -257,14 +253,14 @@ class _Raised:
             if tries > 0.5 * rail.max_approaches:
                 allowed = f"{rail.max_approaches} are allowed"
                 found = f"{name} held only after {tries} approaches, {allowed}"
-                yield _Moment(_cell("HC-S08", "strip approaches", found), record)
+                yield _cell("HC-S08", "strip approaches", found, record)
             apart_mm = held.rail_mm - held.strip_mm
             strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
             if not abs(strayed_mm) <= 0.5 * rail.slip_limit_mm:
                 found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
-                yield _Moment(_cell("HC-S09", "strip apart", found), record)
+                yield _cell("HC-S09", "strip apart", found, record)
 
-    def devices(self) -> Iterator[_Moment]:
+    def devices(self) -> Iterator[Finding]:
         """Yield the devices that are lost while the run waits: the next motion would be refused."""
         lost: dict[str, tuple[Record, Json]] = {}
         for record in self.session if self.log.state in ("paused", "suspended") else ():
@@ -274,9 +270,9 @@ class _Raised:
                 case events.DeviceBack(device=device):
                     lost.pop(device, None)
         for record, error in lost.values():
-            yield from self._moments(error, record, cause="watched")
+            yield from self._of_error(error, record, cause="watched")
 
-    def cut_off(self) -> Iterator[_Moment]:
+    def cut_off(self) -> Iterator[Finding]:
         """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
 
         A run that has finished since has proven the cell: there they are only worth a notice.
@@ -284,9 +280,9 @@ class _Raised:
         severity: Severity | None = "notice" if self.log.state == "finished" else None
         for cut in self.log.cut_off:
             found = self._crash(cut.state, cut.points)
-            yield _Moment(found, cut.last, severity, origin=cut.began)
+            yield replace(found, at=cut.last, severity=severity, origin=cut.began)
 
-    def end(self) -> Iterator[_Moment]:
+    def end(self) -> Iterator[Finding]:
         """Yield why the run stands as it does, or why a session did not begin."""
         log, state, end = self.log, self.log.state, self.log.end
         none = Change(0, "", StateChanged(machine="run", to="idle"))
@@ -294,33 +290,33 @@ class _Raised:
         reason, error = newest.change.reason, newest.change.error
         refused_has_end = log.life and not log.over
         if state == "faulted":
-            yield from self._moments(error, newest, "fault", "not watched")
+            yield from self._of_error(error, newest, "fault", "not watched")
         elif state == "suspended" and self.live and error:
-            yield from self._moments(error, newest, cause="watched")
+            yield from self._of_error(error, newest, cause="watched")
         elif state == "aborted":
-            yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), newest)
+            yield _cell("HC-C05", "stopped", reason or "the run was stopped", newest)
         elif not self.live and (end is None or refused_has_end):
             crash = self._crash(state, log.counted)
-            yield _Moment(crash, log.newest or newest, cause="watched", origin=log.began)
+            yield replace(crash, at=log.newest or newest, cause="watched", origin=log.began)
         failed = (EXIT_REFUSED, EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE)
         refused = end is not None and end.exit in failed and end.reason != reason
         if end is not None and end.error and refused:
             # Its end alone says so.
-            yield from self._moments(end.error, newest, "fault", "not watched")
+            yield from self._of_error(end.error, newest, "fault", "not watched")
 
-    def lost(self) -> Iterator[_Moment]:
+    def lost(self) -> Iterator[Finding]:
         """Yield that the calibration's file is not there, where the run has ended with one."""
         if self.log.calibrates:
-            finding = _cell("HC-J11", "calibration", "it has no file")
-            yield _Moment(finding, self.log.life[-1], cause="watched")
+            newest = self.log.life[-1]
+            yield _cell("HC-J11", "calibration", "it has no file", newest, "watched")
 
     @staticmethod
-    def _moments(
+    def _of_error(
         error: Json, at: Record | Change, severity: Severity | None = None, cause: Cause = "over"
-    ) -> Iterator[_Moment]:
-        """Yield the alarms of a record's error."""
+    ) -> Iterator[Finding]:
+        """Yield the findings of a record's error."""
         for finding in findings_of(error):
-            yield _Moment(finding, at, severity, cause)
+            yield replace(finding, at=at, severity=severity, cause=cause)
 
     @staticmethod
     def _problem(name: str, closing: events.Closing) -> str:
@@ -335,8 +331,10 @@ class _Raised:
         return _cell("HC-J05", "crash", found)
 
 
-def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
-    return Finding(code, "Cell", operation, found, wanted)
+def _cell(
+    code: str, operation: str, found: str, at: Record | Change | None = None, cause: Cause = "over"
+) -> Finding:
+    return Finding(code, "Cell", operation, found, at=at, cause=cause)
 
 
 # -- alarms that stand -----------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from hilcell.commands.output import (
     stdout_checked,
 )
 from hilcell.errors import RESUMABLE, DeviceError, HilcellError, facts_of
-from hilcell.journal.calibration_facts import NOT_JUDGED, run_outcome
+from hilcell.journal.calibration_facts import NOT_JUDGED
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
@@ -251,7 +251,7 @@ def ended_words(log: Log) -> str:
     """Return how a run ended: its state, and its outcome where it finished."""
     if log.end is None:
         return f"{log.state}, engine gone"
-    outcome = run_outcome(log)
+    outcome = log.outcome
     if log.state != "finished":
         return outcome
     return log.state if outcome in NOT_JUDGED else f"{log.state}, {outcome}"

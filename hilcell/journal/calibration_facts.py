@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import msgspec
 
 from hilcell.errors import EXIT_REFUSED
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Judged, PoseTested, Rechecked, Verdict
-
-if TYPE_CHECKING:
-    from hilcell.journal.log import Log
 
 NOT_JUDGED = ("measured", "done")  # runs without a verdict, and without a point either
 SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
@@ -116,17 +113,3 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     if code and facts.verdict in ("", Outcome.ACCEPTED.words):
         return Outcome.REJECTED.words
     return facts.verdict or NOT_JUDGED[0 if points else 1]
-
-
-def run_outcome(log: Log) -> str:
-    """Return how the run of a log came out, in the word of `outcome`."""
-    code = None if log.end is None else log.end.exit
-    return outcome(facts_of(log.verdicts), log.state, code, len(log.points))
-
-
-def run_judged(log: Log) -> Outcome | None:
-    """Return the outcome of a finished run; None where nothing was judged and no check failed."""
-    facts = facts_of(log.verdicts)
-    if log.end is not None and log.end.exit and facts.verdict in ("", Outcome.ACCEPTED.words):
-        return Outcome.REJECTED
-    return facts.outcome

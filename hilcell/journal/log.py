@@ -30,12 +30,13 @@ from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.identity import Identity
-from hilcell.journal.calibration_facts import facts_of
+from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.model import events
 from hilcell.model.events import Three
 from hilcell.model.frame import Frame
+from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, CONTROL, Point, PointId
 from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
@@ -433,7 +434,26 @@ class Log:
     @property
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
-        return self.state == "finished" and facts_of(self.verdicts).kind != ""
+        return self.state == "finished" and self.facts.kind != ""
+
+    @property
+    def facts(self) -> CalibrationFacts:
+        """Return what the verdicts say of the run's calibration."""
+        return facts_of(self.verdicts)
+
+    @property
+    def outcome(self) -> str:
+        """Return how the run came out, in a word, as a list of runs says it; "" without an end."""
+        code = None if self.end is None else self.end.exit
+        return outcome(self.facts, self.state, code, len(self.points))
+
+    @property
+    def decided(self) -> Outcome | None:
+        """Return the outcome; None where nothing was judged and no check failed."""
+        facts = self.facts
+        if self.end is not None and self.end.exit and facts.verdict in ("", Outcome.ACCEPTED.words):
+            return Outcome.REJECTED
+        return facts.outcome
 
     @property
     def cell(self) -> Cell:

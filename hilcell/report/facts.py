@@ -21,7 +21,6 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable, harmless
 from hilcell.identity import Identity
-from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
@@ -91,7 +90,7 @@ class Facts:
         """Return the causes that the run suspects, "" where there is none, or that is cleared."""
         if self.stands is not None and self.stands.state == "current":
             return ""
-        if not facts_of(self.log.verdicts).suspected:
+        if not self.log.facts.suspected:
             return ""
         return "; ".join(each.text for each in suspected_in(self.result))
 

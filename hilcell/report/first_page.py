@@ -24,7 +24,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import matrix, zyx_from_pose
-from hilcell.journal.calibration_facts import SUSPECTED, facts_of, run_judged, run_outcome
+from hilcell.journal.calibration_facts import SUSPECTED
 from hilcell.journal.words import in_zone, verdict_words
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
@@ -183,7 +183,7 @@ class FirstPage:
             return "revoked"
         if not self.facts.finished or self.facts.log.end is None:
             return "unfinished"
-        found, said = run_judged(self.facts.log), facts_of(self.facts.log.verdicts)
+        found, said = self.facts.log.decided, self.facts.log.facts
         if found is None and said.verdict == SUSPECTED:
             return "suspected"
         if not said.judged:
@@ -202,7 +202,7 @@ class FirstPage:
             case "unfinished":
                 return "NO VERDICT"
             case "suspected" | "failed check" | "not judged":
-                return run_outcome(self.facts.log).partition(";")[0].upper()
+                return self.facts.log.outcome.partition(";")[0].upper()
         word = judged.short.upper()
         if not self.facts.inputs.simulated:
             return word

@@ -18,7 +18,6 @@ from hilcell.cell.file import Cell
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.words import span_words
 from hilcell.model.events import URAD, CurveMeasured
 from hilcell.model.point import CONTROL
@@ -287,10 +286,10 @@ def standing(facts: Facts) -> tuple[str, str]:
         return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
         later = f"; its calibration is superseded by {facts.superseded}" * bool(facts.superseded)
-        return "bad" if end.exit else "good", run_outcome(facts.log) + later
+        return "bad" if end.exit else "good", facts.log.outcome + later
     if end is None and state not in ("aborted", "faulted"):
         return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
-    return "open", f"not finished: {run_outcome(facts.log)}"
+    return "open", f"not finished: {facts.log.outcome}"
 
 
 def sentence(facts: Facts) -> str:

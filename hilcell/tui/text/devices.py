@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
-from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.states import WAITING
 from hilcell.journal.words import in_words, local_words, time_words
 from hilcell.model.events import NOT_KNOWN
@@ -25,7 +24,7 @@ def end_remark(view: RunView) -> str:
     Nothing where the validation's verdict is shown, or the run has not ended.
     """
     if view.state in ("done", "intolerant"):
-        return "" if "validation" in view.log.result else run_outcome(view.log)
+        return "" if "validation" in view.log.result else view.log.outcome
     plan = view.log.plan
     if plan is None or view.live or view.state == "idle":
         return ""

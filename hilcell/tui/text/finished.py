@@ -26,7 +26,6 @@ from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.calibration_facts import run_judged
 from hilcell.journal.log import Log
 from hilcell.journal.words import id_of, in_words, procedure_words
 from hilcell.model.events import TrackerProven
@@ -393,7 +392,7 @@ def verdict_of(view: RunView) -> Finished | None:
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
     outcome = Outcome.ACCEPTED
     if view.state != "done":
-        undecided = run_judged(view.log) is Outcome.UNDECIDED
+        undecided = view.log.decided is Outcome.UNDECIDED
         outcome = Outcome.UNDECIDED if undecided else Outcome.REJECTED
     limits = limits_of(view.log.cell)
     return Finished(outcome, tuple(stations), limits, max(floors, default=math.nan))

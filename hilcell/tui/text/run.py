@@ -19,7 +19,6 @@ from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.clean import harmless
-from hilcell.journal.calibration_facts import run_judged, run_outcome
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
@@ -110,8 +109,8 @@ def state_of(view: RunView) -> tuple[str, str]:
     """Return the state's word and role: of a run that ended with exit 1, its outcome."""
     if view.state != "intolerant":
         return STATES[view.state]
-    words = run_outcome(view.log).partition(";")[0]
-    return words.upper(), "ask" if run_judged(view.log) is Outcome.UNDECIDED else "fault"
+    words = view.log.outcome.partition(";")[0]
+    return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
 
 
 def role_of(view: RunView) -> str:

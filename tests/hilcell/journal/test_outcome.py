@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.calibration_facts import facts_of, run_outcome
+from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.model.point import PointId
@@ -26,7 +26,7 @@ def test_a_run_that_judged_nothing(tmp_path: Path, points: int, end: int | None,
         writer.state("run", "finished")
         writer.journal.append("end", "", {"state": "finished", "exit": end, "result": {}})
     writer.journal.close()
-    assert run_outcome(read_log(tmp_path / "r")) == row_of(tmp_path / "r").verdict == said
+    assert read_log(tmp_path / "r").outcome == row_of(tmp_path / "r").verdict == said
 
 
 def test_a_model_whose_places_were_not_validated_is_in_no_tolerance() -> None:
