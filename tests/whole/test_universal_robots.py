@@ -547,6 +547,19 @@ def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> Non
     assert robot.move_to(HOME, 100.0).still
 
 
+def test_a_close_without_rtde_stops_by_the_dashboard_and_is_not_confirmed(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(link: UrLink) -> None:
+        raise DeviceError("HC-B01", "Robot", "connect", "no RTDE")
+
+    monkeypatch.setattr(UrLink, "_set_up", lost)
+    with pytest.raises(DeviceError, match="no connection by RTDE") as left:
+        robot.connect()
+    assert left.value.code == "HC-B71"
+    until(lambda: bench.controller.ask("running").endswith("false"))
+
+
 def test_a_brake_ends_when_the_script_has_taken_it_and_no_joint_moves(
     robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
