@@ -124,6 +124,21 @@ def test_each_step_and_event_has_its_line(tmp_path: Path) -> None:
     assert [word in line for line, (_, word) in zip(words, events, strict=True)] == [True] * 10
 
 
+def test_a_step_counts_the_points_that_are_its_own(tmp_path: Path) -> None:
+    """Neither a check of nests nor what the next session measures before its first step."""
+    writer = Writer(tmp_path / "r").began()
+    event = {"what": "step", "name": "robot-grid", "number": 1, "of": 1}
+    writer.journal.append("event", "", event)
+    writer.point(PointId("grid", vertex=(0, 0, 0)), (1.0, 2.0, 3.0))
+    writer.point(PointId("control", session=1, turn=0, nest="F1"), (1.0, 2.0, 3.0))
+    writer.state("run", "checking")
+    writer.point(PointId("grid", vertex=(0, 0, 1)), (1.0, 2.0, 3.0))
+    words = [row[1] for row in course(writer.facts()).texts()]
+    assert [each for each in words if "grid" in each and "point." in each] == [
+        "Robot grid. 1 point."
+    ]
+
+
 SEATS_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]])
 
 
@@ -133,7 +148,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
     for module in ("hilcell.calibration.orientation", "hilcell.report.tables"):
         monkeypatch.setattr(f"{module}.seats_of", lambda log: SEATS_MM)  # as a base frame finds it
     writer = Writer(tmp_path / "r").began()
-    for turn_rad in (1e-3, 2e-4):
+    for turn_rad in (1e-3, 2e-4, 3e-4):
         R = from_rotvec([0.0, 0.0, turn_rad])
         for seat, at_mm in enumerate(SEATS_MM, start=1):
             nominal_deg = (0.0, 0.0, 0.0) if seat == 1 else None
@@ -146,8 +161,8 @@ def test_of_an_orientation_the_larger_value_counts_too(
     found = Tables(facts).remeasured()
     rows = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
     assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
-        ("0.0573", "0.0115")
-    }
+        ("0.0573", "0.0115"), ("0.0115", "0.0172"),
+    }  # fmt: skip
     turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
     assert turned.figures.max_deg == pytest.approx(0.0573, abs=1e-4)
     assert "Orientation ." not in Tables(facts).orientation().note

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from datetime import timedelta
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from hilcell.journal.log import Log
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.screens import run
+from hilcell.tui.screens import pages, run
 from hilcell.tui.screens.pages import Pace
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.text import finished, points
@@ -81,6 +82,13 @@ def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.Mo
         assert shows
 
     run_app(tick, "running", size=SIZES[0])
+
+
+def test_a_panel_is_drawn_twice_a_second_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    times_s = iter((7.0, 7.4, 7.5, 7.9, 8.1))
+    monkeypatch.setattr(pages, "time", SimpleNamespace(monotonic=lambda: next(times_s)))
+    pace = Pace()
+    assert [pace.is_due() for _ in range(5)] == [True, False, True, False, True]
 
 
 def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
