@@ -49,28 +49,23 @@ class Trainer:
 
     def take(self, line: str) -> bool:
         """Obey one line of the keyboard; return whether to read another."""
-        word = line.strip().lower()
+        word, known = line.strip().lower(), self._cell.exercises
         if word == "q":
             return False
         if self._struck is not None:
             self._explain(self._struck)
         elif word == "m":
             self.menu()
-        elif not word:
-            self._strike(self._chance.choice(self._cell.exercises))
-        elif word.isdecimal() and 1 <= int(word) <= len(self._cell.exercises):
-            self._strike(self._cell.exercises[int(word) - 1])
+        elif not word or (word.isdecimal() and 1 <= int(word) <= len(known)):
+            self._struck = known[int(word) - 1] if word else self._chance.choice(known)
+            self._cell.strike(self._struck)
+            print_message(
+                "It strikes as soon as the run gives it occasion. Find the cause by the screen and "
+                "the alarm, and decide what to do; then press Enter here."
+            )
         else:
             print_message(HELP)
         return True
-
-    def _strike(self, exercise: Exercise) -> None:
-        self._cell.strike(exercise)
-        self._struck = exercise
-        print_message(
-            "It strikes as soon as the run gives it occasion. Find the cause by the screen and the "
-            "alarm, and decide what to do; then press Enter here."
-        )
 
     def _explain(self, exercise: Exercise) -> None:
         """Say what it was, and put the cell right."""

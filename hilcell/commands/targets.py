@@ -15,7 +15,7 @@ from hilcell.fit.methods import FitResult, Fitted, FittedArm, fitted, in_mm, met
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
 from hilcell.programs.arm_targets import ArmTargets
-from hilcell.programs.target_jobs import StationTargets, Strokes
+from hilcell.programs.target_jobs import StationTargets
 from hilcell.writing import CSV, check_output
 
 URDF = ".urdf"
@@ -31,7 +31,7 @@ def compensate(args: Compensate) -> int:
         args.release,
         station=args.station,
         tool=args.tool,
-        strokes=Strokes(args.allow_stroke, args.stroke_tolerance),
+        strokes=(args.allow_stroke, args.stroke_tolerance),
         say=print_message,
     )
     bounds = Path(args.bounds) if args.bounds else None

@@ -86,13 +86,6 @@ class TargetFiles:
         return " and ".join(map(str, written)), [f"{self.source.name}: {note}" for note in notes]
 
 
-class Strokes(NamedTuple):
-    """How far a program's strokes may lead and miss (mm); None is the 95 % bound of their point."""
-
-    longest_mm: float
-    miss_mm: float | None
-
-
 @dataclass(frozen=True, eq=False)
 class StationTargets(TargetFiles):
     """Targets that a calibration corrects for one of its stations.
@@ -116,11 +109,12 @@ class StationTargets(TargetFiles):
         *,
         station: str,
         tool: str,
-        strokes: Strokes,
+        strokes: tuple[float, float | None],
         say: Callable[[str], object],
     ) -> Self:
         """Return the targets of a list or a program, corrected; ``say`` takes warnings.
 
+        A program's ``strokes`` lead and miss as far (mm); None is the 95 % bound of their point.
         Raises `HilcellError` where the calibration must not be used, or a target not be corrected.
         """
         released = Released.named(calibration, release, cell)
@@ -245,19 +239,19 @@ class StationTargets(TargetFiles):
         source: Path,
         cell: Cell | None,
         tip: Tip,
-        strokes: Strokes,
+        strokes: tuple[float, float | None],
         say: Callable[[str], object],
     ) -> None:
         stroke_miss_mm = 0.05  # that strokes may miss by where nothing else is stated
-        station, name = targets.stamp.station, source.name
-        if strokes.miss_mm is not None:
-            limits = StrokeLimits(strokes.longest_mm, strokes.miss_mm, "--stroke-tolerance")
+        station, name, (longest_mm, miss_mm) = targets.stamp.station, source.name, strokes
+        if miss_mm is not None:
+            limits = StrokeLimits(longest_mm, miss_mm, "--stroke-tolerance")
         elif isinstance(targets.bounds, NoBound):
             why = "as no 95 % bound can be stated"
-            limits = StrokeLimits(strokes.longest_mm, stroke_miss_mm, why)
+            limits = StrokeLimits(longest_mm, stroke_miss_mm, why)
         else:  # within which no difference is sure
             bound_mm = targets.bounds.radii_mm
-            limits = StrokeLimits(strokes.longest_mm, bound_mm, "the point's 95 % bound")
+            limits = StrokeLimits(longest_mm, bound_mm, "the point's 95 % bound")
         missed = check_strokes(
             released.calibration, station, targets.nominal, targets.command, program.strokes,
             limits, tip,
