@@ -125,8 +125,7 @@ class Meter(Mover):
             return known
         self.checkpoint()
         self.seat(nest.name, nest.xyz_mm)
-        cell = self.cell
-        samples = cell.proof_samples if id.kind == "control" else cell.nest_samples
+        samples = self.cell.proof_samples if id.kind == "control" else self.cell.nest_samples
         return self._floor_point(id, nest, samples)
 
     def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:

@@ -366,11 +366,10 @@ class Mover(RunContext):
         holds none yet, parks wherever the slide rests. Here, before the first motion, the
         controller's kinematics are compared with the cell file's.
         """
-        cell = self.cell
-        safe_rad = np.radians(cell.robot.safe_deg)
+        safe_rad = np.radians(self.cell.robot.safe_deg)
         now = self.devices.robot.read()
         if now.still:  # a pose that was read under way is not that of its joints
-            kinematics = check_pose(cell.robot, now, "park")
+            kinematics = check_pose(self.cell.robot, now, "park")
             if not (kinematics.holds or self.log.by_factory_links):
                 self.add(events.FactoryLinks(off_mm=kinematics.off_mm))
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
@@ -379,7 +378,7 @@ class Mover(RunContext):
         with self.admitted() as motion:
             motion.check_way(safe_rad, "park")
             self.intend("", "robot.park", seen=seen(*motion.slide()))
-            return motion.drive([safe_rad], cell.robot.speed_percent, "park")
+            return motion.drive([safe_rad], self.cell.robot.speed_percent, "park")
 
     def robot_to(
         self, joints_rad: Array, what: str, *, above: bool = False, straight: Straight | None = None
@@ -414,11 +413,10 @@ class Mover(RunContext):
 
     def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
-        cell = self.cell
-        now_rad = joints_rad if cell.surroundings is None else motion.resting_rad()
+        now_rad = joints_rad if self.cell.surroundings is None else motion.resting_rad()
         if not above and self._coming.clear(motion.strip_mm, now_rad, joints_rad):
-            return [below(cell, joints_rad), joints_rad]
-        return stops_on_way(cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
+            return [below(self.cell, joints_rad), joints_rad]
+        return stops_on_way(self.cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
 
     def _straight_stops(
         self, motion: RobotMotion, straight: Straight, joints_rad: Array, what: str

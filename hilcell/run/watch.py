@@ -154,8 +154,7 @@ class Watch(Meter):
         Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
         where a nest has, or where frames rest on what was measured since the last proof.
         """
-        log = self.log
-        before = [log.point(id) for id in self._nest_ids(log.set_ups.number)]
+        before = [self.log.point(id) for id in self._nest_ids(self.log.set_ups.number)]
         now = self._controls()
         stand = self._stand(before, now)
         if not stand and (some_stand(before, now) or any(self._changes(now))):
@@ -324,7 +323,6 @@ class Watch(Meter):
 
     def _rests_on(self, point: Point) -> str:
         """Return the frame or verdict that was built with a point, if there is one."""
-        log = self.log
         built = {
             "base": "base",
             "slide": f"station.{point.station}",
@@ -334,7 +332,7 @@ class Watch(Meter):
             "pose": "fit",
             "repeatability": "fit",
         }.get(point.id.kind, "")
-        return built if built in log.frames or built in log.verdicts else ""
+        return built if built in self.log.frames or built in self.log.verdicts else ""
 
     # -- the slide's hold -------------------------------------------------------------------------
 
@@ -347,10 +345,9 @@ class Watch(Meter):
         attended run; `DeviceError` where the slide is still beside its place afterwards.
         """
         super().hold_station(station, again=again)
-        cell, log = self.cell, self.log
-        if again or not (self._framed and cell.has_rail) or cell.layout.by_hand:
+        if again or not (self._framed and self.cell.has_rail) or self.cell.layout.by_hand:
             return
-        if self._proven == (station.name, log.visit):
+        if self._proven == (station.name, self.log.visit):
             return
         self.parked()  # the arm may stand in the beam's way to the slide
         off = self._prove_hold(station)
@@ -374,7 +371,7 @@ class Watch(Meter):
                 fields=jump
                 | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
             )
-        self._proven = (station.name, log.visit)
+        self._proven = (station.name, self.log.visit)
 
     def _prove_hold(self, station: Station) -> Off:
         """Measure the nest, and journal that it is where it was, if so."""
@@ -399,19 +396,18 @@ class Watch(Meter):
         The first of all is where it is. From one station to another the strip leads less well than
         back to the same.
         """
-        log, cell = self.log, self.cell
-        keys = (proof.key for proof in log.happened(SlideProven))
-        before = [log.points[key] for key in keys if key in log.points]
+        keys = (proof.key for proof in self.log.happened(SlideProven))
+        before = [self.log.points[key] for key in keys if key in self.log.points]
         here = [point for point in before if point.station == station.name]
         if not before:
             return Off(0.0, 0.0)
         first = (here or before)[0]
         straight_mm = 0.5  # between stations by the strip: its error, the rail's tilt and lean
-        held_mm = 2.0 * cell.rail.held_within_mm if here else straight_mm
+        held_mm = 2.0 * self.cell.rail.held_within_mm if here else straight_mm
         limit_mm = held_mm + float(self._limits_mm([first], [now])[0])
-        at_mm = apply(log.matrix("world"), positions_mm([first, now]))
-        way_mm = station.strip_mm - cell.station_named(first.station).strip_mm
-        along_mm = float((at_mm[1] - at_mm[0]) @ np.array(cell.layout.rail_direction))
+        at_mm = apply(self.log.matrix("world"), positions_mm([first, now]))
+        way_mm = station.strip_mm - self.cell.station_named(first.station).strip_mm
+        along_mm = float((at_mm[1] - at_mm[0]) @ np.array(self.cell.layout.rail_direction))
         return Off(along_mm - way_mm, limit_mm)
 
     # -- the room ---------------------------------------------------------------------------------
