@@ -91,6 +91,12 @@ def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
         bench.rested(one, other, "it moves")
 
 
+def test_one_of_some_stops_has_to_be_prompt() -> None:
+    every_port._prompt("stop took", [0.5, 0.01], 0.02)
+    with pytest.raises(Broken, match="stop took 30 ms, expected <= 20 ms"):
+        every_port._prompt("stop took", [0.5, 0.03], 0.02)
+
+
 @pytest.mark.parametrize(
     ("port", "name", "cell", "others"), [each for each in SHIPPED if each[1] in FIRST]
 )

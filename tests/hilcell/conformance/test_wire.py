@@ -15,6 +15,7 @@ import pytest
 from hilcell.conformance import wire
 from hilcell.conformance.wire import Line, Wires
 from hilcell.wire.channel import SerialLine
+from hilcell.wire.relay import Door
 from tests.drivers.peers import Server
 from tests.fakes.wires import exactly
 
@@ -247,6 +248,26 @@ def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
                 assert link.recv(100) == b""
         finally:
             wires.close()
+
+
+def test_a_door_that_is_closed_has_handed_its_last_client_on() -> None:
+    entering, on, handed = threading.Event(), threading.Event(), list[socket.socket]()
+
+    def entered(near: socket.socket) -> None:
+        entering.set()
+        on.wait()
+        handed.append(near)
+
+    door = Door(entered)
+    with socket.create_connection(("127.0.0.1", door.port)):
+        entering.wait()
+        closing = threading.Thread(target=door.close)
+        closing.start()
+        closing.join(0.05)
+        assert closing.is_alive()
+        on.set()
+        closing.join()
+        handed.pop().close()
 
 
 def test_a_device_has_seen_the_end_of_what_is_dropped(wires: Wires, echo: Echo) -> None:
