@@ -59,8 +59,10 @@ class _SocketEnd(End):
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
-        self.fileno = link.fileno
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        return self._link.fileno()
 
     def send(self, data: bytes) -> None:
         self._link.sendall(data)
