@@ -18,6 +18,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import takewhile
 
 import numpy as np
 
@@ -84,22 +85,19 @@ class SampleStream:
         while len(self._times_s) >= (size := packet_samples[self._packets % len(packet_samples)]):
             sent += self._packet(size)
         if broken or self._taken == self._points != 0:
-            sent += self._end()
-            if broken:
-                self._lost()
-                sent += status_change(Change.NOT_READY)
-            else:
-                sent += status_change(Change.READY)
+            sent += self.end() + status_change(Change.NOT_READY if broken else Change.READY)
+        if broken:
+            self._lost()
         return sent
 
-    def stop(self) -> bytes:
-        """End at the client's wish; return all that was still under way."""
-        return self.due() + (b"" if self.ended else self._end())
-
-    def close(self) -> None:
-        """End; may be called again."""
-        if not self.ended:
-            self._end()
+    def end(self) -> bytes:
+        """Return all that was still under way; a second call does nothing."""
+        if self.ended:
+            return b""
+        self.ended = True
+        self._followed.end()
+        rest = self._pack(self._times_s, self._xyz_mm) if len(self._times_s) else b""
+        return self._kept + rest
 
     def _take(self) -> bool:
         """Take the samples that are due; return whether the beam broke."""
@@ -109,20 +107,14 @@ class SampleStream:
         if wanted == self._taken:
             return False
         numbers = np.arange(self._taken + 1, wanted + 1)
-        struck = next(
-            (
-                n
-                for n in range(len(numbers))
-                if self._faults.take("tracker.stream_break") is not None
-            ),
-            None,
-        )
-        times_s = np.asarray(self._start_s + self._separation_s * numbers[:struck], dtype=float)
+        beam = takewhile(lambda _: self._faults.take("tracker.stream_break") is None, numbers)
+        seen = sum(1 for _ in beam)
+        times_s = np.asarray(self._start_s + self._separation_s * numbers[:seen], dtype=float)
         xyz_mm = self._followed.read(times_s) if len(times_s) else np.zeros((0, 3))
         self._taken += len(xyz_mm)
         self._times_s = np.append(self._times_s, times_s[: len(xyz_mm)])
         self._xyz_mm = np.vstack([self._xyz_mm, xyz_mm])
-        return struck is not None or len(xyz_mm) < len(times_s)
+        return len(xyz_mm) < len(numbers)
 
     def _packet(self, size: int) -> bytes:
         """Return the bytes that go out with the next packet; the rest of it waits."""
@@ -137,12 +129,6 @@ class SampleStream:
             cut //= 2
         self._kept = data[cut:]
         return data[:cut]
-
-    def _end(self) -> bytes:
-        self.ended = True
-        self._followed.end()
-        rest = self._pack(self._times_s, self._xyz_mm) if len(self._times_s) else b""
-        return self._kept + rest
 
 
 MM_PER_UNIT = {0: 1000.0, 1: 1.0}  # m, mm
@@ -410,12 +396,10 @@ class EmsconDevice:
         if refused != Status.OK:
             yield reply(command, refused)
             return
+        broken = self._faults.take("tracker.beam_break_before") is not None
         target = self._target
-        if self._faults.take("tracker.beam_break_before") is not None or target is None:
-            yield self._broken(command)
-            return
-        began_mm = self._instrument.reflector(target)
-        if began_mm is None:  # carried away
+        began_mm = None if target is None else self._instrument.reflector(target)
+        if broken or target is None or began_mm is None:  # or carried away
             yield self._broken(command)
             return
         begun = reply(command) + status_change(Change.MEASURING)
@@ -567,7 +551,7 @@ class EmsconServer(Server):
                 try:
                     session.send(stream.due())
                 except OSError:
-                    stream.close()
+                    stream.end()
 
         stream_look_s = 0.05  # plant time between two looks for samples that are due
         look_s = None if self._time.stepped else stream_look_s / self._time.speed
@@ -586,7 +570,7 @@ class EmsconServer(Server):
                     if not stopped and not stream.ended:
                         session.send(reply(command, Status.BUSY))
                         continue
-                    rest = stream.stop()
+                    rest = stream.due() + stream.end()
                     self._time.unfollow(send)
                     if not stopped:
                         return packet
@@ -595,7 +579,7 @@ class EmsconServer(Server):
         finally:
             self._time.unfollow(send)
             with lock:
-                stream.close()
+                stream.end()
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
         """Let plant time pass; return False where the client stopped the command meanwhile."""

@@ -15,9 +15,9 @@ import math
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -55,23 +55,6 @@ class Aborted(Exception):
     """The client has ended the request under way."""
 
 
-@dataclass
-class _State:
-    places: int = 4
-    prism_m: float = 0.0
-    atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
-    edm_mode: int = 3
-    tilt: int = 1
-    corrections: tuple[float, ...] = (1, 1, 1, 1)  # the instrument has no such errors
-    atr: int = 0
-    face: int = 0
-    pointing: tuple[float, float] = (0.0, math.pi / 2)  # Hz, V in face 1
-    measured: tuple[float, float, float] | None = None  # Hz, V, distance
-    started: bool = False
-    target: str | None = None
-    time_ms: int = 0
-
-
 class GeocomDevice:
     """One instrument; ``handle`` takes one request after another.
 
@@ -84,28 +67,36 @@ class GeocomDevice:
     def __init__(self, site: Site) -> None:
         """The true constant of the prism that is mounted everywhere is the cell file's."""
         self._instrument, self._faults = site.plant.tracker, site.faults
-        self._prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
-        self._state = _State()
+        self._true_prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
+        self._places, self._prism_m = 4, 0.0
+        self._atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
+        self._corrections: tuple[float, ...] = (1, 1, 1, 1)  # the instrument has no such errors
+        self._edm_mode, self._tilt, self._atr, self._face = 3, 1, 0, 0
+        self._pointing = (0.0, math.pi / 2)  # Hz, V in face 1
+        self._measured: tuple[float, float, float] | None = None  # Hz, V, distance
+        self._started = False
+        self._target: str | None = None
+        self._time_ms = count(100, 100).__next__
         self._wait: Callable[[float], None] = lambda _duration_s: None
-        state, take = self._state, site.faults.take
+        take = site.faults.take
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
-            107: (1, self._keep("places", lambda places: 0 <= places <= 15)),
-            108: (0, lambda: Answer(values=(str(state.places),))),
+            107: (1, self._keep("_places", lambda places: 0 <= places <= 15)),
+            108: (0, lambda: Answer(values=(str(self._places),))),
             110: (0, lambda: _whole(3, 0, 0)),
             2003: (1, lambda mode: self._angles()),
-            2006: (1, self._keep("tilt", lambda on: on in (0, 1))),
-            2007: (0, lambda: _whole(state.tilt)),
+            2006: (1, self._keep("_tilt", lambda on: on in (0, 1))),
+            2007: (0, lambda: _whole(self._tilt)),
             2008: (2, self._start),
-            2014: (0, lambda: _whole(*map(int, state.corrections))),
+            2014: (0, lambda: _whole(*map(int, self._corrections))),
             2016: (4, self._set_corrections),
-            2020: (1, self._keep("edm_mode", lambda mode: 0 <= mode <= 14)),
-            2021: (0, lambda: _whole(state.edm_mode)),
-            2023: (0, lambda: self._reals(state.prism_m)),
-            2024: (1, partial(self._set, "prism_m")),
-            2026: (0, lambda: _whole(state.face)),
+            2020: (1, self._keep("_edm_mode", lambda mode: 0 <= mode <= 14)),
+            2021: (0, lambda: _whole(self._edm_mode)),
+            2023: (0, lambda: self._reals(self._prism_m)),
+            2024: (1, partial(self._set, "_prism_m")),
+            2026: (0, lambda: _whole(self._face)),
             2028: (4, self._set_atmosphere),
-            2029: (0, lambda: self._reals(*state.atmosphere)),
+            2029: (0, lambda: self._reals(*self._atmosphere)),
             2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
             2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
             5003: (0, lambda: _whole(self.SERIAL + (take("tracker.wrong_identity") is not None))),
@@ -115,8 +106,8 @@ class GeocomDevice:
             9028: (3, lambda exact, aim, dummy: self._change_face()),
             9029: (3, lambda hz, v, dummy: self._aim(hz, v)),
             9037: (3, lambda hz, v, dummy: self._aim(hz, v)),
-            18005: (1, self._keep("atr", lambda on: on in (0, 1))),
-            18006: (0, lambda: _whole(state.atr)),
+            18005: (1, self._keep("_atr", lambda on: on in (0, 1))),
+            18006: (0, lambda: _whole(self._atr)),
         }
 
     def knows(self, rpc: int) -> bool:
@@ -125,14 +116,14 @@ class GeocomDevice:
     def handle(self, rpc: int, parameters: list[float], wait: Callable[[float], None]) -> Answer:
         if not self.knows(rpc):
             return Answer(Code.NOT_IMPLEMENTED)
-        count, handler = self._handlers[rpc]
-        if len(parameters) != count or not all(map(math.isfinite, parameters)):
+        expected, handler = self._handlers[rpc]
+        if len(parameters) != expected or not all(map(math.isfinite, parameters)):
             return Answer(Code.INVALID)
         self._wait = wait
         return handler(*parameters)
 
     def abort(self) -> None:
-        self._state.started = False
+        self._started = False
 
     # -- settings -------------------------------------------------------------------------------
 
@@ -145,42 +136,41 @@ class GeocomDevice:
         return handler
 
     def _set(self, name: str, value: object) -> Answer:
-        setattr(self._state, name, value)
+        setattr(self, name, value)
         return Answer()
 
     def _set_corrections(self, *on: float) -> Answer:
-        return self._set("corrections", on) if set(on) <= {0, 1} else Answer(Code.INVALID)
+        return self._set("_corrections", on) if set(on) <= {0, 1} else Answer(Code.INVALID)
 
     def _set_atmosphere(self, *values: float) -> Answer:
         sound = 500 <= values[1] <= 1200
-        return self._set("atmosphere", values) if sound else Answer(Code.INVALID)
+        return self._set("_atmosphere", values) if sound else Answer(Code.INVALID)
 
     # -- turning and aiming -----------------------------------------------------------------------
 
     def _turn(self, hz: float, v: float, aim: float) -> Answer:
         if not 0 <= v <= math.tau:
             return Answer(Code.INVALID)
-        state = self._state
-        state.face = int(v > math.pi)
-        state.pointing = (hz % math.tau, v) if not state.face else self._other_face(hz, v)
-        state.target = None
+        self._face = int(v > math.pi)
+        self._pointing = (hz % math.tau, v) if not self._face else self._other_face(hz, v)
+        self._target = None
 
         self._wait(self.TURN_S)
         sight_rad = 1e-3  # beside which the distance meter still hits a prism
         return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
 
     def _change_face(self) -> Answer:
-        self._state.face = 1 - self._state.face
+        self._face = 1 - self._face
         self._wait(2 * self.TURN_S)
         return Answer()
 
     def _aim(self, width: float, height: float) -> Answer:
         """Aim at the reflector closest to the line of sight, within a window."""
-        if not self._state.atr:
+        if not self._atr:
             return Answer(Code.ATR_OFF)
         self._wait(self.AIM_S)
-        self._state.target = None
-        hz, v = self._state.pointing
+        self._target = None
+        hz, v = self._pointing
         inside = []
         for at_mm in self._instrument.reflectors().values():
             at_hz, at_v = _direction(at_mm)
@@ -201,20 +191,19 @@ class GeocomDevice:
         name = self._instrument.find(inside[0][1], 1e-3)
         if name is None:
             return Answer(Code.NO_TARGET)
-        self._state.target = name
-        self._state.pointing = _direction(self._instrument.reflectors()[name])
+        self._target = name
+        self._pointing = _direction(self._instrument.reflectors()[name])
         return Answer()
 
     # -- measuring ------------------------------------------------------------------------------
 
     def _start(self, command: float, mode: float) -> Answer:
         stop, distance, clear = 0, 1, 3
-        state = self._state
         if command == clear:
-            state.measured, state.started = None, False
+            self._measured, self._started = None, False
             return Answer()
         if command == stop:
-            state.started = False
+            self._started = False
             return Answer()
         if command != distance:
             return Answer(Code.NOT_IMPLEMENTED)
@@ -222,7 +211,7 @@ class GeocomDevice:
             raise Vanished
         if self._faults.take("tracker.busy") is not None:
             return Answer(Code.BUSY)
-        state.started = True
+        self._started = True
         return Answer()
 
     def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
@@ -230,38 +219,38 @@ class GeocomDevice:
 
         It waits for a distance until ``wait_ms``, also for one that never comes.
         """
-        state, take = self._state, self._faults.take
-        if not state.started and state.measured is not None:
-            return form(*state.measured)
-        if not state.started or wait_ms / 1000 < self.DISTANCE_S:
+        take = self._faults.take
+        if not self._started and self._measured is not None:
+            return form(*self._measured)
+        if not self._started or wait_ms / 1000 < self.DISTANCE_S:
             self._wait(wait_ms / 1000)
-            return form(*state.pointing, 0.0)
+            return form(*self._pointing, 0.0)
         self._wait(self.DISTANCE_S)
-        state.started = False
+        self._started = False
         if take("tracker.no_distance") is not None:
-            return form(*state.pointing, 0.0)
+            return form(*self._pointing, 0.0)
         broken = ("tracker.beam_break_before", "tracker.beam_break_after")
         if any(take(fault) is not None for fault in broken):
             return Answer(Code.DISTANCE_ERROR)
-        found = None if state.target is None else self._instrument.measure(state.target)
+        found = None if self._target is None else self._instrument.measure(self._target)
         if found is None:
-            return form(*state.pointing, 0.0)
+            return form(*self._pointing, 0.0)
         hz, v = _direction(found.xyz_mm)
         mm = 1000.0
         distance_m = float(np.linalg.norm(found.xyz_mm)) / mm
-        distance_m += state.prism_m - self._prism_m
-        (_, pressure_mbar, dry_c, _), air = state.atmosphere, self._instrument.air()
+        distance_m += self._prism_m - self._true_prism_m
+        (_, pressure_mbar, dry_c, _), air = self._atmosphere, self._instrument.air()
         true_ppm = self._ppm(air.pressure_mbar, air.temperature_c)
         distance_m *= 1.0 + 1e-6 * (self._ppm(pressure_mbar, dry_c) - true_ppm)
-        state.measured = (hz, v, distance_m)
+        self._measured = (hz, v, distance_m)
         code = self._faults.number("tracker.geocom_code")
-        answer = form(*state.measured)
+        answer = form(*self._measured)
         if code is None:
             return answer
         return Answer(int(code), answer.values if code in (1283, Code.INACCURATE) else ())
 
     def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
-        if self._state.face:
+        if self._face:
             hz, v = self._other_face(hz, v)
         values = self._reals(hz, v, distance_m).values
         bad = self._faults.take("tracker.bad_number")
@@ -277,21 +266,17 @@ class GeocomDevice:
         return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, (*each, *each))
 
     def _angles(self) -> Answer:
-        hz, v = self._state.pointing
-        if self._state.face:
+        hz, v = self._pointing
+        if self._face:
             hz, v = self._other_face(hz, v)
         time = str(self._time_ms())
         tilt = self._reals(0.0, 0.0, 0.0).values
-        values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
+        values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._face))
         self._wait(self.ANGLE_S)
         return Answer(values=values)
 
-    def _time_ms(self) -> int:
-        self._state.time_ms += 100
-        return self._state.time_ms
-
     def _reals(self, *values: float) -> Answer:
-        return Answer(values=tuple(f"{value:.{self._state.places}f}" for value in values))
+        return Answer(values=tuple(f"{value:.{self._places}f}" for value in values))
 
     @staticmethod
     def _other_face(hz: float, v: float) -> tuple[float, float]:

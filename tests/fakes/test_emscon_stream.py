@@ -144,7 +144,7 @@ def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]
     for leap_s in (*leaps_s, 0.005):
         time.advance(leap_s)
         stream.due()
-    stream.stop()
+    stream.end()
     found_mm = np.vstack(xyz_mm)
     assert found_mm.shape == (60, 3)
     np.testing.assert_allclose(found_mm[[7, 42]], SAMPLES_MM, atol=1e-6)
