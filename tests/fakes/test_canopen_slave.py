@@ -357,6 +357,13 @@ def test_unknown_command_and_stray_segment() -> None:
     assert ask(sdo, "6000000000000000") == "8000000001000405", "no transfer is under way"
 
 
+def test_a_segment_of_the_other_direction_ends_the_transfer() -> None:
+    sdo, _ = server()
+    ask(sdo, "4002200000000000")
+    assert ask(sdo, "0141424344454647") == "8002200001000405"
+    assert ask(sdo, "6000000000000000") == "8000000001000405", "no transfer is under way"
+
+
 def test_segmented_upload() -> None:
     sdo, _ = server()
     text = "a name longer than four bytes"

@@ -108,10 +108,16 @@ def test_without_a_sign_of_life_a_motion_is_braked(own_time: OwnTime, robot: Rob
 
 
 def test_one_client_writes_at_a_time(robot: Robot) -> None:
-    with connected(robot.port("rtde")) as wire, connected(robot.port("rtde")) as other:
-        RtdeClient(wire).begin()
-        types = RtdeClient(other).ask(73, ",".join(REGISTERS).encode())[1:]
-        assert set(types.split(b",")) == {b"IN_USE"}
+    with connected(robot.port("rtde")) as other:
+        client = RtdeClient(other)
+
+        def types() -> set[bytes]:
+            return set(client.ask(73, ",".join(REGISTERS).encode())[1:].split(b","))
+
+        with connected(robot.port("rtde")) as wire:
+            RtdeClient(wire).begin()
+            assert types() == {b"IN_USE"}
+        until(lambda: types() == {b"INT32", b"DOUBLE"})  # the first has gone
 
 
 def test_local_control_takes_no_program(robot: Robot) -> None:
