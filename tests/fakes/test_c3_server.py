@@ -231,3 +231,10 @@ def test_idle_clients_are_closed(robot: Robot, monkeypatch: pytest.MonkeyPatch) 
 def test_unknown_types_are_not_answered(robot: Robot) -> None:
     robot.client.wire.sendall(bytes.fromhex("000900040500012a"))
     assert robot.client.read("$MODE_OP") == "#EX"  # the first reply is this one's
+
+
+def test_what_became_due_is_done_before_an_answer(robot: Robot) -> None:
+    done: list[str] = []
+    robot.plant.time.follow(lambda: done.append("a sample"))
+    assert robot.client.read("$MODE_OP") == "#EX"
+    assert done == ["a sample"]
