@@ -63,7 +63,7 @@ class Phase:
     """A part that does one thing without end."""
 
     name = "phase"
-    moves = ""
+    needs = moves = measures = yields = ""
 
     def __init__(self, phase: str) -> None:
         self.phase = phase

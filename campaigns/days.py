@@ -59,7 +59,7 @@ class Month:
     """A part that measures vertices, again and again."""
 
     name = "phase"
-    moves = ""
+    needs = moves = measures = yields = ""
 
     def __init__(self, points: int) -> None:
         self._points = points

@@ -73,7 +73,10 @@ class AxisSweeps:
     """
 
     name = "axis-sweeps"
+    needs = "the base frame, the grid's station held; a tracker that streams, a robot that sweeps"
     moves = "single axes slowly, through the cube's middle"
+    measures = "the flange reflector, streaming"
+    yields = "the transmission curve of each axis"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""

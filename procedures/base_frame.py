@@ -50,7 +50,10 @@ class BaseFrame:
     """z is axis 1, x the axis 6 made orthogonal to it; the height comes from axis 6's centre."""
 
     name = "base-frame"
+    needs = "the world frame, the grid's station held"
     moves = "axis 1, then axis 6, each alone"
+    measures = "the flange reflector on two circles"
+    yields = "the robot base in {W}"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse sweeps that leave the joint limits or come too near to a volume."""

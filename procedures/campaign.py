@@ -33,7 +33,10 @@ class Campaign:
     """
 
     name = "campaign"
+    needs = "a file of poses (campaign.poses)"
     moves = "the robot"
+    measures = "every reflector of every pose"
+    yields = "measured targets and the fit of the robot's nominal kinematics to them"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses of another robot or outside the joint limits, and reflectors by hand."""

@@ -179,10 +179,13 @@ class Conformance:
     """Judges every promise of every port, once in a run's life."""
 
     name = NAME
+    needs = "devices connected"
     moves = (
         "simulated devices of its own; real ones slowly: the slide to the first station and 60 mm "
         "beyond, the robot 5 deg about its safe pose"
     )
+    measures = "three floor nests"
+    yields = "a verdict on each promise of each driver"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a real cell that would move fast."""

@@ -51,7 +51,10 @@ class Fit:
     """Compares the models by leaving each vertex out, and chooses."""
 
     name = "fit"
+    needs = "the grid measured, the stations framed"
     moves = "nothing"
+    measures = "nothing"
+    yields = "the chosen correction"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a grid of one cell: nothing in it could be left out."""
@@ -123,7 +126,10 @@ class SignCheck:
     """Takes the middle of the grid's worst cell, where the correction is the largest."""
 
     name = "sign-check"
+    needs = "the fitted correction"
     moves = "the robot to one target in the cube, as it is and corrected, at the grid's station"
+    measures = "the flange reflector at both"
+    yields = "whether the correction takes the error away instead of doubling it"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a grid with a cell out of reach: any may be the worst."""

@@ -45,7 +45,10 @@ class BaseOfTest:
     """{B} by circles of axes 1 and 6, or that of the calibration which is tested."""
 
     name = "base-of-test"
+    needs = "the world frame, the station held"
     moves = "axis 1, then axis 6, each alone; nothing where a calibration is tested"
+    measures = "the flange reflector on two circles"
+    yields = "the robot base in {W}, in which poses are commanded"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse circles that cannot be driven."""
@@ -69,7 +72,10 @@ class PoseCycle:
     """Goes round the cycle and measures every pose."""
 
     name = ISO
+    needs = "the base frame, the station held"
     moves = "the robot from pose to pose of the cycle"
+    measures = "the reflectors on the flange at five poses, cycle after cycle"
+    yields = "AP, RP, AD and RD of ISO 9283, of positions and, with several reflectors, of angles"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""

@@ -601,7 +601,10 @@ class PaperRows:
     """Compares the run's figures with the paper's."""
 
     name = "paper-rows"
+    needs = "all experiments"
     moves = "nothing"
+    measures = "nothing"
+    yields = "the paper's figures beside ours"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a quick plan: the paper's figures are of the paper's own."""

@@ -36,7 +36,10 @@ class RailSurvey:
     """Moves in equal steps by the drive alone; measures the flange and all nests at every stop."""
 
     name = "rail-survey"
+    needs = "the world frame, reflectors on the flange and in the slide nests"
     moves = "the slide from end to end and back, the robot parked"
+    measures = "the flange reflector and the slide nests at every stop"
+    yields = "the error both ways, backlash, scale, straightness, yaw, pitch and roll"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         stops = 2 * len(steps_mm(cell))
@@ -167,7 +170,10 @@ class HoldStation(Part):
     """Brings the slide to the grid's station by the closed loop of the strip."""
 
     name = "hold-station"
+    needs = "a referenced drive"
     moves = "the slide, with the robot at its safe pose"
+    measures = "the strip, one slide nest"
+    yields = "a held station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         return step(self.name, 0, first_hold(cell, cell.reference))
@@ -210,7 +216,10 @@ class StationRepeatability:
     """
 
     name = "station-repeatability"
+    needs = "the world frame, a reflector on the slide"
     moves = "the slide to and fro around the grid's station"
+    measures = "one slide nest after each approach"
+    yields = "range, repeatability and backlash without and with the strip"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         station = cell.reference

@@ -50,7 +50,10 @@ class Recheck:
     """Measures the poses; one that stands out is measured once more before it counts."""
 
     name = "recheck"
+    needs = "a calibration of this cell, {W}, its station held"
     moves = "the robot to corrected poses spread over the calibrated volume"
+    measures = "the flange reflector at every pose"
+    yields = "whether the calibration is still valid, is updated, or is to be made again"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a calibration that is missing, and poses out of reach."""

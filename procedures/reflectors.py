@@ -26,7 +26,10 @@ class Reflectors:
     """Somebody carries one after the other to the first floor nest."""
 
     name = "reflectors"
+    needs = "the world frame, somebody who carries the reflectors"
     moves = "nothing"
+    measures = "every reflector of floor, bars and flange in the first floor nest"
+    yields = "which reflector's ball or prism differs from the others'"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a cell of one reflector."""

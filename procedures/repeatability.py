@@ -24,7 +24,10 @@ class Repeatability:
     """Visits three places of the cube many times, away and back, each time from below."""
 
     name = "repeatability"
+    needs = "the grid's station held"
     moves = "the robot between the cube's centre and two corners"
+    measures = "the flange reflector on every visit"
+    yields = "the floor: repeatability and tracker noise alone"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse places out of reach."""

@@ -51,7 +51,10 @@ class Visit(NamedTuple):
 class Revisits:
     """Takes poses that are spread over the time since the robot's first point."""
 
+    needs = "the grid, the robot's repeatability"
     moves = "the robot to a few poses of base frame and grid"
+    measures = "the flange reflector there, once more; at a few from above as well"
+    yields = "whether zero, mount and slide are as they were, which cause fits if not, lost motion"
 
     def __init__(self, *, at_end: bool = False) -> None:
         """``at_end``: the slide comes from the last station, back to the grid's."""

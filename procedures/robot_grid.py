@@ -47,7 +47,10 @@ class RobotGrid(Part):
     """
 
     name = "robot-grid"
+    needs = "world and base frame, the grid's station held"
     moves = "the robot"
+    measures = "the reflectors on the flange at every vertex"
+    yields = "the position error on the grid, the orientation's with several reflectors"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
@@ -142,7 +145,10 @@ class ChosenPoses:
     """Drives to the poses that say most beside the grid: of a quick plan, or of turned targets."""
 
     name = "chosen-poses"
+    needs = "the grid, and the sweeps where there are any"
     moves = "the robot in the cube, the tool turned"
+    measures = "the reflectors on the flange at every chosen pose"
+    yields = "more certain kinematics"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the longest that it may take: which poses, only the grid's errors tell."""

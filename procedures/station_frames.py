@@ -55,7 +55,10 @@ class StationFrames:
     """
 
     name = "station-frames"
+    needs = "the world frame, reflectors in the slide nests"
     moves = "the slide from station to station"
+    measures = "every slide nest at every station"
+    yields = "the slide in {W} at every station, with the tool point's uncertainty"
 
     def __init__(self, *, validated: bool = False) -> None:
         """``validated``: all stations are validated afterwards, on a quick plan framed then."""
@@ -278,7 +281,10 @@ class FrameRepeatability:
     """Builds the base frame at every station and measures six slide points again."""
 
     name = "frame-repeatability"
+    needs = "the stations framed"
     moves = "the slide from station to station, axes 1 and 6 at each"
+    measures = "circles of axes 1 and 6, six slide points at every station"
+    yields = "how much better the station frame repeats, with an interval"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a cell with one station: frames are compared between stations."""

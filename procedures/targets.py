@@ -45,7 +45,10 @@ class TargetPass:
     """Measures every target once; one that stands out from all others once more."""
 
     name = "targets"
+    needs = "a calibration of this cell, {W}, a list of targets"
     moves = "the slide to the station, the robot to every corrected target"
+    measures = "the flange reflector at every target, and the floor nests at the end"
+    yields = "the calibration with the targets' errors folded in by their share"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a missing calibration, and targets outside of its validity or out of reach."""

@@ -188,7 +188,10 @@ class TouchStation:
     """Holds the station, touches, keeps the base; the calibration is written when the run ends."""
 
     name = "touch"
+    needs = "a calibration of this cell, {W}"
     moves = "the slide to the station, the robot to corrected poses spread over the cube"
+    measures = "the flange reflector at every pose"
+    yields = "the station's base frame on this visit, in a calibration of its own"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse a station that is not calibrated, and poses out of reach."""

@@ -55,7 +55,10 @@ class Validate:
     """Every figure comes from targets really sent with that correction and then measured."""
 
     name = "validate"
+    needs = "the fitted correction, the stations framed"
     moves = "the slide from station to station, the robot to random targets in the cube"
+    measures = "the reflectors on the flange at every target, before and with each correction"
+    yields = "mean, p95 and maximum of the position error, and of the orientation's, per station"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse targets out of reach, and limits that nothing could keep."""

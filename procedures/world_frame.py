@@ -30,7 +30,10 @@ class Home(Part):
     """Park and reference; a resumed run keeps a reference that drive and strip still prove."""
 
     name = "home"
+    needs = "devices connected"
     moves = "the robot to its safe pose, then the slide to its reference switch"
+    measures = "nothing"
+    yields = "a referenced drive"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         return Step(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))
@@ -63,7 +66,10 @@ class WorldFrame:
 
     proves: bool = False
     name = "world-frame"
+    needs = "reflectors in the floor nests, and on bars of known length"
     moves = "nothing"
+    measures = "three floor nests, averaged, and the nests of certified lengths"
+    yields = "the tracker in {W}"
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Refuse nests out of the tracker's range."""
@@ -117,7 +123,10 @@ SAMPLES = 5
 class TwoFaces:
     """Readings in the second face, compared with the newest ones in the first."""
 
+    needs = "the world frame; a tracker that turns over"
     moves = "nothing but the tracker's head"
+    measures = "floor nests, at the start those of certified lengths too, in the second face"
+    yields = "whether the tracker's axes are adjusted: collimation, transit tilt, index"
 
     def __init__(self, *, at_end: bool = False) -> None:
         self._number, self.name = (1, "two-face-closing") if at_end else (0, "two-face")

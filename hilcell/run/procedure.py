@@ -51,10 +51,13 @@ class Plan:
 
 
 class Part(Protocol):
-    """One act of a procedure. A resume says what it ``moves`` before the operator agrees."""
+    """One act of a procedure: its needs, motions, measurements and yield, and how it is done."""
 
     name: str
+    needs: str
     moves: str
+    measures: str
+    yields: str
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step; raises `HilcellError` for what cannot be reached or seen."""

@@ -155,7 +155,7 @@ class Points:
     """A part that measures the floor nest a number of times."""
 
     name = "points"
-    moves = ""
+    needs = moves = measures = yields = ""
 
     def __init__(self, count: int, act: Callable[[CellSession, int], None] | None = None) -> None:
         self.count, self.act = count, act

@@ -82,7 +82,7 @@ class Flange:
     """A part that measures flange points and judges them; ``act`` is called before each."""
 
     name = "flange"
-    moves = ""
+    needs = moves = measures = yields = ""
 
     def __init__(self, count: int, kind: str, act: Any = None) -> None:
         self.count, self.kind, self.act = count, kind, act
