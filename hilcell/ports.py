@@ -24,14 +24,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.errors import (
-    DeviceError,
-    DeviceRefused,
-    HilcellError,
-    NoReading,
-    Stopped,
-    StripLost,
-)
+from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading, Stopped, StripLost
 from hilcell.identity import Identity
 
 if TYPE_CHECKING:

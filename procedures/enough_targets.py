@@ -212,7 +212,8 @@ class SequentialRule:
         ends = np.arange(self.block, len(errors) + 1, self.block)
         fits = errors <= self.max_limit_mm  # NaN does not
         within, errors = np.logical_and.accumulate(fits), np.where(fits, errors, self.max_limit_mm)
-        accepted = within & self._below(errors) & self._rarely_above(len(errors))
+        shares = (1.0 - self.share) ** np.arange(1, len(errors) + 1)  # all within the maximum
+        accepted = within & self._below(errors) & (shares <= self.accept_risk)
         rejected = ~within | self._above(errors)
         for end in ends.tolist():
             if rejected[end - 1]:
@@ -230,10 +231,6 @@ class SequentialRule:
     def _above(self, errors: Array) -> Bools:
         """Return after each error (N,) whether the mean is shown to be above its limit."""
         return self._won(errors / self.mean_limit_mm - 1.0, self.reject_risk)
-
-    def _rarely_above(self, count: int) -> Bools:
-        """Return after each of ``count`` errors within the maximum whether they are enough."""
-        return (1.0 - self.share) ** np.arange(1, count + 1) <= self.accept_risk
 
     @staticmethod
     def _won(gains: Array, risk: float) -> Bools:

@@ -336,10 +336,8 @@ class Release:
             now = self._answer(patience)
             powered = now.powered or now.state is State.UNKNOWN
             if had_power and not powered:
-                patience, had_power = (
-                    Patience(limit_s, self.SILENT_S),
-                    False,
-                )  # as long to come to rest
+                had_power = False
+                patience = Patience(limit_s, self.SILENT_S)  # as long to come to rest
             if powered:
                 self._take_power(now)
             elif self._standstill.rest is not None or self._stands_as_before(now):

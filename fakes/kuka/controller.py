@@ -168,9 +168,8 @@ class KrlController:
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
-        self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
-        life_ms = 1500
-        self._integers["HC_LIFE"] = life_ms
+        self._integers = dict.fromkeys(("HC_CMD", "HC_SEQ", "HC_OV_OLD", "HC_OV_SET"), 0)
+        self._integers |= {"HC_VEL": 1, "HC_LIFE": 1500}  # %, ms
         self._timer = LifeTimer(self._timer_ran_out)
         self._override, self._share = 100, 1.0
         self._stale: dict[str, str] = {}

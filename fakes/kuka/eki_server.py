@@ -23,14 +23,7 @@ from typing import ClassVar
 from xml.parsers import expat
 
 from fakes.faults import Faults
-from fakes.kuka.controller import (
-    AXES,
-    FRAME,
-    KrlController,
-    KrlError,
-    aggregate,
-    raw_members,
-)
+from fakes.kuka.controller import AXES, FRAME, KrlController, KrlError, aggregate, raw_members
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server

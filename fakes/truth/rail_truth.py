@@ -236,8 +236,6 @@ class RailTruth:
 class FloorTruth:
     """A robot on the floor, where a slide would be at 0; answers the plant as `RailTruth` does."""
 
-    still = True
-
     def __init__(self, cell: Cell) -> None:
         self._pose = frame(cell.layout.base)
 

@@ -24,12 +24,7 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.identity import Identity
-from hilcell.model.events import (
-    Invalidating,
-    OutlierMeasuredAgain,
-    RetakeAsked,
-    VisitedOnceMore,
-)
+from hilcell.model.events import Invalidating, OutlierMeasuredAgain, RetakeAsked, VisitedOnceMore
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated

@@ -22,13 +22,7 @@ from hilcell.journal.runs import read_log
 from hilcell.journal.stream_file import StreamFile
 from hilcell.model import events
 from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
-from hilcell.run.collision import (
-    ComingPoses,
-    below,
-    check_stated,
-    check_way,
-    stops_on_way,
-)
+from hilcell.run.collision import ComingPoses, below, check_stated, check_way, stops_on_way
 from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,

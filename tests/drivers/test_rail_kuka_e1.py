@@ -11,11 +11,7 @@ import pytest
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips import StripOptions
-from hilcell.ports import (
-    DeviceRefused,
-    Stopped,
-    StripLost,
-)
+from hilcell.ports import DeviceRefused, Stopped, StripLost
 from tests.drivers.kuka_bed import ALARMS, TARGET_RAD, robot_for, time
 from tests.drivers.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime

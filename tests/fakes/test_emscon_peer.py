@@ -14,11 +14,7 @@ import numpy as np
 import pytest
 from CESAPI.command import CommandSync
 from CESAPI.connection import Connection
-from CESAPI.packet import (
-    ES_LU_Millimeter,
-    StationaryModeDataT,
-    SystemUnitsDataT,
-)
+from CESAPI.packet import ES_LU_Millimeter, StationaryModeDataT, SystemUnitsDataT
 
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer

@@ -15,13 +15,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.spatialanalyzer.t2sa_server import (
-    T2saDevice,
-    T2saServer,
-    fan,
-    imported,
-    write,
-)
+from fakes.spatialanalyzer.t2sa_server import T2saDevice, T2saServer, fan, imported, write
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell

@@ -10,13 +10,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from hilcell.model.frame import (
-    Frame,
-    MeasuredBase,
-    MeasuredStation,
-    TouchedBase,
-    frame_type,
-)
+from hilcell.model.frame import Frame, MeasuredBase, MeasuredStation, TouchedBase, frame_type
 from hilcell.model.outcome import Outcome
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import (

@@ -20,14 +20,7 @@ from hilcell.identification.sweeps import curve_of
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import mover
 from procedures import axis_sweeps
-from procedures.axis_sweeps import (
-    AxisSweeps,
-    axes_of,
-    cube_joints,
-    ends_rad,
-    left_out,
-    sweep_table,
-)
+from procedures.axis_sweeps import AxisSweeps, axes_of, cube_joints, ends_rad, left_out, sweep_table
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure

@@ -14,16 +14,7 @@ import pytest
 from hilcell.journal.runs import read_log
 from hilcell.run import control, worker
 from hilcell.run.control import order
-from tests.whole.bench import (
-    SMALL,
-    Engine,
-    children,
-    command,
-    events,
-    sets,
-    simulation,
-    wait_gone,
-)
+from tests.whole.bench import SMALL, Engine, children, command, events, sets, simulation, wait_gone
 from tests.whole.threaded import Event, ThreadedRun, is_state
 from tests.whole.trace import judge
 

@@ -238,12 +238,10 @@ class FrameRule:
         elif name in ("$BASE", "$TOOL"):
             what = name[1:].lower()
             self._set_once(what, self._stated(what, name, rest, line))
-        elif name in self.frames_used or self._used_form(name):
+        elif name in self.frames_used or (
+            name in self._data.data and self._data.data[name].kind == "FDAT"
+        ):  # motions may work in frame data: forms are read as they stand
             raise KrlError(f"{name} is changed at run time, and motions work in it")
-
-    def _used_form(self, name: str) -> bool:
-        """Whether motions may work in frame data of this name: forms are read as they stand."""
-        return name in self._data.data and self._data.data[name].kind == "FDAT"
 
     def _stated(self, what: str, name: str, rest: Sequence[Token], line: int) -> Stated:
         """Return the frame that ``$BASE=...`` or ``$TOOL=...`` sets; raises `KrlError`."""

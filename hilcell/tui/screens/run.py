@@ -26,12 +26,7 @@ from hilcell.tui.text.alarms import AlarmBox, kept_words, newest_line, panel_is_
 from hilcell.tui.text.finished import Result, result_of, verdict_of
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
-from hilcell.tui.text.run import (
-    Shown,
-    below_lines,
-    block_rows,
-    rows_for,
-)
+from hilcell.tui.text.run import Shown, below_lines, block_rows, rows_for
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
 

@@ -30,16 +30,7 @@ from hilcell.model.results import Floor, Place
 from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
-from hilcell.tui.plots import (
-    Ink,
-    Look,
-    Mark,
-    Plot,
-    Scale,
-    Series,
-    draw,
-    step_at_least,
-)
+from hilcell.tui.plots import Ink, Look, Mark, Plot, Scale, Series, draw, step_at_least
 from hilcell.typed import typed
 
 STROKE = 80  # marks of a line from the bottom of a spectrum

@@ -11,14 +11,7 @@ from typing import NamedTuple
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.words import in_zone
-from hilcell.model.events import (
-    Closing,
-    Connected,
-    Event,
-    LinkCounted,
-    OtherEvent,
-    after,
-)
+from hilcell.model.events import Closing, Connected, Event, LinkCounted, OtherEvent, after
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point

@@ -8,11 +8,7 @@ import pytest
 
 from hilcell.calibration import recheck as module
 from hilcell.calibration.in_use import Visited
-from hilcell.calibration.recheck import (
-    Rechecked,
-    judged,
-    suspicions,
-)
+from hilcell.calibration.recheck import Rechecked, judged, suspicions
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, from_rotvec, matrix

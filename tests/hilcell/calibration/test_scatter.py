@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.causes import LARGE_AXES, zero_columns
-from hilcell.calibration.diagnosis import (
-    Deviations,
-    worse_than_stated,
-    worst_scatter,
-)
+from hilcell.calibration.diagnosis import Deviations, worse_than_stated, worst_scatter
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log

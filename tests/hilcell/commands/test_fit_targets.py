@@ -8,10 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.compensation.targets import (
-    read_named_rows,
-    read_targets,
-)
+from hilcell.compensation.targets import read_named_rows, read_targets
 from hilcell.compensation.targets import write_rows as write_list
 from hilcell.fit.methods import FitResult, Fitted, fitted
 from hilcell.fit.robot_file import Measurements, read_measurements

@@ -21,12 +21,7 @@ from hilcell.identification.sweeps import (
     without_lines,
 )
 from hilcell.model.events import CurveMeasured
-from tests.hilcell.identification.axis_streams import (
-    ARM,
-    Axis,
-    Ripple,
-    periodic,
-)
+from tests.hilcell.identification.axis_streams import ARM, Axis, Ripple, periodic
 
 URAD = 1e-6
 

@@ -11,10 +11,7 @@ from msgspec import structs
 from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import TargetBudget, target_budget
-from hilcell.report.drawings.drawing import (
-    MUTED,
-    Scale,
-)
+from hilcell.report.drawings.drawing import MUTED, Scale
 from hilcell.report.drawings.error_plots import (
     air,
     enlarged,

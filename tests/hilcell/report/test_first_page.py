@@ -23,13 +23,7 @@ from hilcell.report.budgets import TargetBudget
 from hilcell.report.course import course
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.first_page import (
-    FirstPage,
-    certificate,
-    instruments,
-    title,
-    with_signs,
-)
+from hilcell.report.first_page import FirstPage, certificate, instruments, title, with_signs
 from hilcell.report.html import measured, report_html, sentence, standing
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished

@@ -14,13 +14,7 @@ from hilcell.model.point import PointId
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots import Look
 from hilcell.tui.text.points import PointRows
-from hilcell.tui.text.side import (
-    MAP_ROWS,
-    NO_POINT,
-    Grades,
-    Volume,
-    side_lines,
-)
+from hilcell.tui.text.side import MAP_ROWS, NO_POINT, Grades, Volume, side_lines
 from tests.hilcell.tui.sample_runs import SampleRun, begun, measuring, validated
 
 WIDE = 58

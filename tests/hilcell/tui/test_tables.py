@@ -14,13 +14,7 @@ from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
 from hilcell.tui.screens.pages import Compared, ComparePage
-from hilcell.tui.text.tables import (
-    columns_for,
-    history_row,
-    log_columns,
-    record_row,
-    record_words,
-)
+from hilcell.tui.text.tables import columns_for, history_row, log_columns, record_row, record_words
 from hilcell.typed import typed
 from tests.hilcell.identification.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS

@@ -22,14 +22,7 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.typed import typed
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
-from tests.hilcell.tui.recording_app import (
-    SIZE,
-    RecordingApp,
-    options,
-    press,
-    settle,
-    text_of,
-)
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import MARK, NASTY, dangerous, poisoned, runs
 

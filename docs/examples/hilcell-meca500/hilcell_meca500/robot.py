@@ -23,14 +23,7 @@ from drivers.motion_limits import (
 )
 from drivers.supervision import Patience, Supervision
 from hilcell.cell.file import Joint
-from hilcell.ports import (
-    Array,
-    Clock,
-    DeviceError,
-    Identity,
-    RobotReading,
-    says_simulated,
-)
+from hilcell.ports import Array, Clock, DeviceError, Identity, RobotReading, says_simulated
 from hilcell_meca500.euler import rotations
 from hilcell_meca500.wire import Wire
 
