@@ -16,9 +16,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from hilcell.cell.devices import load_entry
+from hilcell.cell.settings import SettingsError
 from hilcell.compensation.stamp import Stamp, refuse_corrected
 from hilcell.geometry.kinematics import Arm, Ints
 from hilcell.ports import Array
@@ -57,6 +58,7 @@ class StatedTool(NamedTuple):
     frame: Array | None = None
 
 
+@runtime_checkable
 class Program(Protocol):
     """A robot program that was read: its targets, and its files with other positions.
 
@@ -141,7 +143,10 @@ def load_program(path: Path) -> Program | None:
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in entry_points(group="hilcell.programs").names:
         return None
-    program: Program = load_entry("programs", suffix)(path)
+    program = load_entry("programs", suffix)(path)
+    if not isinstance(program, Program):
+        found = f"expected a {Program.__module__}.Program, got {type(program).__name__}"
+        raise SettingsError("programs", [f"format {suffix!r}: {found}"])
     refuse_corrected(str(path), program.remarks)
     return program
 
