@@ -325,14 +325,22 @@ def line() -> Iterator[Line]:
 
 
 def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
-    line: Line, monkeypatch: pytest.MonkeyPatch
+    line: Line, looks: Looks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(wire.Wire, "LOOK_S", 0.2)
-    line.refuse()
-    line.admit()
+    entered, unplugged = threading.Event(), threading.Event()
+
+    def held() -> float:
+        entered.set()
+        unplugged.wait(0.2)
+        return 0.0
+
+    monkeypatch.setattr(looks, "monotonic", held)
     threads = threading.active_count()
+    entered.wait()  # its pump is in the middle of a round
     line.refuse()
-    assert threading.active_count() == threads - 1
+    left = threading.active_count()
+    unplugged.set()
+    assert left == threads - 1
 
 
 def test_a_line_that_nobody_reads_loses_what_comes_and_can_be_unplugged(
