@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hilcell import __version__
+from hilcell.clean import harmless
 from hilcell.model.point import Sent
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
@@ -109,7 +110,7 @@ def _levels(
         if first[n]:
             ax.text(-left / (right - left), y, shortened(titles[n], column_mm), va="center",
                     weight="bold", transform=beside)  # fmt: skip
-    ax.set_yticks(heights, [shortened(each.word, column_mm) for each in effects])
+    ax.set_yticks(heights, [shortened(harmless(each.word), column_mm) for each in effects])
     ax.tick_params(axis="y", length=0.0)
     ax.grid(visible=False, axis="y")
     ax.invert_yaxis()

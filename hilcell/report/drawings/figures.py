@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,7 +89,8 @@ def in_style() -> Iterator[None]:
     """Draw as in a report, whatever the user's own style is."""
     import matplotlib
 
-    with matplotlib.rc_context():
+    with warnings.catch_warnings(), matplotlib.rc_context():
+        warnings.filterwarnings("ignore", "Glyph")  # text stays text: the reader has the fonts
         matplotlib.rcdefaults()
         matplotlib.rc_file(Path(__file__).with_suffix(".mplstyle"), use_default_template=False)
         yield

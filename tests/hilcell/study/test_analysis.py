@@ -21,7 +21,7 @@ from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary, percent, with_half
 from hilcell.typed import Json
-from tests.hilcell.study.studies import study
+from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.hilcell.study.test_design import RANGES, SOBOL
 
 FOUR = "machines = 4"
@@ -115,6 +115,15 @@ def test_the_page_draws_the_front_and_each_level(tmp_path: Path) -> None:
     for each in summary.found.effects:
         assert {each.factor.title, each.word, with_half(each.mean)} <= {*words[effects]}
         assert percent(each.covered) in covered
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_page_draws_words_of_any_script_and_no_control(tmp_path: Path) -> None:
+    factors = TWO_FACTORS.replace('"near"', r'"\u001b[31mnear"').replace('"far"', '"远"')
+    asked = study(tmp_path, factors, head=FOUR)
+    text = page(Summary(asked, rows(asked, additive)))
+    assert "\x1b" not in text
+    assert ">远<" in text
 
 
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
