@@ -127,6 +127,13 @@ CASES: list[tuple[str, Doctored]] = [
     ("I17", Doctored().change("read", until=1000)),
     ("I18", Doctored().change("connected again", devices=OTHER)),
     ("I18", Doctored().change("connected again", hilcell="0.2.0")),
+    (
+        "I18",  # what was agreed to holds for one connection
+        Doctored()
+        .after("found", event("agreed", "changes accepted", changes=["x"], by="me"))
+        .move("agreed", "resume")
+        .after("connected again", event("a third time", "connected", devices=OTHER)),
+    ),
 ]
 
 

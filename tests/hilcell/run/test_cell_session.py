@@ -189,6 +189,21 @@ def test_a_robot_that_is_not_parked_is_parked(bed: Bed, off_deg: float, moves: i
     np.testing.assert_allclose(np.degrees(bed.robot.joints_rad), CELL.robot.safe_deg)
 
 
+def test_a_pause_that_was_asked_for_comes_before_the_robot_parks(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moves_before = []
+
+    def park(session: CellSession, number: int) -> None:
+        bed.robot.joints_rad = HOME_RAD
+        monkeypatch.setattr(session, "checkpoint", lambda: moves_before.append(bed.robot.moves))
+        session.park_robot()
+
+    assert fault_of(bed, park) == ""
+    assert moves_before[:1] == [0]
+    assert bed.robot.moves == 1
+
+
 def test_the_rail_stays_where_the_robot_does_not_park(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
