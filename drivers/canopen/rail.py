@@ -185,8 +185,8 @@ class CanopenRail:
         return of_drive if feed is None else summed(of_drive, feed.statistics())
 
     def stop(self) -> None:
-        if self._image is not None:
-            self._image.quick_stop()
+        if (image := self._image) is not None:  # another thread may be closing
+            image.quick_stop()
 
     def close(self) -> None:
         """Leave the slide held and the wire closed, also after a stop or a failure."""

@@ -188,8 +188,8 @@ class KukaRobot:
 
     def stop(self) -> None:
         self._stopped = True
-        if self._controller is not None:
-            self._controller.stop()
+        if (controller := self._controller) is not None:  # another thread may be closing
+            controller.stop()
 
     def close(self) -> None:
         """Brake a motion that is under way, see all axes stand, hold E1, and close the wires.

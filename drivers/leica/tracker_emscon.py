@@ -139,8 +139,8 @@ class LeicaEmsconTracker:
         return EmsconStream(self, self._clock, near_mm, reflector, rate_hz, radius_mm)
 
     def stop(self) -> None:
-        if self._link is not None:
-            self._link.send(emscon.encode(Command.STOP_MEASUREMENT), "stop")
+        if (link := self._link) is not None:  # another thread may be closing
+            link.send(emscon.encode(Command.STOP_MEASUREMENT), "stop")
 
     def close(self) -> None:
         if self._link is not None:

@@ -334,8 +334,8 @@ class LeicaGeocomTracker:
         return TrackerReading(mean_mm, std_mm, samples, reflector, None, self._arrived_s)
 
     def stop(self) -> None:
-        if self._lines is not None:
-            self._lines.send(self.ABORT, "stop")
+        if (lines := self._lines) is not None:  # another thread may be closing
+            lines.send(self.ABORT, "stop")
 
     def close(self) -> None:
         if self._lines is not None:

@@ -235,9 +235,9 @@ class T2saTracker:
 
     def stop(self) -> None:
         """Halt the measurement under way, without waiting for an answer."""
-        self._stopped = True
-        if self._lines is not None:
-            self._lines.send(self.HALT, "stop")
+        lines, self._stopped = self._lines, True  # another thread may be closing
+        if lines is not None:
+            lines.send(self.HALT, "stop")
 
     def close(self) -> None:
         if self._lines is not None:
