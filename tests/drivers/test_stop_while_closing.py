@@ -10,6 +10,8 @@ from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 
+Device = CanopenRail | KukaRobot | LeicaEmsconTracker | LeicaGeocomTracker | T2saTracker
+
 
 @pytest.mark.parametrize(
     ("kind", "wire", "sends"),
@@ -22,11 +24,11 @@ from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
     ],
 )
 def test_the_stop_goes_to_the_wire_that_was_open_when_it_came(
-    kind: type, wire: str, sends: str, monkeypatch: pytest.MonkeyPatch
+    kind: type[Device], wire: str, sends: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened = Mock()
     seen = [opened]  # closed by the second look
     monkeypatch.setattr(kind, wire, property(lambda _: seen.pop() if seen else None), raising=False)
-    device = object.__new__(kind)
+    device: Device = object.__new__(kind)
     device.stop()
     getattr(opened, sends).assert_called_once()
