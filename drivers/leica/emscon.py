@@ -307,7 +307,7 @@ class PacketReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that are complete now; after an `Garbled` the stream is lost."""
+        """Return the packets that are complete now; after a `Garbled` the stream is lost."""
         self._buffer += data
         packets = list[Packet]()
         header = Struct("<II")
