@@ -455,9 +455,10 @@ class UrLink:
         self._link.send(request, kind.name.lower())
         for last in looks(self.ANSWER_S):
             self._check()
-            data = self._link.receive(self.SIZE, Patience(0.0 if last else self.LOOK_S))
             try:
-                self._arrived.extend(self._packages.feed(data))
+                if not self._arrived:
+                    data = self._link.receive(self.SIZE, Patience(0.0 if last else self.LOOK_S))
+                    self._arrived.extend(self._packages.feed(data))
             except Garbled as error:
                 raise self._no_rtde(kind, str(error)) from error
             while self._arrived:
