@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import msgspec
@@ -18,7 +19,6 @@ from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.journal.standing import Standing
-from hilcell.model.calibration import Provenance
 from hilcell.model.verdicts import ChangedSince, Limits
 from hilcell.ports import HilcellError
 
@@ -53,6 +53,7 @@ def check_fitness(
     ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are those of
     a cell that is not given; None leaves each unchecked.
     """
+    use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
     settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
@@ -60,12 +61,7 @@ def check_fitness(
         "--accept-not-current": [] if accept_not_current else [*_not_current(standing)],
         "--accept-out-of-tolerance": [] if accept_out_of_tolerance else intolerant,
     }
-    found = [
-        *_unproven(calibration.provenance),
-        *_beyond_age(calibration.provenance.written, now, max_age_days),
-        *_of_other_cell(calibration, cell, calibrated),
-        *_beyond_temperature(calibration.validity.temperature_c, temperature_c),
-    ]
+    found = [each for each in (use.unproven, use.age, use.other_cell, use.temperature) if each]
     flags = [flag for flag, against in acceptable.items() if against and not found]
     found += itertools.chain.from_iterable(acceptable.values())
     if flags:
@@ -117,76 +113,90 @@ def _not_current(standing: Standing | None) -> Iterator[str]:
         yield "no calibration of the cell is current: calibrate again"
 
 
-def _unproven(made: Provenance) -> Iterator[str]:
-    if not made.sign_checked:
-        yield (
+@dataclass(frozen=True, eq=False)
+class _Use:
+    """A calibration that is to be used, and why it must not be: "" where it may."""
+
+    calibration: Calibration
+    now: datetime
+    max_age_days: float
+    cell: Cell | None
+    calibrated: Cell | None
+    temperature_c: float | None
+
+    @property
+    def unproven(self) -> str:
+        if self.calibration.provenance.sign_checked:
+            return ""
+        return (
             "its sign check did not hold, or was not made: corrected targets could be off by twice "
             "the error; see `hilcell show`, then calibrate again"
         )
 
+    @property
+    def age(self) -> str:
+        written = self.calibration.provenance.written
+        try:
+            age = self.now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+        except ValueError:
+            return f"it says {written!r} for when it was written, which is no UTC time"
+        days = age / timedelta(days=1)
+        if age < -CLOCK_ERROR:
+            return (
+                f"it was written {written}, {-days:.1f} days from now; check the computer's clock"
+            )
+        if not days <= self.max_age_days:
+            return (
+                f"it was written {written}, {days:.1f} days ago, expected <= "
+                f"{self.max_age_days:g} days; calibrate again, or say --max-age DAYS"
+            )
+        return ""
 
-def _beyond_age(written: str, now: datetime, max_age_days: float) -> Iterator[str]:
-    try:
-        age = now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
-    except ValueError:
-        yield f"it says {written!r} for when it was written, which is no UTC time"
-        return
-    days = age / timedelta(days=1)
-    if age < -CLOCK_ERROR:
-        yield f"it was written {written}, {-days:.1f} days from now; check the computer's clock"
-    elif not days <= max_age_days:
-        yield (
-            f"it was written {written}, {days:.1f} days ago, expected <= {max_age_days:g} days; "
-            "calibrate again, or say --max-age DAYS"
+    @property
+    def other_cell(self) -> str:
+        """In its tolerance alone is no other cell, and judged apart."""
+        cell, found = self.cell, self.calibration.provenance.digest
+        if cell is None:
+            return ""
+        limits = {each.limits for each in self.calibration.verdicts.values()}
+        tables = (
+            msgspec.structs.replace(
+                cell.validation,
+                mean_tolerance_mm=each.mean_mm,
+                max_tolerance_mm=each.max_mm,
+                max_tolerance_deg=each.max_deg,
+            )
+            for each in limits
+            if each.max_deg is None or cell.orients
+        )
+        cells = (cell, *(msgspec.structs.replace(cell, validation=each) for each in tables))
+        if found in {each.digest for each in cells}:
+            return ""
+        name = self.calibration.provenance.cell
+        if name != cell.name:
+            return f"it is of cell {name}, not {cell.name}"
+        changed = differences(self.calibrated, cell) if self.calibrated is not None else ""
+        return (
+            f"it is of cell {name} with digest {found[:12]}, the cell given has "
+            f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
+            "--set than its run's"
+            + (f"; its run's and the one given: {changed}" if changed else "")
         )
 
-
-def _of_other_cell(
-    calibration: Calibration, cell: Cell | None, calibrated: Cell | None
-) -> Iterator[str]:
-    """Yield what is another cell; one in its tolerance alone is none, and judged apart."""
-    name, found = calibration.provenance.cell, calibration.provenance.digest
-    if cell is None:
-        return
-    limits = {each.limits for each in calibration.verdicts.values()}
-    tables = (
-        msgspec.structs.replace(
-            cell.validation,
-            mean_tolerance_mm=each.mean_mm,
-            max_tolerance_mm=each.max_mm,
-            max_tolerance_deg=each.max_deg,
-        )
-        for each in limits
-        if each.max_deg is None or cell.orients
-    )
-    cells = (cell, *(msgspec.structs.replace(cell, validation=each) for each in tables))
-    if found in {each.digest for each in cells}:
-        return
-    if name != cell.name:
-        yield f"it is of cell {name}, not {cell.name}"
-        return
-    changed = differences(calibrated, cell) if calibrated is not None else ""
-    yield (
-        f"it is of cell {name} with digest {found[:12]}, the cell given has {cell.digest[:12]}: "
-        "another cell, one whose file was changed since, or other --set than its run's"
-        + (f"; its run's and the one given: {changed}" if changed else "")
-    )
-
-
-def _beyond_temperature(
-    range_c: tuple[float, float] | None, temperature_c: float | None
-) -> Iterator[str]:
-    if temperature_c is None:
-        return
-    if range_c is None:
-        yield (
-            f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no "
-            "weather station; leave --temperature out"
-        )
-        return
-    low_c, high_c = range_c
-    if not low_c - TEMPERATURE_MARGIN_K <= temperature_c <= high_c + TEMPERATURE_MARGIN_K:
-        yield (
+    @property
+    def temperature(self) -> str:
+        temperature_c = self.temperature_c
+        if temperature_c is None:
+            return ""
+        if self.calibration.validity.temperature_c is None:
+            return (
+                f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no "
+                "weather station; leave --temperature out"
+            )
+        low_c, high_c = self.calibration.validity.temperature_c
+        if low_c - TEMPERATURE_MARGIN_K <= temperature_c <= high_c + TEMPERATURE_MARGIN_K:
+            return ""
+        return (
             f"{temperature_c:.1f} C is not within {TEMPERATURE_MARGIN_K:g} K of the calibrated "
             f"{low_c:.1f} .. {high_c:.1f} C; bring the cell to temperature, or calibrate again"
         )
