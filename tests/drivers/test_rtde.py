@@ -314,3 +314,18 @@ def test_an_answer_of_impossible_length_is_that_of_no_controller(wrong: str, fou
     with pytest.raises(DeviceError, match=found) as caught, link_to(controller):
         pass
     assert caught.value.code == "HC-B02"
+
+
+def test_an_answer_that_has_come_already_is_read_before_the_wire_is() -> None:
+    asked = list[int]()
+
+    def serve(wire: socket.socket) -> None:
+        wire.sendall(encode(Kind.VERSION, b"\1") + encode(Kind.CONTROLLER_VERSION, bytes(16)))
+        wire.shutdown(socket.SHUT_WR)
+        packages = Packages()
+        while data := wire.recv(65536):
+            asked.extend(kind for kind, _ in packages.feed(data))
+
+    with Server(serve) as server, pytest.raises(DeviceError, match="closed the connection"):
+        UrLink("127.0.0.1", server.port, RATE_HZ, lambda: None)
+    assert asked == [Kind.VERSION, Kind.CONTROLLER_VERSION, Kind.OUTPUTS]

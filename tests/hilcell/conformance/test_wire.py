@@ -327,19 +327,28 @@ def line() -> Iterator[Line]:
 def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
     line: Line, looks: Looks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    entered, unplugged = threading.Event(), threading.Event()
+    entered, joined = threading.Event(), threading.Event()
 
     def held() -> float:
         entered.set()
-        unplugged.wait(0.2)
+        joined.wait()
         return 0.0
 
+    class Pump:
+        def __init__(self, thread: threading.Thread) -> None:
+            self._thread = thread
+
+        def join(self) -> None:
+            joined.set()
+            self._thread.join()
+
+    monkeypatch.setattr(line, "_threads", [Pump(each) for each in line._threads])
     monkeypatch.setattr(looks, "monotonic", held)
     threads = threading.active_count()
     entered.wait()  # its pump is in the middle of a round
     line.refuse()
     left = threading.active_count()
-    unplugged.set()
+    joined.set()
     assert left == threads - 1
 
 
