@@ -21,7 +21,7 @@ from benchmarks.words import parser
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.estimate import identify, predict, solve
 from hilcell.identification.kinematics import Kinematics, State
-from hilcell.identification.readings import Noise, Readings
+from hilcell.identification.measured_poses import Noise, Readings
 
 ARM = Arm(
     a_mm=np.array([350.0, 1250.0, -55.0, 0.0, 0.0, 0.0]),

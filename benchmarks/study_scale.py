@@ -22,8 +22,8 @@ from benchmarks.words import parser
 from hilcell.study.analysis import answers
 from hilcell.study.case import RESULTS, measured, packed, versions
 from hilcell.study.cluster import workers_of
-from hilcell.study.performing import perform
 from hilcell.study.results import Results
+from hilcell.study.runner import perform
 from hilcell.study.study_file import cell_of, read_study
 
 REAL = 60

@@ -13,7 +13,7 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from fakes.truth.rail_truth import RailTruth, _Shape
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.frames import world_from_tracker

@@ -28,8 +28,8 @@ from drivers.supervision import Patience, on_failure
 from drivers.wires.link import open_link
 from drivers.wires.text_lines import TextLines
 from hilcell.cell.settings import refuse
-from hilcell.clean import clean
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, says_simulated
+from hilcell.sanitize import clean
 from hilcell.wire.channel import parse_channel
 
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16

@@ -31,12 +31,12 @@ from msgspec import Meta, Struct
 from fakes.faults import load_faults
 from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
-from fakes.truth.plant import FLANGE, Plant, ReplayPlant
+from fakes.truth.cell_truth import FLANGE, Plant, ReplayPlant
 from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
+from hilcell.decoding import decoded
 from hilcell.errors import HilcellError, with_place
-from hilcell.typed import decoded
 
 STDIN = 0
 Values = dict[str, Any]

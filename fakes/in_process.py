@@ -15,8 +15,8 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.time import PatientTime, PlantTime
+from fakes.truth.cell_truth import Plant
 from fakes.truth.machine import controller_arm
-from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.tracker_truth import Followed

@@ -28,8 +28,8 @@ from fakes.time import PatientTime
 from fakes.truth.machine import machine_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import harmless
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
+from hilcell.sanitize import harmless
 
 
 class PaperCell:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from fakes.faults import Faults
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant, ReplayPlant
+from fakes.truth.cell_truth import Plant, ReplayPlant
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.devices import TABLES, load_entry
 from hilcell.cell.file import Cell

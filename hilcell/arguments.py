@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self, TypeVar, cast, dataclass_transform, get_type_hints
 
-from hilcell.clean import LONGEST, clean
+from hilcell.sanitize import LONGEST, clean
 
 T = TypeVar("T")
 MISSING: Any = object()  # a default that there is not

@@ -14,7 +14,7 @@ from traceback import extract_tb
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hilcell.typed import Json
+    from hilcell.decoding import Json
 
 
 # Exit codes of commands and runs: how they ended.

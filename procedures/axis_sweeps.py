@@ -11,9 +11,10 @@ import numpy as np
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 from hilcell.identification.sweeps import swept_axis
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
@@ -26,7 +27,6 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import below, check_sweep
 from hilcell.run.mover import SweepOrder
 from hilcell.run.procedure import Result
-from hilcell.typed import typed
 from procedures import plan
 
 WAYS = ("up", "down")

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.calibration.frames import axis_6_height_mm, circle_of, frame_of_sweeps, sweep_of
-from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from operator import itemgetter
 
+from hilcell.decoding import typed
 from hilcell.geometry.statistics import Figures
 from hilcell.model.point import Sent
 from hilcell.model.results import FramedStation, Place
 from hilcell.present.table import Column, Named, Table, Value
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
 from procedures.fit import Choice, Fit, SignCheck, sign_table

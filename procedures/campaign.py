@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hilcell.cell.file import Cell, arm_from_joints
+from hilcell.decoding import typed
 from hilcell.fit.methods import FitResult, fitted, methods_table
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements
@@ -22,7 +23,6 @@ from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures.plan import flange_points, measure_s
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from hilcell.cell.devices import abilities, streams_of
 from hilcell.cell.file import Cell
-from hilcell.conformance.acts import PORTS, Port
-from hilcell.conformance.kit import promises_of
+from hilcell.conformance.exercise import PORTS, Port
+from hilcell.conformance.promises import promises_of
 from hilcell.conformance.trial import (
     SIMULATED_ONLY,
     Bench,
@@ -26,6 +26,7 @@ from hilcell.conformance.trial import (
     Trial,
     judge,
 )
+from hilcell.decoding import typed
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, PromiseJudged
@@ -35,7 +36,6 @@ from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream
 from hilcell.present.table import Table, listed
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures.world_frame import Home
 
 NAME = "conformance"

@@ -13,14 +13,15 @@ from operator import attrgetter
 
 import numpy as np
 
-from hilcell.calibration.errors import errors_of
 from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_of, outlying_vertices
+from hilcell.calibration.position_errors import errors_of
 from hilcell.cell.file import Cell
-from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.model import Measured
+from hilcell.compensation.model_choice import MODELS, chosen
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log, noise_at, run_noise
@@ -32,7 +33,6 @@ from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from hilcell.typed import typed
 from procedures import plan
 
 

@@ -11,7 +11,6 @@ from itertools import product
 
 import numpy as np
 
-from hilcell.calibration.in_use import calibration_in, calibration_named
 from hilcell.calibration.iso9283 import (
     CYCLE,
     Pose,
@@ -20,8 +19,10 @@ from hilcell.calibration.iso9283 import (
     evaluated,
     velocity_percent,
 )
+from hilcell.calibration.lookup import calibration_in, calibration_named
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.plan import Span, Step
@@ -33,7 +34,6 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
 from hilcell.run.mover import Straight
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures import plan
 from procedures.base_frame import BaseFrame
 from procedures.rail import HoldStation

@@ -20,13 +20,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.calibration.errors import errors_of, targets
-from hilcell.calibration.errors import reduction as share_removed
 from hilcell.calibration.frames import Frames, axis_6_height_mm, circle_of
 from hilcell.calibration.grid import grid_errors_mm, grid_of, grid_pairs
+from hilcell.calibration.position_errors import errors_of, targets
+from hilcell.calibration.position_errors import reduction as share_removed
 from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import Idw
+from hilcell.decoding import typed
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import (
     apply,
@@ -54,7 +55,6 @@ from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Part, Procedure, Result
-from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame, FramedBase
 from procedures.fit import Choice, Fit, SignCheck, SignErrors

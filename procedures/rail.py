@@ -12,6 +12,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.cell.uncertainty import COVERAGE_FACTOR
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, rigid_fit, to_rotvec, unit
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
@@ -24,7 +25,6 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Part, Result
 from hilcell.run.prompts import FLANGE
-from hilcell.typed import typed
 from procedures.plan import approach_s, closing, first_hold, measure_s, rail_move_s, step
 
 # -- the survey -----------------------------------------------------------------------------------

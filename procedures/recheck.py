@@ -13,7 +13,7 @@ import numpy as np
 
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import calibration_in, calibration_named, record_of
+from hilcell.calibration.lookup import calibration_in, calibration_named, record_of
 from hilcell.calibration.recheck import (
     KIND,
     CheckedPose,
@@ -23,6 +23,7 @@ from hilcell.calibration.recheck import (
 )
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
@@ -35,7 +36,6 @@ from hilcell.present.table import Column, Table, vector
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures.plan import check_reach, closing, drivable, flange_points, step, turned
 from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame

@@ -8,6 +8,7 @@ import msgspec
 
 from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
+from hilcell.decoding import typed
 from hilcell.journal.log import Log
 from hilcell.model.plan import Step
 from hilcell.model.point import REFLECTOR, PointId
@@ -17,7 +18,6 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.run.prompts import FLANGE
-from hilcell.typed import typed
 from procedures.plan import closing, readings, step
 from procedures.world_frame import Home, WorldFrame
 

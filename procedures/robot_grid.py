@@ -26,7 +26,7 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, matrix, to_rotvec
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import bounds95_mm
-from hilcell.identification.readings import IdentificationError
+from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.model.events import NoPosesChosen, OutlierMeasuredAgain, PosesChosen
 from hilcell.model.plan import Step

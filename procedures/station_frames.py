@@ -22,6 +22,7 @@ import numpy as np
 
 from hilcell.calibration.frames import frame_of_sweeps
 from hilcell.cell.file import Cell, Nest, Station
+from hilcell.decoding import typed
 from hilcell.geometry.frames import (
     RigidFit,
     apply,
@@ -40,7 +41,6 @@ from hilcell.ports import Array, DeviceError, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from hilcell.typed import typed
 from procedures import plan
 from procedures.base_frame import check_circles, points_on_arc, sweep, sweeps
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import calibration_named
+from hilcell.calibration.lookup import calibration_named
 from hilcell.calibration.target_pass import (
     KIND,
     TargetsResult,
@@ -23,6 +23,7 @@ from hilcell.calibration.target_pass import (
 )
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.targets import read_targets
+from hilcell.decoding import typed
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
@@ -33,7 +34,6 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures.plan import check_reach, closing, first_hold, flange_points, step
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame

@@ -19,7 +19,7 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.grid import grid_of
-from hilcell.calibration.in_use import NoCalibration, calibration_in, calibration_named, used
+from hilcell.calibration.lookup import NoCalibration, calibration_in, calibration_named, used
 from hilcell.calibration.touch import (
     FrameUpdate,
     suspected,
@@ -31,6 +31,7 @@ from hilcell.calibration.touch import (
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, point_variance_mm2, to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry
@@ -44,7 +45,6 @@ from hilcell.ports import DeviceError, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
-from hilcell.typed import typed
 from procedures import plan
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame

@@ -9,9 +9,15 @@ import numpy as np
 from msgspec.structs import replace
 
 from hilcell.calibration.budget import coverages
-from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
+from hilcell.calibration.changes import compared
+from hilcell.calibration.decision_rule import (
+    check_limits,
+    class_warning,
+    guard_of,
+    judged,
+    limits_of,
+)
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.errors import judged_places, validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
@@ -23,13 +29,13 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
-from hilcell.calibration.since import compared
+from hilcell.calibration.position_errors import judged_places, validation
 from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import ErrorModel
+from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
@@ -41,7 +47,7 @@ from hilcell.model.verdicts import OTHERS, VALIDATION, ChangedSince, Oriented, S
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures import enough_targets, plan
+from procedures import plan, quick_validation
 from procedures.fit import orients
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
@@ -103,10 +109,10 @@ class Validate:
             frame_station(session, station)
             for how in BOTH if cell.plan.quick else Sent:
                 every, quick = [range(len(poses))], cell.plan.quick
-                for numbers in enough_targets.rounds(session.log, name, how) if quick else every:
+                for numbers in quick_validation.rounds(session.log, name, how) if quick else every:
                     self._send(session, station, how, numbers, poses, models.get(how))
                 if quick and how == Sent.CHOSEN:
-                    enough_targets.keep_guard(session, name)
+                    quick_validation.keep_guard(session, name)
                 if how in self._closed(cell):
                     session.close_step(carried=True)
         self._judge(session)
@@ -240,7 +246,7 @@ class Validate:
             before=sent[Sent.BEFORE],
             idw=sent.get(Sent.IDW),
             chosen=sent[Sent.CHOSEN],
-            decision=enough_targets.judgement(log, stations) if log.cell.plan.quick else None,
+            decision=quick_validation.judgement(log, stations) if log.cell.plan.quick else None,
             floor=floor(log) if together else None,
         )
 
@@ -257,7 +263,9 @@ class Validate:
         """Return how many targets a quick plan sends where all is well; None is all of them."""
         if not cell.plan.quick:
             return None
-        return enough_targets.least_targets(cell) if how == Sent.CHOSEN else enough_targets.BLOCK
+        return (
+            quick_validation.least_targets(cell) if how == Sent.CHOSEN else quick_validation.BLOCK
+        )
 
 
 def judge_suspicions(session: CellSession) -> None:
@@ -334,7 +342,7 @@ def targets(cell: Cell, seed: int) -> dict[str, Array]:
     rng, grid = np.random.default_rng([seed, 2014]), grid_of(cell)
     if cell.plan.quick:
         low_mm, high_mm = grid.origin_mm + MARGIN_MM, grid.far_mm - MARGIN_MM
-        return enough_targets.octant_targets(cell, seed, low_mm, high_mm)
+        return quick_validation.octant_targets(cell, seed, low_mm, high_mm)
 
     def draw(cells: list[tuple[int, ...]]) -> Array:
         inside = rng.uniform(size=(len(cells), 3))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.arguments import HOLES, TARGETS
-from hilcell.compensation.stamp import COLUMN
+from hilcell.compensation.provenance import COLUMN
 from hilcell.compensation.targets import HEADER
 from hilcell.programs.corrected import BOUNDS
 from hilcell.programs.holes import NORMALS
@@ -21,7 +21,14 @@ PAGES = ("README.md", "CONTRIBUTING.md", *MANUAL)
 PICTURE = (ROOT / "docs/architecture.md").read_text("utf-8")
 CODE = re.compile(rf"(?<![\w./-])(?:hilcell|{'|'.join(NEIGHBOURS)}|benchmarks|campaigns)(?:\.\w+)+")
 FILE = re.compile(rf"`((?:hilcell|{'|'.join(NEIGHBOURS)}|tests|docs)/[\w./-]+)`")
-GROUPS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["entry-points"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+GROUPS = PROJECT["project"]["entry-points"]
+(LAYERS,) = (
+    contract["layers"]
+    for contract in PROJECT["tool"]["importlinter"]["contracts"]
+    if contract.get("containers") == ["hilcell"]
+)
+ROOMS = {room for layer in LAYERS for room in layer.split(" | ")}
 NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
 # Files of CONTRIBUTING.md that its reader writes.
 EXAMPLES = ("tracker_lines", "floor_noise", "program_poses")
@@ -47,7 +54,7 @@ def room_of(module: str) -> str:
         return top
     if name == "__main__":
         return "commands"
-    return name if (ROOT / top / name / "__init__.py").is_file() and name else "base"
+    return name if name in ROOMS else "base"
 
 
 def imports(path: Path) -> set[str]:
@@ -118,9 +125,8 @@ def test_the_dotted_arrows_are_the_entry_points() -> None:
 
 
 def test_the_table_has_every_room() -> None:
-    rooms = {f"hilcell/{path.parent.name}" for path in (ROOT / "hilcell").glob("*/__init__.py")}
-    named = set(re.findall(r"^\| `([\w/]+)` \|", PICTURE, re.MULTILINE))
-    assert sorted(named ^ (rooms | set(NEIGHBOURS))) == []
+    named = set(re.findall(r"^\| `([\w/]+)(?:\.py)?` \|", PICTURE, re.MULTILINE))
+    assert sorted(named ^ {*(f"hilcell/{room}" for room in ROOMS), *NEIGHBOURS}) == []
 
 
 def test_the_glossary_is_in_order_and_every_term_has_its_module() -> None:

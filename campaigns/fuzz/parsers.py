@@ -34,13 +34,13 @@ from fakes.leica import emscon_packets
 from hilcell.alarms import Latch
 from hilcell.calibration.file import SEAL, _seal, read_calibration, write_calibration
 from hilcell.cell.file import load_cell
-from hilcell.clean import clean
 from hilcell.compensation.targets import read_targets
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
 from hilcell.programs.holes import read_holes
 from hilcell.run.control import Status, _Handler
+from hilcell.sanitize import clean
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS

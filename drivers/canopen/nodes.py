@@ -22,8 +22,8 @@ from drivers.canopen.motion_guard import Limits
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported, open_channel
 from drivers.canopen.slcan_bus import has_long_stamp
 from drivers.device_errors import RAIL
-from hilcell.clean import clean
 from hilcell.ports import DeviceError, Identity, says_simulated
+from hilcell.sanitize import clean
 
 FIND_S = 5.0
 OPERATIONAL_S = 3.0  # wire deadline

@@ -49,7 +49,6 @@ from drivers.motion_limits import (
 )
 from drivers.supervision import Supervision, looks, on_failure
 from hilcell.cell.file import Joint
-from hilcell.clean import clean
 from hilcell.geometry.frames import from_zyx
 from hilcell.ports import (
     Array,
@@ -63,6 +62,7 @@ from hilcell.ports import (
     Stopped,
     says_simulated,
 )
+from hilcell.sanitize import clean
 from hilcell.wire.channel import Host
 
 POLL_S = 0.03

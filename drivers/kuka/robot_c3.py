@@ -32,8 +32,8 @@ from drivers.kuka.controller import (
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
-from hilcell.clean import clean
 from hilcell.ports import Array, Clock
+from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
 MAX_BODY = 4096

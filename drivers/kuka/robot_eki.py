@@ -46,8 +46,8 @@ from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
 from drivers.supervision import LIFE_S, Patience, go_on, on_failure
 from drivers.wires.tcp import POLL_S
-from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError
+from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
 STATE, STOPPED = "RobotState", "RobotStopState"  # roots

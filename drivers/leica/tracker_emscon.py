@@ -49,7 +49,6 @@ from drivers.tracker_readings import (
     when_ready,
 )
 from drivers.wires.tcp import TcpLink
-from hilcell.clean import clean
 from hilcell.ports import (
     Air,
     Array,
@@ -62,6 +61,7 @@ from hilcell.ports import (
     StreamBlock,
     TrackerReading,
 )
+from hilcell.sanitize import clean
 from hilcell.wire.channel import Host, Port
 
 T = TypeVar("T")

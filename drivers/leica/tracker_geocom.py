@@ -41,8 +41,8 @@ from drivers.tracker_readings import (
 )
 from drivers.wires.link import open_link
 from drivers.wires.text_lines import TextLines
-from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading
+from hilcell.sanitize import clean
 from hilcell.wire.channel import SerialLine, parse_channel
 
 MM_PER_M = 1000.0

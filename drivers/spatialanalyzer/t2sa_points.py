@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from hilcell.atomic_files import write_whole
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError, read_text
 from hilcell.geometry.frames import apply, unit
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, HilcellError
-from hilcell.writing import write_whole
 
 SEARCH_MM = 60.0
 MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm

@@ -43,8 +43,8 @@ from drivers.tracker_readings import (
 from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import clean
 from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading, says_simulated
+from hilcell.sanitize import clean
 from hilcell.wire.channel import Host, Port
 
 # Deadlines on the wire, in real time.

@@ -12,8 +12,8 @@ from drivers.device_errors import ROBOT
 from drivers.supervision import Patience, on_failure
 from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
-from hilcell.clean import clean
 from hilcell.ports import DeviceError
+from hilcell.sanitize import clean
 
 ANSWER_S = 3.0
 

@@ -21,9 +21,9 @@ import numpy as np
 from fakes.faults import Faults, Vanished
 from fakes.site import Site
 from fakes.time import LifeTimer
+from fakes.truth.cell_truth import strike
 from fakes.truth.machine import controller_arm, flicker
 from fakes.truth.noise import Dither
-from fakes.truth.plant import strike
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotState
 from fakes.truth.transforms import Array, components

@@ -22,8 +22,8 @@ import numpy as np
 from fakes.truth.machine import Errors, Machine, Transmission, mounted
 from fakes.truth.transforms import Array, Chain, carried, frame, rigid, rotation
 from hilcell.cell.tables import Point
+from hilcell.decoding import decoded
 from hilcell.ports import HilcellError
-from hilcell.typed import decoded
 
 URAD = 1e-6
 

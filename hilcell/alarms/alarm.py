@@ -13,12 +13,12 @@ from shlex import quote
 from typing import TYPE_CHECKING, Literal
 
 from hilcell.alarms.catalogue import SEVERITIES, By, Severity, code_of_verdict, entry_of
-from hilcell.clean import clean
+from hilcell.decoding import Json
 from hilcell.errors import EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_REFUSED, EXIT_STORAGE
 from hilcell.model import events
 from hilcell.model.events import after
 from hilcell.model.records import Change, StateChanged
-from hilcell.typed import Json
+from hilcell.sanitize import clean
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record

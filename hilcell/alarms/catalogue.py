@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
+from hilcell.decoding import typed
 from hilcell.errors import HilcellError
-from hilcell.typed import typed
 
 Severity = Literal["notice", "warning", "fault"]
 By = Literal["you", "controller"]

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import Errors, errors_of, targets, visit_scatter, visits_mm
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_as_framed
 from hilcell.calibration.influence import (
@@ -34,6 +33,7 @@ from hilcell.calibration.influence import (
     no_less_than_nought,
 )
 from hilcell.calibration.lost_motion import reversal
+from hilcell.calibration.position_errors import Errors, errors_of, targets, visit_scatter, visits_mm
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix

@@ -28,8 +28,8 @@ from hilcell.calibration.causes import (
     likeliest,
     zero_columns,
 )
+from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.drift import robot_drift, tracker_drift
-from hilcell.calibration.errors import errors_of, of_differences, visit_noise, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import (
     axis_6_height_mm,
@@ -41,7 +41,12 @@ from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.lost_motion import lost_too_much
 from hilcell.calibration.measurement_budget import systematic_mm2
-from hilcell.calibration.since import risen_nest, since_before
+from hilcell.calibration.position_errors import (
+    errors_of,
+    of_differences,
+    visit_noise,
+    visit_scatter,
+)
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import forward

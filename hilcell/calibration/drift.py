@@ -22,11 +22,11 @@ from itertools import groupby
 import numpy as np
 
 from hilcell.calibration.causes import PENALTY, RISK, SPREAD, Pattern, patterns
-from hilcell.calibration.errors import visit_noise, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import no_less_than_nought
+from hilcell.calibration.position_errors import visit_noise, visit_scatter
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms

@@ -19,19 +19,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell import __version__
+from hilcell.atomic_files import write_whole
 from hilcell.calibration.budget import uncertainty_of
-from hilcell.calibration.decision import judged_again
+from hilcell.calibration.decision_rule import judged_again
 from hilcell.calibration.form import Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import measured_of
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lost_motion import lost_motion
-from hilcell.calibration.tip import AT_REFLECTOR, Tip
+from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_file
-from hilcell.clean import counted
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
+from hilcell.compensation.model_choice import MODELS
+from hilcell.decoding import Json, decoded, typed
 from hilcell.geometry.frames import (
     apply,
     from_zyx,
@@ -45,8 +46,7 @@ from hilcell.model.calibration import Device, Provenance, StationEntry
 from hilcell.model.frame import MeasuredStation
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
 from hilcell.ports import Array, HilcellError
-from hilcell.typed import Json, decoded, typed
-from hilcell.writing import write_whole
+from hilcell.sanitize import counted
 
 SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
 SEAL = "seal"

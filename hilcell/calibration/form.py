@@ -13,16 +13,16 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.influence import NoBound, Uncertainty
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
-from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
+from hilcell.compensation.model_choice import MODELS
+from hilcell.compensation.residual import Pass, Remainder, WithRemainder
+from hilcell.decoding import Json
 from hilcell.geometry.frames import matrix, poses_from_zyx, turned_deg
 from hilcell.geometry.kinematics import Bools
 from hilcell.model.calibration import Provenance, StationEntry
 from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
-from hilcell.typed import Json
 
 
 class Validity(msgspec.Struct, frozen=True):

@@ -27,8 +27,8 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import rectangular_variance
-from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, positions_mm, variances_mm2, world_key
+from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array

@@ -24,7 +24,7 @@ from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.model import Measured, MeasuredArm, StaticPoses
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
-from hilcell.identification.readings import Readings
+from hilcell.identification.measured_poses import Readings
 from hilcell.identification.sweeps import curve_of
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId

@@ -22,10 +22,10 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.errors import Errors, errors_of
-from hilcell.calibration.in_use import calibration_in
+from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm, expanded_mm
 from hilcell.calibration.orientation import turned_of, turned_rad2
+from hilcell.calibration.position_errors import Errors, errors_of
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers

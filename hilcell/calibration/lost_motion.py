@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.causes import zero_columns
-from hilcell.calibration.errors import of_differences, visit_noise
 from hilcell.calibration.form import LostMotion
+from hilcell.calibration.position_errors import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance

@@ -18,7 +18,7 @@ from itertools import chain, combinations, pairwise
 import numpy as np
 
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
-from hilcell.calibration.decision import UNKNOWN_TURN, stated_mm2
+from hilcell.calibration.decision_rule import UNKNOWN_TURN, stated_mm2
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.grid import measured_of
@@ -34,7 +34,7 @@ from hilcell.geometry.statistics import (
     lengths_mm,
     trace_freedom,
 )
-from hilcell.identification.readings import IdentificationError
+from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import TurnBounds, Turns

@@ -22,10 +22,9 @@ import numpy as np
 
 from hilcell.calibration.budget import driven_poses
 from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weights_of
-from hilcell.calibration.decision import judged_errors
-from hilcell.calibration.in_use import used, visited
+from hilcell.calibration.decision_rule import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
-from hilcell.clean import counted
+from hilcell.calibration.lookup import used, visited
 from hilcell.geometry.frames import cross_matrix, from_rotvec, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm
@@ -33,6 +32,7 @@ from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, HilcellError
+from hilcell.sanitize import counted
 
 KIND = "recheck"  # of the points, key of result and verdict
 RISK = 0.01  # that a calibration which holds is not found to

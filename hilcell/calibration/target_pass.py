@@ -13,14 +13,14 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.budget import target_bounds, touched
-from hilcell.calibration.decision import judged_errors
+from hilcell.calibration.decision_rule import judged_errors
 from hilcell.calibration.file import calibration_of
 from hilcell.calibration.form import Calibration, TargetPass, Targets, written_now
-from hilcell.calibration.in_use import used, visited
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
+from hilcell.calibration.lookup import used, visited
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged, rechecked_run
 from hilcell.compensation.model import Prediction
-from hilcell.compensation.remainder import Remainder
+from hilcell.compensation.residual import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.calibration.causes import Differences, likeliest
-from hilcell.calibration.errors import of_differences, visits_mm
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_covariance
-from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import SIZE
+from hilcell.calibration.lookup import calibration_in
+from hilcell.calibration.position_errors import of_differences, visits_mm
 from hilcell.cell.devices import sights_apart_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import (

@@ -14,11 +14,11 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from hilcell.calibration.decision import limits_of
+from hilcell.calibration.decision_rule import limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
-from hilcell.journal.standing import Standing
+from hilcell.journal.calibration_status import Standing
 from hilcell.model.verdicts import ChangedSince, Limits
 from hilcell.ports import HilcellError
 

@@ -17,8 +17,8 @@ from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import places
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
+from hilcell.decoding import learn
 from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_place
-from hilcell.typed import learn
 
 
 def misfits(kind: type, port: type) -> list[str]:

@@ -54,7 +54,7 @@ from hilcell.cell.tables import (
     refuse_descending,
 )
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
-from hilcell.typed import Json
+from hilcell.decoding import Json
 
 # A cell file without ``[rail]`` is completed here alone: by a rail whose driver is `NO_RAIL`, a
 # slide that never moves and has no nests, and one station at 0. So base, journal, plans and

@@ -26,9 +26,9 @@ from hilcell.cell.tables import (
     Tolerance,
     refuse_descending,
 )
+from hilcell.decoding import Json
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.typed import Json
 
 
 class Joint(Frozen, frozen=True, kw_only=True):

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from hilcell.clean import clean, counted
+from hilcell.decoding import Json, typed
 from hilcell.errors import HilcellError, indented
-from hilcell.typed import Json, typed
+from hilcell.sanitize import clean, counted
 
 LONGEST_VALUE = 80
 _KINDS = {

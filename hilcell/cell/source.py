@@ -13,7 +13,7 @@ from typing import Any
 from unicodedata import normalize
 
 from hilcell.cell.settings import SettingsError, did_you_mean, read_text, unreadable
-from hilcell.typed import Json
+from hilcell.decoding import Json
 
 
 def read_source(where: str) -> str:

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from hilcell.cell.settings import SettingsError, read_text
 from hilcell.cell.tables import Frozen, Point, Rate
-from hilcell.clean import clean
+from hilcell.sanitize import clean
 
 # The file is not trusted: it has a size limit and no document type, so nothing in it is expanded
 # or fetched. DCC 2 and 3 are read, with the uncertainty of D-SI 1 and of D-SI 2.2.

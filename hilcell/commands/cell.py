@@ -21,14 +21,14 @@ from hilcell.cell.differences import check_copied
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import by_line
-from hilcell.cell.unseen import unseen
-from hilcell.commands.orders import Check, Diagram, Sim
-from hilcell.commands.output import flush_data, print_answer, print_data, print_json, print_message
+from hilcell.cell.undetectable_errors import unseen
+from hilcell.commands.console import flush_data, print_answer, print_data, print_json, print_message
+from hilcell.commands.signatures import Check, Diagram, Sim
+from hilcell.decoding import Json
 from hilcell.ports import Exercise, HilcellError, Training
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
-from hilcell.typed import Json
 
 HELP = (
     "A number strikes that fault, Enter one that is not named; m lists them, q ends the simulated "

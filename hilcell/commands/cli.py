@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING
 
 from hilcell import __version__
 from hilcell.arguments import Signature
-from hilcell.commands import orders, output
+from hilcell.atomic_files import NotPrinted
+from hilcell.commands import console, signatures
 from hilcell.commands.parser import Parser, made
 from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED, HilcellError, exit_code
 from hilcell.run.order import Order, Resume
-from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
-    from hilcell.typed import Json
+    from hilcell.decoding import Json
 
 EXITS = (  # by their number
     "in tolerance",
@@ -73,42 +73,42 @@ GROUPS: Mapping[str, Commands] = {
     "every day": {
         "run": (Order, "run:run"),
         "resume": (Resume, "run:resume"),
-        "pause": (orders.Pause, "live:pause"),
-        "stop": (orders.Stop, "live:stop"),
-        "watch": (orders.Watch, "live:watch"),
-        "tui": (orders.Tui, "tui:tui"),
-        "plan": (orders.Plan, "prepare:plan"),
-        "prepare": (orders.Prepare, "prepare:prepare"),
-        "compensate": (orders.Compensate, "targets:compensate"),
+        "pause": (signatures.Pause, "control:pause"),
+        "stop": (signatures.Stop, "control:stop"),
+        "watch": (signatures.Watch, "control:watch"),
+        "tui": (signatures.Tui, "tui:tui"),
+        "plan": (signatures.Plan, "prepare:plan"),
+        "prepare": (signatures.Prepare, "prepare:prepare"),
+        "compensate": (signatures.Compensate, "targets:compensate"),
     },
     "look back": {
-        "show": (orders.Show, "past:show"),
-        "runs": (orders.ListRuns, "past:runs"),
-        "report": (orders.Report, "past:report"),
-        "export": (orders.Export, "past:export"),
-        "compare": (orders.Compare, "past:compare"),
-        "explain": (orders.Explain, "manual:explain"),
-        "revoke": (orders.Revoke, "past:revoke"),
+        "show": (signatures.Show, "runs:show"),
+        "runs": (signatures.ListRuns, "runs:runs"),
+        "report": (signatures.Report, "runs:report"),
+        "export": (signatures.Export, "runs:export"),
+        "compare": (signatures.Compare, "runs:compare"),
+        "explain": (signatures.Explain, "manual:explain"),
+        "revoke": (signatures.Revoke, "runs:revoke"),
     },
     "set up": {
-        "check": (orders.Check, "cell:check"),
-        "doctor": (orders.Doctor, "doctor:doctor"),
-        "sim": (orders.Sim, "cell:sim"),
-        "completion": (orders.Completion, "manual:completion"),
+        "check": (signatures.Check, "cell:check"),
+        "doctor": (signatures.Doctor, "doctor:doctor"),
+        "sim": (signatures.Sim, "cell:sim"),
+        "completion": (signatures.Completion, "manual:completion"),
     },
     "for engineers": {
-        "fit": (orders.Fit, "targets:fit"),
-        "study": (orders.RunStudy, "study:study"),
-        "plant": (orders.Plant, ""),
-        "diagram": (orders.Diagram, "cell:diagram"),
+        "fit": (signatures.Fit, "targets:fit"),
+        "study": (signatures.RunStudy, "study:study"),
+        "plant": (signatures.Plant, ""),
+        "diagram": (signatures.Diagram, "cell:diagram"),
     },
 }
 PLANT: Commands = {
-    "init": (orders.PlantInit, "plant:init"),
-    "ship": (orders.PlantShip, "plant:ship"),
-    "show": (orders.PlantShow, "plant:show"),
-    "export": (orders.PlantExport, "plant:export"),
-    "verify": (orders.PlantVerify, "plant:verify"),
+    "init": (signatures.PlantInit, "plant:init"),
+    "ship": (signatures.PlantShip, "plant:ship"),
+    "show": (signatures.PlantShow, "plant:show"),
+    "export": (signatures.PlantExport, "plant:export"),
+    "verify": (signatures.PlantVerify, "plant:verify"),
 }
 
 
@@ -150,10 +150,10 @@ def main(
     words: Sequence[str] | None = None, *, imported: Callable[[], object] = lambda: None
 ) -> int:
     """Run one command and return its exit code; ``imported`` is called when the command begins."""
-    output.never_fail_to_encode((sys.stdout, sys.stderr))
+    console.never_fail_to_encode((sys.stdout, sys.stderr))
     words = sys.argv[1:] if words is None else words
     if not words:
-        output.print_message(FIRST)
+        console.print_message(FIRST)
         return EXIT_REFUSED
     try:
         act, takes, values = read(words)
@@ -168,9 +168,9 @@ def main(
         if "runs" in values:
             values["runs"] = _runs_of(values["runs"])
         code = int(perform(made(takes, values)))
-        output.flush_data()
+        console.flush_data()
     except KeyboardInterrupt:
-        output.print_message("hilcell: interrupted")
+        console.print_message("hilcell: interrupted")
         return EXIT_ABORTED
     except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
         return _refuse(error, as_json=takes is Order and bool(values["json"]))
@@ -188,16 +188,16 @@ def _runs_of(named: Path | None) -> Path:
         return folder
     usual, note = usual_runs(os.environ)
     if note:
-        output.print_message(note)
+        console.print_message(note)
     return usual
 
 
 def _refuse(error: Exception, *, as_json: bool) -> int:
     code = exit_code(error)
-    output.print_error(error)
+    console.print_error(error)
     if as_json:
         end: dict[str, object] = {"kind": "end", "run": None, "state": "idle", "exit": code}
         with suppress(NotPrinted):  # the first error is the one to report
-            output.print_json(end | {"result": {}, "reason": str(error)})
-            output.flush_data()
+            console.print_json(end | {"result": {}, "reason": str(error)})
+            console.flush_data()
     return code

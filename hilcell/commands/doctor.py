@@ -21,21 +21,21 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from hilcell.alarms.catalogue import CatalogueError, catalogue
+from hilcell.atomic_files import NotWritten
 from hilcell.cell.addresses import THIS_MACHINE
 from hilcell.cell.devices import PORTS, check_options, device_places, installed, load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import harmless_lines
-from hilcell.commands.orders import Doctor
-from hilcell.commands.output import print_data, print_json
+from hilcell.commands.console import print_data, print_json
+from hilcell.commands.signatures import Doctor
 from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import bytes_free, bytes_needed, existing
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
+from hilcell.sanitize import harmless_lines
 from hilcell.tui.keys import default_file, load_keys
 from hilcell.tui.terminal.capabilities import has_colours, has_unicode, is_coerced
-from hilcell.writing import NotWritten
 
 PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}

@@ -22,9 +22,9 @@ from hilcell.arguments import MISSING, Argument, fields_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
 from hilcell.commands import cli
-from hilcell.commands.orders import Completion, Explain
-from hilcell.commands.output import print_data, print_json
+from hilcell.commands.console import print_data, print_json
 from hilcell.commands.parser import Parser
+from hilcell.commands.signatures import Completion, Explain
 from hilcell.errors import HilcellError
 
 

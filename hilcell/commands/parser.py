@@ -18,11 +18,11 @@ from typing import (
 )
 
 from hilcell.arguments import MISSING, Argument, Signature, fields_of, is_signature
-from hilcell.commands.output import print_message, stdout_checked
+from hilcell.commands.console import print_message, stdout_checked
 from hilcell.errors import EXIT_REFUSED
 
 if TYPE_CHECKING:
-    from hilcell.typed import Json
+    from hilcell.decoding import Json
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 Taken = TypeVar("Taken", bound=Signature)

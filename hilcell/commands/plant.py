@@ -16,11 +16,17 @@ from typing import TYPE_CHECKING, Self
 import msgspec
 
 from hilcell.cell.settings import did_you_mean
-from hilcell.clean import clean, counted, encodable, harmless, harmless_lines
-from hilcell.commands.orders import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
-from hilcell.commands.output import print_answer, print_data, print_json, print_message, print_table
+from hilcell.commands.console import (
+    print_answer,
+    print_data,
+    print_json,
+    print_message,
+    print_table,
+)
+from hilcell.commands.signatures import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, HilcellError
 from hilcell.present.table import Column, Table
+from hilcell.sanitize import clean, counted, encodable, harmless, harmless_lines
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

@@ -5,11 +5,12 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from hilcell.calibration.tip import tip_named
+from hilcell.atomic_files import CSV, check_output
+from hilcell.calibration.tool_point import tip_named
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands.orders import Plan, Prepare
-from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.console import print_json, print_message, print_table
+from hilcell.commands.signatures import Plan, Prepare
 from hilcell.commands.targets import check_settings
 from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.present.table import Column, Table
@@ -18,7 +19,6 @@ from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, Volume, ratio
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.station_jobs import StationJobs
-from hilcell.writing import CSV, check_output
 
 
 def prepare(args: Prepare) -> int:

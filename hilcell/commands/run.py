@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell.cell.devices import load_entry
-from hilcell.commands.output import print_message
+from hilcell.commands.console import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
     ProgressOutput,

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Self
 import msgspec
 
 from hilcell.alarms.catalogue import catalogue, code_of_verdict, entry_of
+from hilcell.atomic_files import NotPrinted
 from hilcell.cell.file import Cell
-from hilcell.clean import encodable, harmless, harmless_lines
-from hilcell.commands.output import (
+from hilcell.commands.console import (
     flush_data,
     json_line,
     print_error,
@@ -28,13 +28,14 @@ from hilcell.commands.output import (
     print_table,
     stdout_checked,
 )
+from hilcell.decoding import Json
 from hilcell.errors import RESUMABLE, DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED
 from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.labels import verdict_words
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.journal.states import WAITING
-from hilcell.journal.words import verdict_words
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
 from hilcell.model.plan import Step
 from hilcell.model.point import CONTROL, Point
@@ -45,8 +46,7 @@ from hilcell.ports import RecordingEnded
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
-from hilcell.typed import Json
-from hilcell.writing import NotPrinted
+from hilcell.sanitize import encodable, harmless, harmless_lines
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,15 +11,15 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hilcell.clean import clean, harmless_lines
-from hilcell.commands.orders import RunStudy
-from hilcell.commands.output import print_data, print_json, print_message, print_table
+from hilcell.atomic_files import check_output, write_whole
+from hilcell.commands.console import print_data, print_json, print_message, print_table
+from hilcell.commands.signatures import RunStudy
 from hilcell.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.signals import interrupted_once
+from hilcell.sanitize import clean, harmless_lines
 from hilcell.study.design import Case, cases
 from hilcell.study.study_file import Study, read_study
-from hilcell.writing import check_output, write_whole
 
 if TYPE_CHECKING:
     from hilcell.study.cluster import Workers
@@ -149,7 +149,7 @@ def _measured(
 ) -> Counter[str]:
     """Measure the cases that are left, with a progress bar on stderr; ``check`` may end it."""
     from hilcell.commands.run_output import progress_bar
-    from hilcell.study.performing import perform
+    from hilcell.study.runner import perform
 
     with progress_bar() as progress:
         task = progress.add_task(clean(results.study.name), total=planned, completed=kept)
@@ -162,7 +162,7 @@ def _measured(
 
 
 def _report(args: RunStudy) -> int:
-    from hilcell.study.page import page
+    from hilcell.study.html import page
     from hilcell.study.results import open_results
 
     folder = Path(args.folder)

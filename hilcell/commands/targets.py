@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from hilcell.atomic_files import CSV, check_output
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands.orders import Compensate, Fit
-from hilcell.commands.output import print_data, print_json, print_message, print_table
+from hilcell.commands.console import print_data, print_json, print_message, print_table
+from hilcell.commands.signatures import Compensate, Fit
 from hilcell.errors import bounded
 from hilcell.fit.methods import FitResult, Fitted, FittedArm, fitted, in_mm, methods_table
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
 from hilcell.programs.arm_targets import ArmTargets
 from hilcell.programs.target_jobs import StationTargets
-from hilcell.writing import CSV, check_output
 
 URDF = ".urdf"
 

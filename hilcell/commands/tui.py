@@ -7,8 +7,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from hilcell.commands.orders import Tui
-from hilcell.commands.output import print_message
+from hilcell.commands.console import print_message
+from hilcell.commands.signatures import Tui
 from hilcell.errors import EXIT_INTERNAL, HilcellError
 from hilcell.journal.runs_folder import command_on
 from hilcell.tui.keys import load_keys

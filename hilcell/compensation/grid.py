@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.clean import counted
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.ports import HilcellError
+from hilcell.sanitize import counted
 
 ROUNDING_MM = 1e-6  # a target on a face may lie outside by the rounding of its frame
 NAMED = 5  # targets that one message names

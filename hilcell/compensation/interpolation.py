@@ -17,8 +17,8 @@ import numpy as np
 
 from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
 from hilcell.compensation.model import LearntModel, Measured, ModelError, Prediction
+from hilcell.decoding import Json, typed
 from hilcell.geometry.kinematics import Array, Ints
-from hilcell.typed import Json, typed
 
 # (8, 3) steps from a cell's lowest vertex
 CORNERS: Ints = np.array([*product((0, 1), repeat=3)])

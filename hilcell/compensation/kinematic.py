@@ -22,6 +22,7 @@ from hilcell.compensation.model import (
     Prediction,
     Turn,
 )
+from hilcell.decoding import Json, typed
 from hilcell.geometry.frames import is_rotation, to_rotvec
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
@@ -35,9 +36,8 @@ from hilcell.identification.estimate import (
     predict_orientations,
 )
 from hilcell.identification.kinematics import Kinematics, Placed, State, TransmissionCurve
-from hilcell.identification.readings import IdentificationError, Noise
+from hilcell.identification.measured_poses import IdentificationError, Noise
 from hilcell.model.verdicts import CurvesUsed
-from hilcell.typed import Json, typed
 
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 

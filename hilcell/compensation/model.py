@@ -1,8 +1,8 @@
 """A model of a robot's errors: nominal poses in, predicted errors and their covariance out.
 
 It is learnt from the errors that were measured at poses at rest. A model is one class,
-registered in `hilcell.compensation.choice`; `hilcell run` and `hilcell fit` both learn, judge and
-choose from those, and nothing else in the core names them.
+registered in `hilcell.compensation.model_choice`; `hilcell run` and `hilcell fit` both learn, judge
+and choose from those, and nothing else in the core names them.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 
 from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
+from hilcell.decoding import Json
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.readings import IdentificationError, Readings, folds_of
+from hilcell.identification.measured_poses import IdentificationError, Readings, folds_of
 from hilcell.ports import HilcellError
-from hilcell.typed import Json
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +152,10 @@ class ErrorModel(Protocol):
 class LearntModel(ABC):
     """A model that is learnt from measured poses, judged, chosen and kept in a calibration file.
 
-    A subclass is a frozen dataclass of arrays in `hilcell.compensation.choice.MODELS`; ``text``
-    says in a report how it corrects. ``turns``: it holds for other orientations than the grid's.
-    ``scattered``: poses anywhere are enough; others learn from a lattice, or the arm's readings.
+    A subclass is a frozen dataclass of arrays in `hilcell.compensation.model_choice.MODELS`;
+    ``text`` says in a report how it corrects. ``turns``: it holds for other orientations than the
+    grid's. ``scattered``: poses anywhere are enough; others learn from a lattice, or the arm's
+    readings.
     """
 
     name: ClassVar[str]

@@ -18,13 +18,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from hilcell.atomic_files import NotWritten, is_stream, write_together
 from hilcell.cell.devices import load_entry
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.stamp import Stamp, refuse_corrected
+from hilcell.compensation.provenance import Stamp, refuse_corrected
+from hilcell.decoding import Json
 from hilcell.geometry.kinematics import Arm, Ints
 from hilcell.ports import Array
-from hilcell.typed import Json
-from hilcell.writing import NotWritten, is_stream, write_together
 
 
 class Stroke(NamedTuple):

@@ -25,11 +25,11 @@ from typing import Self
 
 import numpy as np
 
+from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import SettingsError, read_file
-from hilcell.clean import LONGEST, UNSAFE
-from hilcell.compensation.stamp import COLUMN, Stamp, refuse_corrected
+from hilcell.compensation.provenance import COLUMN, Stamp, refuse_corrected
 from hilcell.ports import Array
-from hilcell.writing import write_whole
+from hilcell.sanitize import LONGEST, UNSAFE
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 BOUND = "bound95_mm"

@@ -41,7 +41,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if config.getoption("--hilcell-driver") is None:
         return
-    from hilcell.conformance.kept import options_of
+    from hilcell.conformance.port_tests import options_of
 
     options_of(config)
     if config.args_source is not config.ArgsSource.ARGS:

@@ -27,11 +27,11 @@ from hilcell.cell.devices import (
     stated_options,
 )
 from hilcell.cell.file import Cell
-from hilcell.conformance.acts import ACTS, PORTS, Driver, Port, Reading
+from hilcell.conformance.exercise import ACTS, PORTS, Driver, Port, Reading
 from hilcell.conformance.wire import Wires
+from hilcell.decoding import Json
 from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
 from hilcell.ports import Clock, Identity, SimulatedCell
-from hilcell.typed import Json
 
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
 LOOK_S = 0.02

@@ -20,10 +20,9 @@ from typing import Self, TypedDict
 
 import numpy as np
 
-from hilcell.clean import counted
-from hilcell.compensation.choice import MODELS, NOMINAL, choose, listed
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
+from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
 from hilcell.fit.placement import (
     ABSURD_MM,
     FitError,
@@ -44,8 +43,9 @@ from hilcell.identification.estimate import (
     identify_trusted,
     observability,
 )
+from hilcell.identification.joint_error import WithResidual, with_residual
 from hilcell.identification.kinematics import Kinematics
-from hilcell.identification.readings import (
+from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
     ManyContradict,
@@ -55,8 +55,8 @@ from hilcell.identification.readings import (
     places_of,
     poses_of,
 )
-from hilcell.identification.residual import WithResidual, with_residual
 from hilcell.present.table import Column, Table
+from hilcell.sanitize import counted
 
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do

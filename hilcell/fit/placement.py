@@ -13,7 +13,6 @@ from itertools import islice, permutations
 
 import numpy as np
 
-from hilcell.clean import counted
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import (
@@ -28,6 +27,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
+from hilcell.sanitize import counted
 
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error
 CHECK_ROBOT = "check the robot file, joint signs and units, and that the rows are of this robot"

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from hilcell import __version__
-from hilcell.clean import clean
+from hilcell.atomic_files import write_whole
 from hilcell.compensation.targets import write_rows
 from hilcell.fit.methods import Fitted, FittedArm
 from hilcell.fit.placement import FitError
@@ -27,7 +27,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import DETERMINED
 from hilcell.identification.kinematics import LINKS
-from hilcell.writing import write_whole
+from hilcell.sanitize import clean
 
 
 @dataclass(frozen=True, slots=True)

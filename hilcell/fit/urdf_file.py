@@ -26,12 +26,12 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
-from hilcell.clean import clean
 from hilcell.compensation.targets import numbers
 from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import cross_matrix, inverse, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.sanitize import clean
 
 # The file is untrusted: a document type is refused, and with it every entity, and expat does not
 # recurse. It stays bytes: whatever is not replaced is written back byte for byte, meshes,

@@ -20,11 +20,16 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.clean import counted
 from hilcell.geometry.frames import turn_levers
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.kinematics import Kinematics, Linearised, State
-from hilcell.identification.readings import IdentificationError, ManyContradict, Noise, Readings
+from hilcell.identification.measured_poses import (
+    IdentificationError,
+    ManyContradict,
+    Noise,
+    Readings,
+)
+from hilcell.sanitize import counted
 
 AT_ONCE = 4096  # poses, so that their derivatives stay in the processor's cache
 LEAST_POSES = 20

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
+from hilcell.identification.axis_motion import BadStream, Motion, SweepStream, motion_of
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.motion import BadStream, Motion, SweepStream, motion_of
 from hilcell.model.events import URAD, CurveMeasured
 
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ

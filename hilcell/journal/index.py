@@ -27,6 +27,7 @@ from typing import TypeVar
 
 import msgspec
 
+from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
 from hilcell.journal.journal import ABSENT, BEYOND, FETCH, NeverBegan, Record, StorageError
@@ -37,7 +38,6 @@ from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.records import Ended, StateChanged
 from hilcell.model.results import Place
 from hilcell.model.verdicts import Verdict
-from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
 SCHEMA = 11  # to be raised whenever `RunRow` changes, or what its fields mean

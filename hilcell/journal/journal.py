@@ -24,10 +24,10 @@ from typing import Any, TypeAlias
 
 import msgspec
 
+from hilcell.decoding import Json, typed
 from hilcell.errors import EXIT_REFUSED, EXIT_STORAGE, HilcellError
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.records import Fact, Kind, fact_of
-from hilcell.typed import Json, typed
 
 # The writer goes on without any error in a file that was deleted, replaced or cut short.
 

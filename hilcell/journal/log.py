@@ -26,6 +26,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
+from hilcell.decoding import Json, learn, typed
 from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import reading_variances_mm2
@@ -42,7 +43,6 @@ from hilcell.model.point import CHECKS, CONTROL, Point, PointId
 from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
 from hilcell.model.verdicts import Fitted, Verdict
 from hilcell.ports import Array
-from hilcell.typed import Json, learn, typed
 
 T = TypeVar("T")
 E = TypeVar("E", bound=events.Event)

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from hilcell.decoding import decoded
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.journal import FETCH, NeverBegan, Record, StorageError, is_there, read_journal
-from hilcell.typed import decoded
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log

@@ -25,7 +25,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 from hilcell.journal.journal import FETCH, StorageError, is_there
 from hilcell.model.events import StreamRecorded
 from hilcell.ports import JointSample, NoReading, StreamBlock

@@ -12,8 +12,8 @@ from typing import ClassVar, TypeAlias
 import msgspec
 from msgspec import field
 
+from hilcell.decoding import Json
 from hilcell.identity import Identity
-from hilcell.typed import Json
 
 Three: TypeAlias = tuple[float, float, float]
 Pair: TypeAlias = tuple[float, float]

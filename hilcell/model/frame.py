@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from hilcell.decoding import Json, typed
 from hilcell.model.events import Three
-from hilcell.typed import Json, typed
 
 if TYPE_CHECKING:
     from hilcell.ports import Array

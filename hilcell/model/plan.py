@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import msgspec
 
+from hilcell.decoding import Json
 from hilcell.model.events import Three
 from hilcell.model.frame import Frame
-from hilcell.typed import Json
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,13 @@ from typing import Literal, NamedTuple, TypeAlias
 import msgspec
 from msgspec import field
 
+from hilcell.decoding import Json, typed
 from hilcell.model import events
 from hilcell.model.events import Event, OtherEvent
 from hilcell.model.frame import Frame, frame_of
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.verdicts import Verdict, verdict_of
-from hilcell.typed import Json, typed
 
 Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import msgspec
 
-from hilcell.typed import Json, typed
+from hilcell.decoding import Json, typed
 
 
 class Cause(StrEnum):

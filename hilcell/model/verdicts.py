@@ -14,10 +14,10 @@ from typing import ClassVar, Literal, NamedTuple
 import msgspec
 from msgspec import field
 
+from hilcell.decoding import Json, typed
 from hilcell.model.outcome import Figure, Outcome
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import Suspicion
-from hilcell.typed import Json, typed
 
 VALIDATION = "validation."  # the key of a verdict on one place is this and the place
 OTHERS = "others"  # the place of all stations but the grid's, judged together

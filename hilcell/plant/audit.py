@@ -27,9 +27,9 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
 
-from hilcell.clean import clean
+from hilcell.decoding import decoded
 from hilcell.errors import HilcellError
-from hilcell.typed import decoded
+from hilcell.sanitize import clean
 
 _WRONG = (ValueError, UnsupportedAlgorithm)
 _SPOILED = (

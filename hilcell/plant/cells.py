@@ -16,11 +16,11 @@ import msgspec
 from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, or_, select
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
-from hilcell.clean import clean
+from hilcell.decoding import decoded
+from hilcell.journal.calibration_status import standings
 from hilcell.journal.index import RunRow, in_order
-from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN, Found, grouped
-from hilcell.typed import decoded
+from hilcell.sanitize import clean
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine

@@ -16,11 +16,11 @@ from urllib.parse import quote, unquote_to_bytes
 import sqlalchemy as sa
 from sqlalchemy import URL, Connection, Engine, event, exc, text
 
-from hilcell.clean import clean
+from hilcell.decoding import Json
 from hilcell.errors import HilcellError, StoreAway
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.tables import HEAD, PARTS, RUN
-from hilcell.typed import Json
+from hilcell.sanitize import clean
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL = "postgresql"

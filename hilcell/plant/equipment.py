@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, and_, func, or_, select
 
+from hilcell.decoding import Json, typed
 from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import other_assets
@@ -31,7 +32,6 @@ from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.record import TRACKER
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Found, grouped
 from hilcell.ports import Array
-from hilcell.typed import Json, typed
 
 YEAR_S = 365.25 * 86400.0
 ARM, BASE = "errors at the grid, in {B}", "base {B} in {W}"

@@ -20,14 +20,14 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from sqlalchemy import Connection, Select, Table, select
 
 from hilcell import __version__
+from hilcell.atomic_files import NotWritten, as_not_written
 from hilcell.cell.settings import did_you_mean
-from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest, fingerprint
 from hilcell.plant.database import PlantError
 from hilcell.plant.record import digest_of
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
-from hilcell.writing import NotWritten, as_not_written
+from hilcell.sanitize import clean
 
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
 Add = Callable[[str, bytes], object]

@@ -23,7 +23,6 @@ from sqlalchemy import Connection, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from hilcell.calibration.file import seal_problems
-from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_index
 from hilcell.journal.journal import StorageError
@@ -32,6 +31,7 @@ from hilcell.journal.states import OVER
 from hilcell.plant.database import POSTGRESQL, SEEN, Database, PlantAway, PlantError, RightMissing
 from hilcell.plant.record import Document, NotOver, RunRecord, heads, key_of, record_of
 from hilcell.plant.tables import POINT, RUN
+from hilcell.sanitize import clean
 
 BATCH = 500  # keys of one question
 

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from functools import cache
 from typing import TYPE_CHECKING
 
-from hilcell.clean import harmless, harmless_lines
 from hilcell.present.table import Named, Table, Value
+from hilcell.sanitize import harmless, harmless_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment

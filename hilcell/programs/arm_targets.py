@@ -21,11 +21,10 @@ import numpy as np
 from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
 from hilcell.cell.settings import SettingsError, read_file
-from hilcell.clean import counted
-from hilcell.compensation.choice import NOMINAL
 from hilcell.compensation.model import Prediction
+from hilcell.compensation.model_choice import NOMINAL
 from hilcell.compensation.programs import Program, load_program
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.compensation.targets import HEADER, read_named_rows, target_rows
 from hilcell.fit.methods import UNDETERMINED_MM, Fitted, Method
 from hilcell.fit.placement import FitError
@@ -44,6 +43,7 @@ from hilcell.geometry.kinematics import Arm, Array, Bools, forward
 from hilcell.ports import HilcellError
 from hilcell.programs.corrected import Corrected
 from hilcell.programs.target_jobs import POSTURE_BITS, TargetFiles, check_posture
+from hilcell.sanitize import counted
 
 ROOT = "the robot's root frame"  # that poses are in
 JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]

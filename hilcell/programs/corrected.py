@@ -24,23 +24,23 @@ from numpy.typing import NDArray
 from hilcell.calibration.budget import target_bounds, with_drill
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import CalibrationFile
 from hilcell.calibration.influence import Bounds, NoBound
+from hilcell.calibration.lookup import CalibrationFile
 from hilcell.calibration.orientation import turn_bounds_deg
-from hilcell.calibration.tip import Tip
+from hilcell.calibration.tool_point import Tip
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
-from hilcell.clean import counted
-from hilcell.compensation.stamp import CorrectedBefore, Stamp
+from hilcell.compensation.provenance import CorrectedBefore, Stamp
 from hilcell.compensation.targets import BOUND, csv_of
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.journal.calibration_status import Standing
 from hilcell.journal.runs import is_run, run_folders
-from hilcell.journal.standing import Standing
 from hilcell.ports import Array
 from hilcell.run.order import Release
+from hilcell.sanitize import counted
 
 BOUNDS = ["name", BOUND, "u_x_mm", "u_y_mm", "u_z_mm"]
 TURN = "bound95_deg"  # where the calibration corrects orientation

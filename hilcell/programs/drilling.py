@@ -20,11 +20,10 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.spatial import cKDTree
 
-from hilcell.calibration.tip import Tip
+from hilcell.calibration.tool_point import Tip
 from hilcell.cell.file import Cell, KeepOut, Station
 from hilcell.cell.surroundings import LEAST_MM, LINKS, CapsuleTable, Surroundings
 from hilcell.cell.surroundings import posture as with_slide
-from hilcell.clean import counted
 from hilcell.compensation.programs import Places, StationProgram
 from hilcell.compensation.targets import as_listed
 from hilcell.errors import indented
@@ -33,6 +32,7 @@ from hilcell.geometry.inverse import NominalRobot, status_of
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
+from hilcell.sanitize import counted
 
 NEAR_SHARE = 0.5  # of the stand-off, that ways between holes keep at least
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part

@@ -19,7 +19,6 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, Station
-from hilcell.clean import counted
 from hilcell.compensation.grid import ROUNDING_MM
 from hilcell.compensation.targets import unit_hint
 from hilcell.errors import MOST_LISTED, indented
@@ -29,6 +28,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import Holes
 from hilcell.programs.route import route
+from hilcell.sanitize import counted
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,14 +21,14 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.arguments import STROKE_MM
+from hilcell.atomic_files import KNOWN, NotWritten, write_together
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.lost_motion import straight_way
-from hilcell.calibration.tip import Tip, tip_named
+from hilcell.calibration.tool_point import Tip, tip_named
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import counted, harmless
 from hilcell.compensation.programs import Stroke, writer_of
 from hilcell.compensation.targets import HEADER, as_listed, target_rows
 from hilcell.errors import bounded
@@ -44,7 +44,7 @@ from hilcell.programs.plan import HolePlan, StationPlan, Volume
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
 from hilcell.run.order import Release
-from hilcell.writing import KNOWN, NotWritten, write_together
+from hilcell.sanitize import counted, harmless
 
 SUMMARY, SHEET = "summary.json", "sheet.html"
 TRUE_ANGLE = "of the true angle; a measured one has the readings' noise, too"

@@ -11,14 +11,14 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from hilcell.atomic_files import CSV, NotWritten, check_output, write_whole
 from hilcell.calibration.controller_pose import check_links
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.tip import AT_REFLECTOR, Tip, tip_named, tip_of_program
+from hilcell.calibration.tool_point import AT_REFLECTOR, Tip, tip_named, tip_of_program
 from hilcell.cell.devices import rides_on_robot
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import counted
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
     Program,
@@ -43,7 +43,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 from hilcell.programs.corrected import Corrected, Released, drill_mm_of
 from hilcell.run.order import Release
-from hilcell.writing import CSV, NotWritten, check_output, write_whole
+from hilcell.sanitize import counted
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,11 +20,11 @@ from hilcell.calibration.budget import (
     validated,
     validation_points,
 )
-from hilcell.calibration.errors import places
 from hilcell.calibration.file import calibration_so_far
-from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
+from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.measurement_budget import Budget, Contribution
+from hilcell.calibration.position_errors import places
 from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import OTHERS

@@ -16,7 +16,6 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import Errors, places, validation, visits_mm
 from hilcell.calibration.frames import (
     floor_points,
     has_own_place,
@@ -26,6 +25,7 @@ from hilcell.calibration.frames import (
 )
 from hilcell.calibration.grid import grid_errors_mm, grid_of, vertex_ids
 from hilcell.calibration.measurement_budget import budget_of, expanded_mm
+from hilcell.calibration.position_errors import Errors, places, validation, visits_mm
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import RigidFit, cross_matrix, point_uncertainty
@@ -36,8 +36,8 @@ from hilcell.geometry.statistics import (
     pooled_std_mm,
     variance_of_mean,
 )
-from hilcell.journal.floor_before import FLOOR_NESTS
 from hilcell.journal.log import Log, differing
+from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent
 from hilcell.model.verdicts import OTHERS

@@ -17,7 +17,8 @@ from xml.etree.ElementTree import fromstring, indent, register_namespace, tostri
 import numpy as np
 
 from hilcell import __version__
-from hilcell.calibration.decision import guard_of
+from hilcell.atomic_files import NotWritten
+from hilcell.calibration.decision_rule import guard_of
 from hilcell.identity import Identity
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
@@ -35,7 +36,6 @@ from hilcell.report.first_page import (
     title,
 )
 from hilcell.report.tables import Tables, Validated
-from hilcell.writing import NotWritten
 
 # The PTB's schema DCC 3.1.2 gives names and order (namespace ``dcc``), D-SI 2 the quantities
 # (``si``): a value has its unit, and a measured one U, k and the coverage probability. Lengths

@@ -15,17 +15,17 @@ from pathlib import Path
 from typing import TypeVar
 
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.in_use import standing_of
+from hilcell.calibration.lookup import standing_of
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
-from hilcell.clean import encodable, harmless
+from hilcell.decoding import Json, typed
 from hilcell.identity import Identity
+from hilcell.journal.calibration_status import Standing
 from hilcell.journal.journal import Record, chain
+from hilcell.journal.labels import in_zone, zone_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
-from hilcell.journal.standing import Standing
-from hilcell.journal.words import in_zone, zone_of
 from hilcell.model.events import CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
@@ -33,7 +33,7 @@ from hilcell.model.point import Sent
 from hilcell.model.suspicion import suspected_in
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
-from hilcell.typed import Json, typed
+from hilcell.sanitize import encodable, harmless
 
 T = TypeVar("T")
 

@@ -14,18 +14,18 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far, verdicts_of
 from hilcell.calibration.grid import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.orientation import validated_turns
+from hilcell.calibration.position_errors import places, validation
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
+from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.journal.calibration_facts import SUSPECTED
-from hilcell.journal.words import in_zone, verdict_words
+from hilcell.journal.labels import in_zone, verdict_words
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked, Verdict

@@ -11,14 +11,14 @@ from operator import attrgetter, itemgetter
 import numpy as np
 
 from hilcell import __version__
-from hilcell.calibration.errors import places, validation
 from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.calibration.position_errors import places, validation
 from hilcell.cell.file import Cell
-from hilcell.cell.unseen import unseen
+from hilcell.cell.undetectable_errors import unseen
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.words import span_words
+from hilcell.journal.labels import span_words
 from hilcell.model.events import URAD, CurveMeasured
 from hilcell.model.point import CONTROL
 from hilcell.model.verdicts import Fitted
@@ -26,7 +26,6 @@ from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
 from hilcell.report.budgets import TargetBudget, bounds_sheet, budget_sheet, target_budget
-from hilcell.report.course import course
 from hilcell.report.drawings.error_plots import (
     air,
     curve_plots,
@@ -53,6 +52,7 @@ from hilcell.report.first_page import (
 )
 from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.tables import Tables, worst
+from hilcell.report.timeline import course
 
 
 def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:

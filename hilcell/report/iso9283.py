@@ -8,11 +8,11 @@ from operator import attrgetter, itemgetter
 from typing import ClassVar
 
 from hilcell.calibration.iso9283 import ANGLES, CYCLE, Angles, Distance, Pose, PoseTest, Worst
+from hilcell.decoding import typed
 from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
 from hilcell.present.table import Column, Table, listed
 from hilcell.report.facts import Facts
-from hilcell.typed import typed
 
 
 def tests_poses(facts: Facts) -> bool:

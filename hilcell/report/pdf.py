@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hilcell.writing import NotWritten
+from hilcell.atomic_files import NotWritten
 
 
 def find_browser() -> str:

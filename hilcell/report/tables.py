@@ -10,7 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from hilcell.calibration.errors import (
+from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, validated_turns
+from hilcell.calibration.position_errors import (
     Errors,
     counting,
     errors_of,
@@ -19,7 +20,6 @@ from hilcell.calibration.errors import (
     targets,
     validation,
 )
-from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, validated_turns
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
@@ -445,9 +445,10 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
 
 # -- points measured more than once: both values, why, and which counts ----------------------------
 
-# Of a target the larger error counts, of position (`hilcell.calibration.errors.counting`) and of
-# orientation (`hilcell.calibration.orientation.largest_turned`) alike: to re-measure only large
-# errors would make the figures smaller than the robot is. Of every other point the later does.
+# Of a target the larger error counts, of position
+# (`hilcell.calibration.position_errors.counting`) and of orientation
+# (`hilcell.calibration.orientation.largest_turned`) alike: to re-measure only large errors would
+# make the figures smaller than the robot is. Of every other point the later does.
 
 REASONS = {
     "retake asked": "the operator asked for it",

@@ -31,13 +31,13 @@ from typing import Literal, Protocol, Self, TypedDict, Unpack, get_args
 
 import msgspec
 
+from hilcell.atomic_files import NotWritten, write_whole
+from hilcell.decoding import Json, decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import StorageError, is_there
 from hilcell.journal.runs import ENGINE, EngineFile, read_engine_file
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import AlarmsAcknowledged
-from hilcell.typed import Json, decoded, typed
-from hilcell.writing import NotWritten, write_whole
 
 ANSWER_S = 2.0  # a screen waits so long, which asks again and again
 ORDER_S = 5.0  # a command waits so long, which asks once

@@ -19,19 +19,20 @@ from typing import NamedTuple, Protocol, Self
 import msgspec
 
 from hilcell import __version__
+from hilcell.atomic_files import NotWritten
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.target_pass import calibration_after
 from hilcell.cell.devices import build_devices, device_places, is_replay, start_simulation
 from hilcell.cell.file import Cell
-from hilcell.clean import encodable
 from hilcell.clock import WallClock
+from hilcell.decoding import Json
 from hilcell.errors import EXIT_STORAGE, exit_code
-from hilcell.journal.floor_before import floor_before
 from hilcell.journal.index import clock_notes, next_order, read_index, row_of
 from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.labels import offset_min
 from hilcell.journal.log import RunJournal
+from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
-from hilcell.journal.words import offset_min
 from hilcell.model.events import ChangesAccepted, RetakeAsked, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL
@@ -43,10 +44,9 @@ from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, cell_file
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import note_signals, stopped_by_signals
-from hilcell.typed import Json
+from hilcell.sanitize import encodable
 from hilcell.wire.record import Addresses, WireRecording
 from hilcell.wire.recording import Head, TimedStop
-from hilcell.writing import NotWritten
 
 SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
 
+from hilcell.decoding import typed
 from hilcell.journal.journal import Record
 from hilcell.journal.states import WORKING, RunState
 from hilcell.model.events import StepBegun, StreamRecorded
 from hilcell.model.plan import PlanRecord, Span, Step
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import Ended, StateChanged
-from hilcell.typed import typed
 
 FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
 

@@ -24,7 +24,7 @@ from hilcell.arguments import (
     seed_of,
     speed_of,
 )
-from hilcell.clean import clean
+from hilcell.sanitize import clean
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
@@ -84,7 +84,7 @@ class Order(Signature):
         Nothing is opened, nothing is written, nothing moves. ``say`` takes warnings.
         """
         # `--help` does without these.
-        from hilcell.calibration.in_use import calibrated_machine, with_calibration
+        from hilcell.calibration.lookup import calibrated_machine, with_calibration
         from hilcell.cell.devices import check_options, check_repeated, load_entry
         from hilcell.cell.differences import check_copied
         from hilcell.cell.file import load_cell, located

@@ -11,6 +11,7 @@ from typing import Protocol, TypeAlias
 import msgspec
 
 from hilcell.cell.file import Cell
+from hilcell.decoding import Json
 from hilcell.journal.log import Log
 from hilcell.model.events import StepBegun
 from hilcell.model.plan import Step
@@ -19,7 +20,6 @@ from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_rides
 from hilcell.run.watch import BlockLost
-from hilcell.typed import Json
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
 

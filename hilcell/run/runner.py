@@ -17,6 +17,7 @@ from dataclasses import asdict
 from functools import partial
 
 from hilcell.cell.devices import Devices
+from hilcell.decoding import Json
 from hilcell.errors import (
     EXIT_FAULT,
     EXIT_OK,
@@ -53,7 +54,6 @@ from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine, retake_refusal
 from hilcell.run.stopping import SafeStop, close_all, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
-from hilcell.typed import Json
 
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 

@@ -19,12 +19,12 @@ from hilcell import __version__
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
+from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.model.results import Calibrated, Place, TargetBounds
 from hilcell.model.verdicts import OTHERS
-from hilcell.run.direct_run import direct_run
+from hilcell.run.in_process import direct_run
 from hilcell.run.procedure import Procedure
-from hilcell.typed import decoded, typed
 
 IDW = "idw_mm"
 Level: TypeAlias = float | str | None  # of a factor, as a table keeps it

@@ -20,11 +20,11 @@ from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError, connect
 from distributed.security import Security
 
+from hilcell.decoding import typed
 from hilcell.errors import HilcellError
 from hilcell.run.signals import postponed
 from hilcell.study.case import FAILED, Found, measured, versions
 from hilcell.study.design import Case
-from hilcell.typed import typed
 
 CONNECT_S = 5.0
 ANSWER_S = 15.0  # of a scheduler to its first question

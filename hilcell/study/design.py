@@ -6,10 +6,10 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from hilcell.decoding import typed
 from hilcell.study.case import Level, Row
 from hilcell.study.factor import Factor
 from hilcell.study.study_file import Optimum, Study
-from hilcell.typed import typed
 
 
 @dataclass(frozen=True, slots=True)

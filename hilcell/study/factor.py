@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from hilcell.cell.settings import did_you_mean, is_read, refuse
 from hilcell.cell.tables import Frozen, Name
-from hilcell.typed import typed
+from hilcell.decoding import typed
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "normal": ("mean", "sd"),

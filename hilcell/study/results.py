@@ -18,16 +18,16 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from hilcell.atomic_files import STORAGE, DiskFailed, NotWritten, write_whole
 from hilcell.cell.settings import convert, read_text
 from hilcell.cell.source import read_source
+from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, Found, Row, versions
 from hilcell.study.design import Case, chosen
 from hilcell.study.study_file import Study
-from hilcell.typed import decoded, typed
-from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
 
 ASKED = "study.json"
 CASES = "cases"

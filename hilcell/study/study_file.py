@@ -27,9 +27,9 @@ from hilcell.cell.settings import (
 )
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
+from hilcell.decoding import typed
 from hilcell.study.case import IDW, RESULTS
 from hilcell.study.factor import Factor, is_stated
-from hilcell.typed import typed
 
 
 def toml_value(value: object) -> str:

@@ -28,8 +28,8 @@ from textual.widgets import Input
 from textual.worker import Worker, WorkerState
 
 from hilcell import __version__
-from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
+from hilcell.sanitize import UNSAFE
 from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
 from hilcell.tui.screens.base import Application, BaseScreen, Options

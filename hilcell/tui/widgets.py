@@ -27,7 +27,7 @@ from textual.visual import RenderOptions, Visual
 from textual.widget import Widget
 from textual.widgets import Input, Static
 
-from hilcell.clean import UNSAFE, clean
+from hilcell.sanitize import UNSAFE, clean
 from hilcell.tui.layout import Lines, look_of
 from hilcell.tui.terminal.capabilities import to_ascii
 

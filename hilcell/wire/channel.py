@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
 
-from hilcell.typed import Json
+from hilcell.decoding import Json
 
 BAUD = 115_200
 PORT = "port"

@@ -29,8 +29,8 @@ from typing import IO, Literal, Self
 import msgspec
 
 from hilcell.cell.settings import SettingsError
+from hilcell.decoding import Json, decoded
 from hilcell.ports import Clock, Stopped
-from hilcell.typed import Json, decoded
 
 FORM = 1  # of all recordings of a run; to be raised whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"

@@ -22,7 +22,7 @@ from pathlib import Path
 import msgspec
 import serial
 
-from hilcell.typed import decoded
+from hilcell.decoding import decoded
 from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.recording import Recorder
 

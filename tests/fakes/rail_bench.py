@@ -25,7 +25,7 @@ from fakes.canopen.rail_server import RailServer
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import load_cell
 

@@ -16,7 +16,7 @@ from fakes.leica.emscon_server import EmsconDevice
 from fakes.simulator import Control, PaperCell
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import FLANGE, Plant
+from fakes.truth.cell_truth import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import DeviceError
 

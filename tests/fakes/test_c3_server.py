@@ -14,7 +14,7 @@ from fakes.kuka.c3_server import C3Server
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly, quiet

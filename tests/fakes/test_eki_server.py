@@ -13,7 +13,7 @@ from fakes.kuka.controller import KrlController, KrlError
 from fakes.kuka.eki_server import RECEIVED, EkiServer, Overflow, Queues
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.conftest import OwnTime
 from tests.fakes.rail_bench import until

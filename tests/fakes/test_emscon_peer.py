@@ -20,7 +20,7 @@ from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 
 pytestmark = pytest.mark.waits

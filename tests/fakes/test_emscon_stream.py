@@ -13,7 +13,7 @@ from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconServer, SampleStream
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import FLANGE, Plant
+from fakes.truth.cell_truth import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected

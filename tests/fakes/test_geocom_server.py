@@ -15,7 +15,7 @@ from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.conftest import station_cell

@@ -11,7 +11,7 @@ from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
 from fakes.time import LifeTimer, PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.conftest import OwnTime
 from tests.fakes.rail_bench import until

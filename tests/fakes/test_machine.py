@@ -13,8 +13,8 @@ from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
 from fakes.site import Site
 from fakes.time import PlantTime
+from fakes.truth.cell_truth import Plant
 from fakes.truth.machine import load_machine, machine_of
-from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 

@@ -8,7 +8,7 @@ from fakes.faults import Faults
 from fakes.site import Site
 from fakes.strips.wire import StripLine
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 
 

@@ -17,7 +17,7 @@ from fakes.faults import Faults
 from fakes.site import Site
 from fakes.spatialanalyzer.t2sa_server import T2saDevice, T2saServer, fan, imported, write
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.kinematics import Array

@@ -17,7 +17,7 @@ from fakes import wires
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from fakes.universal_robots import server as ur_server
 from fakes.universal_robots.server import UrServer
 from hilcell.cell.file import load_cell

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.compensation.targets import HEADER, target_rows, write_rows
 from hilcell.ports import Array
 

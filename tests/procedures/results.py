@@ -2,9 +2,9 @@
 
 import msgspec
 
+from hilcell.decoding import Json
 from hilcell.journal.log import Log
 from hilcell.run.procedure import Part
-from hilcell.typed import Json
 
 
 def result_of(act: Part, log: Log) -> Json:

@@ -15,7 +15,7 @@ import pytest
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 from hilcell.identification.sweeps import curve_of
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import mover

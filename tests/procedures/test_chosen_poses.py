@@ -13,7 +13,7 @@ from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.readings import IdentificationError
+from hilcell.identification.measured_poses import IdentificationError
 from hilcell.model.events import Event
 from hilcell.model.point import PointId
 from hilcell.ports import Array

@@ -13,7 +13,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.direct_run import MemoryJournal, direct_run
+from hilcell.run.in_process import MemoryJournal, direct_run
 from hilcell.run.prompts import Look, Prompt
 from procedures.reflectors import REFLECTORS
 

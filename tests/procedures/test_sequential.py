@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.model.outcome import Outcome
-from procedures.enough_targets import SequentialRule
+from procedures.quick_validation import SequentialRule
 
 RULE = SequentialRule(
     mean_limit_mm=0.2, max_limit_mm=1.0, share=0.1, accept_risk=0.05, reject_risk=0.05, block=8

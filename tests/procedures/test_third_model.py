@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.model import LearntModel, Measured, Prediction
+from hilcell.compensation.model_choice import MODELS
 from hilcell.fit.methods import fitted
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array

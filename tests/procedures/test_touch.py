@@ -14,7 +14,7 @@ from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
-from hilcell.compensation.choice import MODELS
+from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import apply, from_rotvec, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log

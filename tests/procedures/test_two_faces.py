@@ -10,7 +10,7 @@ from fakes.in_process import InProcessCell
 from hilcell.calibration.instrument import axis_off
 from hilcell.cell.file import load_cell
 from hilcell.model.suspicion import Cause
-from hilcell.run import direct_run
+from hilcell.run import in_process
 from hilcell.run.procedure import Procedure
 from procedures.calibrate import CALIBRATE, point_table
 from procedures.world_frame import Home, TwoFaces, WorldFrame, left_out
@@ -55,8 +55,8 @@ def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
 ) -> None:
     simulated = InProcessCell(CELL, 1)
     simulated.tracker._plant.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
-    monkeypatch.setattr(direct_run, "in_process_cell", lambda cell, seed: simulated)
-    log = direct_run.direct_run(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
+    monkeypatch.setattr(in_process, "in_process_cell", lambda cell, seed: simulated)
+    log = in_process.direct_run(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
     assert log.verdicts["two-face"].holds is not bool(urad)
     found = axis_off(log)
     assert (found is not None) is bool(urad)

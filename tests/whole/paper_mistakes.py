@@ -9,15 +9,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import errors_of
 from hilcell.calibration.grid import measured_grid
+from hilcell.calibration.position_errors import errors_of
 from hilcell.compensation.interpolation import Idw
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.model.point import Point
 from hilcell.model.results import PaperRow
 from hilcell.ports import Array
-from hilcell.typed import typed
 from procedures.paper import ROWS, Experiments, Row, experiments
 from procedures.plan import poses_at
 from tests.whole.conftest import PaperRun

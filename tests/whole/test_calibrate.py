@@ -8,8 +8,8 @@ import pytest
 from fakes.truth.arm_truth import ArmTruth, Ripple
 from fakes.truth.machine import machine_of
 from fakes.truth.noise import KeyedNoise
-from hilcell.calibration.errors import errors_of
 from hilcell.calibration.file import read_calibration
+from hilcell.calibration.position_errors import errors_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log

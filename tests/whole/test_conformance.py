@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.conformance import kit
+from hilcell.conformance import promises
 from tests.whole.bench import command, end_of, events, sets, simulation
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
@@ -18,7 +18,9 @@ SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kit, "STREAM_S", 0.2)  # of this PC: the tracker's are 200 times as long
+    monkeypatch.setattr(
+        promises, "STREAM_S", 0.2
+    )  # of this PC: the tracker's are 200 times as long
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
     with simulation(200.0) as simulated:

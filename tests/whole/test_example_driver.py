@@ -18,7 +18,7 @@ from zipfile import ZipFile
 
 import pytest
 
-from hilcell.conformance.kit import promises_of
+from hilcell.conformance.promises import promises_of
 from hilcell.journal.runs import read_log
 from tests.whole.bench import SMALL, end_of, sets
 

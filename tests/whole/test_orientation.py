@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from fakes.faults import Faults
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
 from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of

@@ -16,12 +16,13 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
-from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import Frames, circle_of
 from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_grid
+from hilcell.calibration.position_errors import errors_of
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
@@ -31,7 +32,6 @@ from hilcell.model.frame import MeasuredBase
 from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
-from hilcell.typed import typed
 from procedures import rail, station_frames
 from procedures.paper import ROWS, Experiments, Row, commanded_rad, paper_table
 from procedures.plan import joints_for, poses_at
@@ -435,6 +435,7 @@ def test_one_target_that_is_sent_as_it_is(paper: PaperRun) -> None:
 
 def test_averaged_squares(paper: PaperRun, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "hilcell.calibration.errors.figures_of", lambda lengths_mm: figures_of(lengths_mm**2)
+        "hilcell.calibration.position_errors.figures_of",
+        lambda lengths_mm: figures_of(lengths_mm**2),
     )
     assert fails("abstract.reduction.reference", paper.log)

@@ -16,7 +16,7 @@ import pytest
 from fakes.simulator import Control, PaperCell
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import FOLDER, read_stream

@@ -25,8 +25,8 @@ from hilcell.study import cluster
 from hilcell.study.case import Found, measured, packed, versions
 from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.performing import perform
 from hilcell.study.results import Results, row_of
+from hilcell.study.runner import perform
 from hilcell.study.study_file import cell_of, read_study
 from tests.hilcell.cell.packages import install
 from tests.hilcell.study.studies import study, written

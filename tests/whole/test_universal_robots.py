@@ -22,7 +22,7 @@ from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
+from fakes.truth.cell_truth import Plant
 from fakes.universal_robots.server import UrController, UrServer
 from fakes.wires import Listener
 from hilcell.alarms.catalogue import entry_of

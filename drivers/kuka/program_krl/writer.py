@@ -16,10 +16,10 @@ from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
 from drivers.program_text import ENCODING, module_name, plain
 from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import clean
 from hilcell.compensation.programs import Places, StationProgram
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.ports import Array
+from hilcell.sanitize import clean
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:

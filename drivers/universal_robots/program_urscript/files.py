@@ -35,11 +35,11 @@ from drivers.program_text import (
     source_text,
 )
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import clean
 from hilcell.compensation import programs
 from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import from_rotvec, matrix, poses_from_zyx, to_rotvec, zyx_from_pose
 from hilcell.ports import Array, HilcellError
+from hilcell.sanitize import clean
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 POSE = re.compile(r"p\[\s*" + r"\s*,\s*".join(f"({NUMBER})" for _ in range(6)) + r"\s*\]", re.ASCII)

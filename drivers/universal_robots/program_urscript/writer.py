@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from drivers.program_text import ASCII, ENCODING, module_name, plain
 from drivers.universal_robots.program_urscript.files import SUFFIX
-from hilcell.clean import clean
 from hilcell.compensation.programs import StationProgram
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.geometry.frames import from_zyx, to_rotvec
+from hilcell.sanitize import clean
 
 DECIMALS = 7  # of rad and m
 

@@ -8,10 +8,10 @@ from datetime import datetime
 
 import numpy as np
 
-from hilcell.calibration.decision import limits_of
-from hilcell.calibration.errors import Errors, grid_errors, validation
+from hilcell.calibration.decision_rule import limits_of
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
+from hilcell.calibration.position_errors import Errors, grid_errors, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.journal.log import run_noise
 from hilcell.model.events import CurveMeasured

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hilcell.calibration.errors import Errors, places, validation
 from hilcell.calibration.grid import binned, grid_pairs
 from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
+from hilcell.calibration.position_errors import Errors, places, validation
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent

@@ -15,10 +15,10 @@ from typing import BinaryIO
 
 import msgspec
 
+from hilcell.decoding import decoded
 from hilcell.errors import HilcellError
 from hilcell.model.plan import Step
 from hilcell.run.order import Order
-from hilcell.typed import decoded
 
 REASON = "hilcell: "
 MOST_LINES = 7  # of an engine's log are shown

@@ -127,7 +127,7 @@ class Application(App[int]):
         self.run_worker(guarded(), exit_on_error=True)
 
     def _show_error(self, error: HilcellError) -> None:
-        from hilcell.journal.words import in_words
+        from hilcell.journal.labels import in_words
 
         self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
 
@@ -210,7 +210,7 @@ class Application(App[int]):
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
-        from hilcell.journal.words import in_words, key_words
+        from hilcell.journal.labels import in_words, key_words
         from hilcell.run.states import retake_refusal
 
         view = self.shown_session.view

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hilcell.journal.words import procedure_words
+from hilcell.journal.labels import procedure_words
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS, Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text

@@ -18,6 +18,7 @@ from textual.containers import VerticalScroll
 from textual.content import Content
 from textual.widgets import Input
 
+from hilcell.decoding import Json, decoded
 from hilcell.errors import HilcellError
 from hilcell.report.comparison import CHANGES, Change, Setting
 from hilcell.tui.engine import process
@@ -34,7 +35,6 @@ from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.tables import columns_for, history_row, log_columns, record_row
 from hilcell.tui.widgets import Column, Row, Table, TextField, TextPanel
-from hilcell.typed import Json, decoded
 
 if TYPE_CHECKING:
     from hilcell.journal.index import RunRow

@@ -25,11 +25,11 @@ from textual.widgets import Input, Label
 
 from hilcell.arguments import assignment, seed_of, speed_of
 from hilcell.cell.file import Cell, load_cell
-from hilcell.clean import clean, harmless
 from hilcell.errors import HilcellError
+from hilcell.journal.labels import in_words, procedure_words, step_words
 from hilcell.journal.log import Log
-from hilcell.journal.words import in_words, procedure_words, step_words
 from hilcell.run.order import Attendance, Order
+from hilcell.sanitize import clean, harmless
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.process import DryRun

@@ -11,10 +11,10 @@ from textual.containers import Vertical
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
-from hilcell.clean import harmless
+from hilcell.journal.labels import in_words, local_words
 from hilcell.journal.log import Log
-from hilcell.journal.words import in_words, local_words
 from hilcell.model.events import NOT_KNOWN, Closing
+from hilcell.sanitize import harmless
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text, ends

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
+from hilcell.journal.labels import in_words, local_words, time_words
 from hilcell.journal.states import WAITING
-from hilcell.journal.words import in_words, local_words, time_words
 from hilcell.model.events import NOT_KNOWN
 from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView

@@ -19,15 +19,15 @@ import msgspec
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
-from hilcell.calibration.decision import limits_of
+from hilcell.calibration.decision_rule import limits_of
 from hilcell.calibration.iso9283 import Angles, PoseTest
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
-from hilcell.clean import harmless
+from hilcell.decoding import Json, typed
 from hilcell.errors import HilcellError
+from hilcell.journal.labels import id_of, in_words, procedure_words
 from hilcell.journal.log import Log
-from hilcell.journal.words import id_of, in_words, procedure_words
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import (
@@ -43,6 +43,7 @@ from hilcell.model.verdicts import (
     Limits,
 )
 from hilcell.present.table import Column, Named, Table
+from hilcell.sanitize import harmless
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
     BLANK,
@@ -63,7 +64,6 @@ from hilcell.tui.layout import (
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.plots import places_of
 from hilcell.tui.text.run import SAID, is_simulated, simulation_block
-from hilcell.typed import Json, typed
 
 LEAST_WIDTH, LEAST_ROWS = 78, 14
 BLOCK = 24  # columns of the words' ground

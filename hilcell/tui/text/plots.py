@@ -18,11 +18,12 @@ import msgspec
 import numpy as np
 from textual.content import Content
 
-from hilcell.calibration.decision import limits_of
-from hilcell.calibration.errors import Errors, counting, errors_of
+from hilcell.calibration.decision_rule import limits_of
 from hilcell.calibration.iso9283 import attained
+from hilcell.calibration.position_errors import Errors, counting, errors_of
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
+from hilcell.decoding import typed
 from hilcell.geometry.statistics import bounds95_mm, figures_of, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point, Sent
@@ -31,7 +32,6 @@ from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
 from hilcell.tui.plots import Ink, Look, Mark, Plot, Scale, Series, draw, step_at_least
-from hilcell.typed import typed
 
 STROKE = 80  # marks of a line from the bottom of a spectrum
 AS_SENT = Ink("$label", "o", "$label")

@@ -12,8 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
-from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
+from hilcell.calibration.position_errors import counting, errors_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, outcome_of

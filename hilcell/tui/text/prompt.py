@@ -21,12 +21,12 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 
 from hilcell.calibration.frames import Frames
-from hilcell.clean import harmless
 from hilcell.geometry.frames import apply
-from hilcell.journal.words import in_words
+from hilcell.journal.labels import in_words
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
+from hilcell.sanitize import harmless
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, large
 from hilcell.tui.plots import Canvas, step_at_most

@@ -18,11 +18,8 @@ from typing import ClassVar
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
-from hilcell.clean import harmless
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log
-from hilcell.journal.runs import short_run
-from hilcell.journal.words import (
+from hilcell.journal.labels import (
     happened_words,
     in_words,
     in_zone,
@@ -32,6 +29,8 @@ from hilcell.journal.words import (
     step_words,
     verdict_words,
 )
+from hilcell.journal.log import Log
+from hilcell.journal.runs import short_run
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import Step
@@ -40,6 +39,7 @@ from hilcell.model.records import Ended, Intended, StateChanged
 from hilcell.model.verdicts import Verdict
 from hilcell.run.control import DeviceStatus
 from hilcell.run.forecast import Ahead
+from hilcell.sanitize import harmless
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import (
     BLANK,

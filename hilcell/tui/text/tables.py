@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
-from hilcell.journal.words import in_zone
+from hilcell.journal.labels import in_zone
 from hilcell.model.events import Closing, Connected, Event, LinkCounted, OtherEvent, after
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord

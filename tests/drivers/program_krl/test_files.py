@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from drivers.kuka.program_krl.files import load_program
+from hilcell.atomic_files import NotWritten
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import write_program
-from hilcell.compensation.stamp import CorrectedBefore, Stamp
-from hilcell.writing import NotWritten
+from hilcell.compensation.provenance import CorrectedBefore, Stamp
 from tests.drivers.program_krl.samples import DAT, SRC
 
 STAMP = Stamp("a-run", "2026-11-22T14:00:00Z", "S1100")

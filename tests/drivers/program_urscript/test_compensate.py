@@ -10,10 +10,10 @@ from drivers.universal_robots.program_urscript.files import load_program, read_p
 from drivers.universal_robots.program_urscript.writer import write_station
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import Influence
-from hilcell.calibration.tip import tips_of
+from hilcell.calibration.tool_point import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.stamp import CorrectedBefore, Stamp, refuse_corrected
+from hilcell.compensation.provenance import CorrectedBefore, Stamp, refuse_corrected
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.programs.drilling import Drilling, Part, station_program

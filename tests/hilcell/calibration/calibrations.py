@@ -8,14 +8,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.decision import Guard, judged, limits_of
+from hilcell.calibration.decision_rule import Guard, judged, limits_of
 from hilcell.calibration.file import SCHEMA
 from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
-from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import Measured, StaticPoses
+from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.model.calibration import Device, Provenance, StationEntry
 from tests.hilcell.compensation import models

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hilcell.calibration.errors import Errors
 from hilcell.calibration.iso9283 import (
     CYCLE,
     Angles,
@@ -30,6 +29,7 @@ from hilcell.calibration.iso9283 import (
     pose_of,
 )
 from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm
+from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import to_rotvec
 from hilcell.journal.log import Log

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import CIRCLE, CONSTANT, mount_offset
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.position_errors import errors_of
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad

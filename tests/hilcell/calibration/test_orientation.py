@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import UNKNOWN_TURN
+from hilcell.calibration.decision_rule import UNKNOWN_TURN
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import ASSUMED, Frame, Influence, Uncertainty, motion
 from hilcell.calibration.orientation import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration import recheck as module
-from hilcell.calibration.in_use import Visited
+from hilcell.calibration.lookup import Visited
 from hilcell.calibration.recheck import Rechecked, judged, suspicions
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction

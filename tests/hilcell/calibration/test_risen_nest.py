@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.changes import risen_nest
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.frames import world_motion
-from hilcell.calibration.since import risen_nest
 from hilcell.geometry.frames import from_rotvec
-from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
+from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import Frame
 from hilcell.model.plan import FloorBefore

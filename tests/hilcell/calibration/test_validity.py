@@ -6,11 +6,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.decision import Guard, judged, limits_of
+from hilcell.calibration.decision_rule import Guard, judged, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import load_cell
-from hilcell.journal.standing import Standing
+from hilcell.journal.calibration_status import Standing
 from hilcell.model.calibration import Update
 from hilcell.model.verdicts import Limits, Turn
 from tests.hilcell.calibration.calibrations import LIMITS, STAMP, calibration

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
-from hilcell.calibration.errors import of_differences, scatter_besides, visit_noise
+from hilcell.calibration.position_errors import of_differences, scatter_besides, visit_noise
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, positions_mm

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.in_use import standing_of
+from hilcell.calibration.lookup import standing_of
 from hilcell.journal.runs import CALIBRATION
 from hilcell.model.verdicts import Verdict
 from tests.hilcell import verdicts

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.source import read_source
-from hilcell.invariants.judging import INVARIANTS
+from hilcell.invariants import INVARIANTS
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
 from tests.hilcell.invariants.doctored import Doctored

@@ -12,17 +12,17 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.atomic_files import CSV, check_output
 from hilcell.calibration.budget import DRILL
-from hilcell.calibration.decision import Guard, judged
+from hilcell.calibration.decision_rule import Guard, judged
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.stamp import COLUMN, Stamp
+from hilcell.compensation.provenance import COLUMN, Stamp
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import apply, inverse
 from hilcell.programs.holes import NORMALS
-from hilcell.writing import CSV, check_output
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.cell.packages import install
 from tests.hilcell.commands.finished_runs import MADE, finished

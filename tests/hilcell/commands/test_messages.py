@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.commands.output import print_message
+from hilcell.commands.console import print_message
 from tests.hilcell.report.journals import Writer
 
 NAMES = ["one\x1b[31mred\x9b2J\u202e\x07", os.fsdecode(b"one\xff\xfe")]

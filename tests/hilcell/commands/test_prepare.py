@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import Guard, judged
+from hilcell.calibration.decision_rule import Guard, judged
 from hilcell.calibration.file import write_calibration
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx

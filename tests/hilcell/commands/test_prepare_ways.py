@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.tip import tips_of
+from hilcell.calibration.tool_point import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import NominalRobot
@@ -18,7 +18,7 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 from hilcell.programs.plan import Volume
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
-from tests.hilcell.calibration.test_tip import DRILL, at_tip_of, cell_with
+from tests.hilcell.calibration.test_tool_point import DRILL, at_tip_of, cell_with
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.test_prepare import DIGEST, INSIDE, holes, made, prepare, refused
 from tests.hilcell.commands.test_prepared_files import made_for_two

@@ -11,7 +11,7 @@ import pytest
 
 from hilcell.alarms.alarm import alarms_of
 from hilcell.cell.devices import ConnectFailed, load_entry
-from hilcell.commands import live
+from hilcell.commands import control
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import (
     ProgressOutput,
@@ -316,7 +316,7 @@ def test_ctrl_c_at_a_watched_run_names_it(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(live, "_follow", interrupted)
+    monkeypatch.setattr(control, "_follow", interrupted)
     assert main(["watch", "r9", "--runs", str(tmp_path)]) == 4
     assert "run r9: " in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.decision import Guard, judged
+from hilcell.calibration.decision_rule import Guard, judged
 from hilcell.cell.file import load_cell
 from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from hilcell.commands import output, past
+from hilcell.commands import console
+from hilcell.commands import runs as runs_command
+from hilcell.journal.calibration_status import standings
 from hilcell.journal.index import RunRow, row_of
-from hilcell.journal.standing import standings
 from hilcell.model.verdicts import Suspected, Verdict
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import FIT, MADE, REDO, finished
@@ -80,7 +81,7 @@ def listed(runs: Path, *words: str) -> list[dict[str, Any]]:
 def test_the_table_has_the_time_the_operator_and_the_verdict(
     runs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hilcell.commands.past.read_index", lambda _: [
+    monkeypatch.setattr("hilcell.commands.runs.read_index", lambda _: [
         RunRow(
             name="r", begun="2026-11-22T22:30:00Z", state="finished", exit=0, operator="Ann\x1b[0m",
             procedure="home", cell="paper",
@@ -136,10 +137,10 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_the_list_fits_the_terminal_and_keeps_what_matters(
     runs: Path, monkeypatch: pytest.MonkeyPatch, columns: int
 ) -> None:
-    monkeypatch.setattr(output, "terminal_columns", lambda: columns)
-    monkeypatch.setattr(past, "terminal_columns", lambda: columns)
+    monkeypatch.setattr(console, "terminal_columns", lambda: columns)
+    monkeypatch.setattr(runs_command, "terminal_columns", lambda: columns)
     name = "20261122-223000-calibrate-ab12"
-    monkeypatch.setattr(past, "read_index", lambda _: [
+    monkeypatch.setattr(runs_command, "read_index", lambda _: [
         RunRow(name=name, begun="2026-11-22T22:30:00Z", state="finished", exit=0, operator="Ann",
                procedure="calibrate", cell="paper", simulated=True),
     ])  # fmt: skip
@@ -150,7 +151,7 @@ def test_the_list_fits_the_terminal_and_keeps_what_matters(
 
 
 def test_what_show_prints_fits_the_terminal(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(output, "terminal_columns", lambda: 60)
+    monkeypatch.setattr(console, "terminal_columns", lambda: 60)
     lines = command("show", "1-made", "--runs", runs).stdout.splitlines()
     assert max(map(len, lines)) <= 60
 

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.commands.output import in_ascii, never_fail_to_encode, print_json, print_message
+from hilcell.commands.console import in_ascii, never_fail_to_encode, print_json, print_message
 from hilcell.commands.run_output import JsonOutput
 from hilcell.journal.journal import Record
 from tests.hilcell.report.journals import Writer, validated_run

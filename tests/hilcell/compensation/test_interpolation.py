@@ -10,10 +10,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from hilcell.compensation.choice import chosen
 from hilcell.compensation.grid import Grid, GridError
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ModelError
+from hilcell.compensation.model_choice import chosen
 from hilcell.geometry.kinematics import Array
 from tests.hilcell.compensation.models import Kind, exact, lattice, level, measured, predicted_mm
 

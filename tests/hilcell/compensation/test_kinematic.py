@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.compensation.choice import MODELS, Nominal, choose, chosen
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
 from hilcell.compensation.model import Measured, MeasuredArm, ModelError, StaticPoses
+from hilcell.compensation.model_choice import MODELS, Nominal, choose, chosen
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, lengths_mm
 from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
-from hilcell.identification.readings import IdentificationError, Readings
+from hilcell.identification.measured_poses import IdentificationError, Readings
 from tests.hilcell.compensation.models import lattice
 
 CELL = load_cell("paper")

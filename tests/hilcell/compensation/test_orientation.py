@@ -20,11 +20,11 @@ from hilcell.compensation.model import (
     StaticPoses,
     Turn,
 )
-from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
+from hilcell.compensation.residual import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.identification.readings import Readings
+from hilcell.identification.measured_poses import Readings
 from tests.hilcell.compensation.models import lattice
 
 SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}

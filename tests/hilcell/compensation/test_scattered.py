@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.compensation.choice import Nominal
 from hilcell.compensation.grid import GridError
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import Measured, StaticPoses
-from hilcell.identification.readings import FOLDS
+from hilcell.compensation.model_choice import Nominal
+from hilcell.identification.measured_poses import FOLDS
 from tests.hilcell.compensation.models import level
 
 seeds = st.integers(0, 2**32 - 1)

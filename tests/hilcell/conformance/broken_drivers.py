@@ -20,7 +20,7 @@ from drivers.canopen.rail import CanopenRail
 from drivers.kuka.robot_c3 import REPLY_S, KukaC3Robot, decode_header
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from drivers.supervision import Patience
-from hilcell.conformance.acts import Port
+from hilcell.conformance.exercise import Port
 from hilcell.errors import DeviceError, DeviceRefused, NoReading, Stopped
 from hilcell.ports import Array, StreamBlock
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import hilcell
-from hilcell.conformance.kept import chosen
-from hilcell.conformance.kit import promises_of
+from hilcell.conformance.port_tests import chosen
+from hilcell.conformance.promises import promises_of
 
 CELLS = Path(hilcell.__file__).with_name("cells")
 C3 = "robots:kuka-c3"

@@ -19,9 +19,9 @@ import pytest
 
 from drivers.supervision import LIFE_S
 from hilcell.cell.file import load_cell
-from hilcell.conformance import every_port, trial
-from hilcell.conformance.acts import PORTS, Port
-from hilcell.conformance.kit import PROMISES, driver_cell, promises_of, renewed
+from hilcell.conformance import common_promises, trial
+from hilcell.conformance.exercise import PORTS, Port
+from hilcell.conformance.promises import PROMISES, driver_cell, promises_of, renewed
 from hilcell.conformance.trial import Bench, Broken, Outcome, Promise, Trial
 from hilcell.errors import Stopped
 from hilcell.ports import RobotReading
@@ -92,9 +92,9 @@ def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
 
 
 def test_one_of_some_stops_has_to_be_prompt() -> None:
-    every_port._prompt("stop took", [0.5, 0.01], 0.02)
+    common_promises._prompt("stop took", [0.5, 0.01], 0.02)
     with pytest.raises(Broken, match="stop took 30 ms, expected <= 20 ms"):
-        every_port._prompt("stop took", [0.5, 0.03], 0.02)
+        common_promises._prompt("stop took", [0.5, 0.03], 0.02)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
     monkeypatch.setattr(trial.Bench, "PACE", 1.5 * trial.Bench.PACE)
-    monkeypatch.setattr(every_port, "GONE_S", LIFE_S + 0.5)
+    monkeypatch.setattr(common_promises, "GONE_S", LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 
 ARM = load_cell("paper").robot.arm()
 POSE_DEG = (0.0, -72.0, 104.0, 0.0, -42.0, 0.0)  # near the middle of the cube

@@ -7,7 +7,7 @@ import numpy as np
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
-from hilcell.identification.readings import Readings
+from hilcell.identification.measured_poses import Readings
 
 ARM = Arm(
     a_mm=np.array([350.0, 1250.0, -55.0, 0.0, 0.0, 0.0]),

@@ -8,7 +8,7 @@ import pytest
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import Estimate, identify, observability, predict
 from hilcell.identification.kinematics import Kinematics
-from hilcell.identification.readings import IdentificationError, Noise, Readings
+from hilcell.identification.measured_poses import IdentificationError, Noise, Readings
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 KINEMATICS = Kinematics(ARM, 1)

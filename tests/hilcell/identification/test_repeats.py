@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.identification.readings import FOLDS, SAME_RAD, count_poses, folds_of, poses_of
+from hilcell.identification.measured_poses import FOLDS, SAME_RAD, count_poses, folds_of, poses_of
 
 seeds = st.integers(0, 2**32 - 1)
 

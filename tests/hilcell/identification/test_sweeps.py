@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Array
-from hilcell.identification.motion import SweepStream
+from hilcell.identification.axis_motion import SweepStream
 from hilcell.identification.sweeps import (
     Known,
     Records,

@@ -5,7 +5,7 @@ import pytest
 
 from hilcell.identification.estimate import System, triangle
 from hilcell.identification.kinematics import Kinematics, Placed
-from hilcell.identification.readings import Noise
+from hilcell.identification.measured_poses import Noise
 from tests.hilcell.identification.robots import ARM, Robot, curve
 
 CLOSE = Placed(2.0, 2e-3, 2.0)  # so that the dense matrices are well conditioned

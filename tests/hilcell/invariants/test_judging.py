@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hilcell.invariants.judging import judge
+from hilcell.invariants import judge
 from hilcell.journal.journal import StorageError
 from tests.hilcell.invariants.doctored import (
     DEVICES,

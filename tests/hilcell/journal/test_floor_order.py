@@ -7,9 +7,9 @@ import pytest
 
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
-from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
+from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import DeviceError
 from tests.whole.golden import GoldenRuns

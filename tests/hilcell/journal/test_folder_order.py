@@ -7,15 +7,15 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from hilcell.journal.calibration_status import standings
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, in_order, next_order, row_of
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL, read_records
-from hilcell.journal.standing import standings
 from hilcell.model.plan import FolderOrder
 from hilcell.model.records import Kind
 from hilcell.run import engine
 from tests.hilcell.commands.finished_runs import MADE, finished
-from tests.hilcell.journal.test_standing import made, row
+from tests.hilcell.journal.test_calibration_status import made, row
 from tests.hilcell.report.journals import Writer
 from tests.whole.bench import command
 
@@ -111,7 +111,7 @@ def test_the_list_of_runs_names_a_clock_that_ran_back(
 ) -> None:
     behind = msgspec.structs.replace(made("02"), begun="2026-11-21T10:00:00Z")
     rows = [numbered(made("59"), 1), numbered(behind, 2)]
-    monkeypatch.setattr("hilcell.commands.past.read_index", lambda _: rows)
+    monkeypatch.setattr("hilcell.commands.runs.read_index", lambda _: rows)
     said = command("runs", "--runs", tmp_path, "--json")
     assert "24.02 h" in said.stderr
     listed = json.loads(said.stdout)["runs"]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from hilcell.decoding import Json
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.records import Kind
-from hilcell.typed import Json
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:

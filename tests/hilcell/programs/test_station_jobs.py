@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
+from hilcell.atomic_files import NotWritten
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.stamp import CorrectedBefore
+from hilcell.compensation.provenance import CorrectedBefore
 from hilcell.programs.station_jobs import SHEET, SUMMARY, StationJobs
 from hilcell.run.order import Release
-from hilcell.writing import NotWritten
 from tests.hilcell.commands.test_prepare import INSIDE, holes, made
 
 CELL = load_cell("paper")

@@ -21,7 +21,7 @@ from hilcell.report.comparison import Change, Comparison, Setting, compare_runs,
 from hilcell.run.control import Control
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Recorder
-from tests.hilcell.run.test_direct_run import performed
+from tests.hilcell.run.test_in_process import performed
 from tests.whole.bench import SMALL, command
 from tests.whole.golden import GoldenRuns
 

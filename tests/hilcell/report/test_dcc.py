@@ -11,8 +11,9 @@ import pytest
 from dsi_unit import DsiUnit
 from msgspec.structs import replace
 
+from hilcell.atomic_files import NotWritten
 from hilcell.calibration.budget import Coverage
-from hilcell.calibration.decision import guard_of
+from hilcell.calibration.decision_rule import guard_of
 from hilcell.model.outcome import Outcome
 from hilcell.model.results import Turns
 from hilcell.report import dcc
@@ -21,7 +22,6 @@ from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT,
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
 from hilcell.report.tables import Tables
-from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
 from tests.hilcell.verdicts import JUDGED

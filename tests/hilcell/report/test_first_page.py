@@ -15,16 +15,16 @@ from msgspec.structs import replace
 
 from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
+from hilcell.journal.calibration_status import Standing
 from hilcell.journal.index import row_of
-from hilcell.journal.standing import Standing
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
-from hilcell.report.course import course
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import FirstPage, certificate, instruments, title, with_signs
 from hilcell.report.html import measured, report_html, sentence, standing
+from hilcell.report.timeline import course
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run

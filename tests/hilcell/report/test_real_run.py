@@ -12,12 +12,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from hilcell.atomic_files import NotWritten
 from hilcell.journal.journal import Journal, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
 from hilcell.report.pdf import pages_of, pdf_of
-from hilcell.writing import NotWritten
 from tests.hilcell.report.browser import looked_at, use_fonts
 from tests.hilcell.report.drawn import apart, boxes
 from tests.hilcell.report.journals import renamed
@@ -113,7 +113,7 @@ def test_a_changed_journal_is_refused(run: GoldenRun, tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written(
     where: str, run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr("hilcell.commands.past.read_facts")  # refused before anything is read
+    monkeypatch.delattr("hilcell.commands.runs.read_facts")  # refused before anything is read
     done = command("report", run.folder, "-o", tmp_path / where)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert list(tmp_path.iterdir()) == []
@@ -218,7 +218,7 @@ def test_without_a_browser_no_pdf_is_printed(
     run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delattr("hilcell.commands.past.read_facts")  # refused before anything is read
+    monkeypatch.delattr("hilcell.commands.runs.read_facts")  # refused before anything is read
     done = command("report", run.folder, "-o", tmp_path / "x.pdf")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert list(tmp_path.iterdir()) == []

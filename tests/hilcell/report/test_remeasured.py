@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
+from hilcell.calibration.position_errors import validation
 from hilcell.geometry.frames import from_rotvec
 from hilcell.model.point import PointId, Sent
-from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.tables import Tables
+from hilcell.report.timeline import course
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.verdicts import FITTED
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.cell.file import Cell
-from hilcell.invariants.judging import judge
+from hilcell.invariants import judge
 from hilcell.journal.journal import read_journal
 from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession

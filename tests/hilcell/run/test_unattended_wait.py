@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell.cell.file import Cell
-from hilcell.invariants.judging import judge
+from hilcell.invariants import judge
 from hilcell.journal.journal import read_journal
 from hilcell.run.meter import Meter
 from hilcell.run.worker import UnattendedWait

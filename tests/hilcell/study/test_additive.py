@@ -11,14 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.decoding import Json, typed
 from hilcell.ports import Array
 from hilcell.study.analysis import Additive, Answers, answers
 from hilcell.study.case import Row
 from hilcell.study.design import Case, Point, placed, points
-from hilcell.study.page import page
+from hilcell.study.html import page
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
-from hilcell.typed import Json, typed
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_analysis import FOUR, ended, rows, shares
 from tests.hilcell.study.test_study_file import factor

@@ -13,14 +13,14 @@ import pytest
 from msgspec.structs import replace
 from scipy.stats import t as student
 
+from hilcell.decoding import Json
 from hilcell.study.analysis import Interval, Share, answers, on_front
 from hilcell.study.case import Found, Row
 from hilcell.study.design import Case, cases
-from hilcell.study.page import page
+from hilcell.study.html import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary, percent, with_half
-from hilcell.typed import Json
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.hilcell.study.test_design import RANGES, SOBOL
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.devices import load_entry
+from hilcell.decoding import typed
 from hilcell.model.results import Calibrated
 from hilcell.ports import NoReading
-from hilcell.run.direct_run import direct_run
+from hilcell.run.in_process import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
 from hilcell.study.case import RESULTS, figures, measured, packed, versions
 from hilcell.study.study_file import Study, cell_of
-from hilcell.typed import typed
 from tests.hilcell.study.studies import study
 from tests.whole.golden import GoldenRuns
 

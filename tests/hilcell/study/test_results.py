@@ -18,8 +18,8 @@ from hilcell.run.cell_lock import CellLocked
 from hilcell.study.case import Found, unpacked
 from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.performing import perform
 from hilcell.study.results import OtherStudy, Results, open_results, row_of
+from hilcell.study.runner import perform
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.whole.bench import command

@@ -15,9 +15,9 @@ from hilcell.study.analysis import answers
 from hilcell.study.case import Found, unpacked
 from hilcell.study.cluster import Cluster
 from hilcell.study.design import Case, cases
-from hilcell.study.page import page
-from hilcell.study.performing import perform
+from hilcell.study.html import page
 from hilcell.study.results import Results, open_results
+from hilcell.study.runner import perform
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
 from tests.hilcell.study.studies import study

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilcell.clean import clean
 from hilcell.commands.cli import whole_parser
 from hilcell.errors import HilcellError
+from hilcell.sanitize import clean
 from hilcell.tui.engine.process import (
     EXIT_REASONS,
     StartedEngine,

@@ -18,7 +18,7 @@ from textual.events import Key
 from textual.keys import Keys, _normalize_key_list
 
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import UNSAFE
+from hilcell.sanitize import UNSAFE
 from hilcell.tui import keys
 from hilcell.tui.keys import (
     ACTIONS,

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.position_errors import errors_of
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.tui.plots import Look

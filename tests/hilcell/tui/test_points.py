@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import guard_of
-from hilcell.calibration.errors import errors_of
+from hilcell.calibration.decision_rule import guard_of
+from hilcell.calibration.position_errors import errors_of
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import read_log

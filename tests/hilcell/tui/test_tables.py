@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from hilcell.decoding import typed
 from hilcell.identity import Identity
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Record
@@ -15,7 +16,6 @@ from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
 from hilcell.tui.screens.pages import Compared, ComparePage
 from hilcell.tui.text.tables import columns_for, history_row, log_columns, record_row, record_words
-from hilcell.typed import typed
 from tests.hilcell.identification.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS
 from tests.hilcell.tui.sample_runs import measuring, sample_runs

@@ -16,11 +16,11 @@ import numpy as np
 
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, source_text
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import clean
 from hilcell.compensation import programs
 from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import matrix, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
+from hilcell.sanitize import clean
 from hilcell_meca500.euler import angles, rotations
 
 SUFFIX = ".mxprog"

@@ -19,8 +19,8 @@ import numpy as np
 from fakes.faults import Vanished
 from fakes.site import Site
 from fakes.time import LifeTimer
+from fakes.truth.cell_truth import strike
 from fakes.truth.machine import controller_arm, flicker
-from fakes.truth.plant import strike
 from fakes.wires import HOST, Listener, Segments
 from hilcell.ports import Array
 

@@ -17,8 +17,8 @@ from drivers.device_errors import ROBOT
 from drivers.supervision import Patience
 from drivers.wires.tcp import TcpLink
 from drivers.wires.text_lines import TextLines
-from hilcell.clean import clean
 from hilcell.ports import Array
+from hilcell.sanitize import clean
 
 ANSWER_S = 2.0
 CONNECTED, SYNCHRONISED, CHECKPOINT, EMERGENCY_STOP = 3000, 2097, 3030, 3070

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.program_text import ENCODING
-from hilcell.clean import clean
 from hilcell.compensation.programs import StationProgram
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
+from hilcell.sanitize import clean
 from hilcell_meca500.euler import angles
 from hilcell_meca500.programs import DECIMALS, SUFFIX
 

@@ -17,14 +17,14 @@ from hilcell_meca500.simulated import MecaServer, serve
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
-from hilcell.calibration.tip import tip_of_program
+from fakes.truth.cell_truth import Plant
+from hilcell.calibration.tool_point import tip_of_program
 from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
 from hilcell.compensation.programs import Places, StationProgram, load_program, writer_of
-from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.provenance import Stamp
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import DeviceError, Robot
 

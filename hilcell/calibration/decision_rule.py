@@ -1,0 +1,152 @@
+"""The decision rule for mean and largest error: accepted only where both surely keep their limits.
+
+The rule is `hilcell.model.outcome`'s; exit code, screen, report and `compensate` ask it, the
+sequential rule of a quick plan takes its limits from it.
+
+U is that of the measurement (`measurement_budget`). |e| never changes by more than the
+position measured, so u of one coordinate, along e, bounds that of a single 3D error, and of the
+largest of many; in their mean the noise of readings averages. The largest error of orientation is
+judged by the same rule where the cell states a limit of it (deg).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from hilcell.calibration.measurement_budget import budget_of, expanded_mm
+from hilcell.cell.devices import tracker_class
+from hilcell.cell.file import Cell
+from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
+from hilcell.journal.log import Log
+from hilcell.model.outcome import Outcome, gravest
+from hilcell.model.verdicts import Judged, Limits, Turn
+from hilcell.ports import Array, HilcellError
+from hilcell.sanitize import counted
+
+
+class Guard(NamedTuple):
+    """Expanded uncertainties of mean and largest 3D error, mm."""
+
+    mean_mm: float
+    max_mm: float
+
+
+UNKNOWN_TURN = Turn(math.nan, math.nan)  # accepts nothing
+NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
+
+
+def limits_of(cell: Cell) -> Limits:
+    stated = cell.validation
+    return Limits(stated.mean_tolerance_mm, stated.max_tolerance_mm, stated.max_tolerance_deg)
+
+
+def check_limits(cell: Cell) -> None:
+    """Raise `HilcellError` where the stated uncertainties alone leave nothing of a limit."""
+    least_mm = expanded_mm(math.sqrt(stated_mm2(cell)))
+    for name, limit_mm in (("mean", cell.validation.mean_tolerance_mm),
+                           ("max", cell.validation.max_tolerance_mm)):  # fmt: skip
+        if not limit_mm > least_mm:
+            raise HilcellError(
+                f"validation.{name}_tolerance_mm {limit_mm:g}: nothing could be accepted, the "
+                f"tracker and the reflector's centring alone have U = {least_mm:.3f} mm (k = 2); "
+                "state a larger one",
+                code="HC-C10",
+            )
+
+
+def stated_mm2(cell: Cell) -> float:
+    """Return the variance of one coordinate of a reflector by the stated limits."""
+    limits_mm = (cell.uncertainty.tracker_limit_mm, cell.uncertainty.smr_centring_limit_mm)
+    return sum(map(rectangular_variance, limits_mm))
+
+
+def class_warning(cell: Cell, range_mm: float) -> str:
+    """Return why hardly any largest error could be accepted by the tracker's class, or ""."""
+    stated = tracker_class(cell)
+    if stated is None:
+        return ""
+    samples, limit_mm = cell.tracker.samples, cell.validation.max_tolerance_mm
+    along_mm, across_rad = stated.accuracy(range_mm / 1000.0)
+    single_mm2 = (along_mm**2 + 2.0 * (across_rad * range_mm) ** 2) / 3.0  # of one coordinate
+    known_mm2 = stated_mm2(cell)
+    least_mm = expanded_mm(math.sqrt(single_mm2 / samples + known_mm2))
+    if limit_mm > least_mm:
+        return ""
+    left_mm2 = (limit_mm / expanded_mm(1.0)) ** 2 - known_mm2
+    enough = math.floor(single_mm2 / left_mm2) + 1
+    return (
+        f"no result can be shown to be in tolerance: by its class the tracker has U = "
+        f"{least_mm:.2f} mm (k = 2) with {counted(samples, 'reading')} a target at "
+        f"{range_mm / 1000:.1f} m, expected less than validation.max_tolerance_mm {limit_mm:g}; "
+        f'the run ends "undecided" or out of tolerance (exit 1). State tracker.samples {enough} or '
+        f"more, a tolerance above {least_mm:.2f} mm with room for the robot's error, or a finer "
+        "instrument"
+    )
+
+
+def guard_of(log: Log, count: int) -> Guard:
+    """Return U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
+    budget = budget_of(log)
+    if budget is None:
+        raise HilcellError("no error is judged: no position was measured in {W}", code="HC-C21")
+    return Guard(budget.of_mean_of(count), budget.U_mm)
+
+
+def limits_within(limits: Limits, guard: Guard) -> Limits:
+    """Return the limits that a measured figure must keep: less U, which may leave nothing."""
+    return limits._replace(
+        mean_mm=limits.mean_mm - guard.mean_mm, max_mm=limits.max_mm - guard.max_mm
+    )
+
+
+def judged(
+    mean_mm: float,
+    max_mm: float,
+    limits: Limits,
+    guard: Guard,
+    *,
+    turn: Turn | None = None,
+    also: Outcome = Outcome.ACCEPTED,
+    words: str = "",
+) -> Judged:
+    """Return the decision on mean and largest error, and on ``turn`` by the limit of orientation.
+
+    ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
+    """
+    stated = Judged(
+        holds=False,
+        mean_mm=mean_mm,
+        mean_tolerance_mm=limits.mean_mm,
+        max_mm=max_mm,
+        max_tolerance_mm=limits.max_mm,
+        mean_U_mm=guard.mean_mm,
+        max_U_mm=guard.max_mm,
+        decided=Outcome.REJECTED,
+        decision="",
+    )
+    if turn is not None and limits.max_deg is not None:
+        stated = replace(
+            stated, max_deg=turn.max_deg, max_tolerance_deg=limits.max_deg, max_U_deg=turn.U_deg
+        )
+    outcome = gravest([also, *(each.outcome for each in stated.figures)])
+    return replace(
+        stated,
+        holds=outcome is Outcome.ACCEPTED,
+        decided=outcome,
+        decision=words if words and outcome is also else outcome.decision,
+    )
+
+
+def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
+    """Return the decision on a verdict's figures, by its own or other limits."""
+    guard = Guard(stated.mean_U_mm, stated.max_U_mm)
+    return judged(stated.mean_mm, stated.max_mm, limits or stated.limits, guard, turn=stated.turn)
+
+
+def judged_errors(log: Log, errors_mm: Array) -> Judged:
+    """Return the decision on 3D errors (N, 3) that a run measured, by its cell's limits."""
+    found = figures_of(lengths_mm(errors_mm))
+    return judged(found.mean, found.max, limits_of(log.cell), guard_of(log, len(errors_mm)))

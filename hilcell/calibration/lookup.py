@@ -1,0 +1,401 @@
+"""The calibration that a procedure uses: found, judged before anything moves, kept in its journal.
+
+The file is named in the cell's table of the procedure, and its content journalled when the run
+begins: the result is computed from the journal alone, also after the file is gone.
+
+Points of such a run stand in the calibration's {B}, with the noise of that visit: that of the
+calibration's budget, lines that differ from point to point, and frames, which move all points of
+the run together.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from operator import attrgetter
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.budget import temperature
+from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.file import read_calibration
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.validity import Unfit, check_fitness
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
+from hilcell.decoding import Json, typed
+from hilcell.geometry.frames import apply, inverse
+from hilcell.journal.calibration_status import Standing, current_of, standings
+from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
+from hilcell.journal.log import Log, covariances_mm2, positions_mm
+from hilcell.journal.runs import CALIBRATION, is_run, read_log
+from hilcell.model.calibration import Provenance
+from hilcell.model.events import CalibrationUsed
+from hilcell.model.point import Point
+from hilcell.model.verdicts import Rechecked
+from hilcell.ports import Array, HilcellError
+
+
+class NoCalibration(HilcellError):
+    """No calibration was found, or the one named is none."""
+
+    code = "HC-C25"
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
+    """A calibration as read from its file, and what the journal of the run that wrote it says.
+
+    The run of a file that lies alone is looked for in ``runs``.
+    """
+
+    calibration: Calibration
+    path: Path
+    runs: Path
+
+    @classmethod
+    def named(cls, name: str, runs: Path) -> Self:
+        """Read that of a run or a file; raises `NoCalibration`, `SettingsError`, `HilcellError`."""
+        path = Path(name)
+        if not os.path.isfile(path):  # noqa: PTH113 - Path.is_file raises for a name too long
+            folder = find_run(runs, name)
+            path = folder / CALIBRATION
+            if not path.is_file():
+                raise NoCalibration(
+                    f"run {folder.name} wrote no calibration; {cls._instead(folder)}"
+                )
+        return cls(read_calibration(path), path, runs)
+
+    @cached_property
+    def folder(self) -> Path | None:
+        """The folder of the run that wrote it, if it is there; a copied folder is no other run."""
+        here = self.path.resolve().parent
+        runs = here.parent if is_run(here) else self.runs
+        wrote = runs / self.calibration.provenance.latest
+        folder = here if is_run(here) and not is_run(wrote) else wrote
+        return folder.resolve() if is_run(folder) else None
+
+    @cached_property
+    def standing(self) -> Standing | None:
+        """How it stands; None where its run is not there.
+
+        A run in a copy of ``runs`` may have been revoked since in ``runs``.
+        """
+        folder = self.folder
+        if folder is None:
+            return None
+        found = standing_of(folder) or _unproven(row_of(folder))
+        here = (self.runs / folder.name).resolve()
+        if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
+            return found
+        there = standing_of(here) or _unproven(row_of(here))
+        return found if there.usable else there
+
+    @cached_property
+    def cell(self) -> Cell | None:
+        """The cell as it was when that run began."""
+        with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+            return read_log(self.folder).cell if self.folder else None
+        return None
+
+    @staticmethod
+    def _instead(folder: Path) -> str:
+        used = recheck = None
+        with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
+            log = read_log(folder)
+            used, recheck = calibration_in(log), log.verdict(Rechecked)
+        if used is None:
+            with suppress(HilcellError):
+                rows = read_index(folder.parent)
+                for row in rows:
+                    if row.name == folder.name and row.readable:
+                        of_cell = (row.cell, row.serial, row.simulated, row.machine_seed)
+                        if current := current_of(rows, *of_cell):
+                            return f"name {current}, the current calibration of its cell"
+            return "name a finished `hilcell run calibrate`"
+        latest = used.provenance.latest
+        if recheck is not None and recheck.verdict == "valid":
+            return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
+        if recheck is not None and recheck.verdict == "redo":
+            return f"it found that the calibration of {latest} no longer holds: calibrate again"
+        return f"it used that of {latest}"
+
+
+class Chosen(NamedTuple):
+    """A cell whose table names a usable file, why not to use it where accepted, and which it is."""
+
+    cell: Cell
+    accepted: list[str]
+    words: str = ""
+
+
+def with_calibration(
+    cell: Cell,
+    table: str,
+    runs: Path,
+    *,
+    machine: int | None = None,
+    accept_out_of_tolerance: bool = False,
+    accept_not_current: bool = False,
+) -> Chosen:
+    """Return the cell with the path of a usable calibration file in ``table``, if it has that.
+
+    The table names a run or a file; "" is the current calibration of this cell, and of the
+    simulated ``machine``, in ``runs``. Raises `NoCalibration`, `Unfit`, `SettingsError`.
+    """
+    chosen = getattr(cell, table)
+    if chosen is None:
+        return Chosen(cell, [])  # the plan says which keys it lacks
+    named = chosen.calibration or str(_current(runs, cell, table, machine))
+    used = CalibrationFile.named(named, runs)
+    calibration, standing = used.calibration, used.standing
+    if reasons := list(_foreign(used, cell)):  # first: nothing accepts that of another cell
+        raise Unfit(calibration, reasons)
+    accepted = check_fitness(
+        calibration,
+        datetime.now(UTC),
+        max_age_days=math.inf,  # its age and the temperature are why it is checked
+        limits=limits_of(cell),
+        accept_out_of_tolerance=accept_out_of_tolerance,
+        standing=standing,
+        accept_not_current=accept_not_current,
+    )
+    words = f"the calibration of {calibration.provenance.named} is used"
+    if standing is not None:
+        words += f": {standing.text}"
+        if not standing.usable:
+            accepted.append(f"it is {standing.text}")
+    changed = msgspec.structs.replace(chosen, calibration=str(used.path.resolve()))
+    return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
+
+
+def calibration_named(cell: Cell, table: str) -> Calibration:
+    """Return the calibration whose file is named in ``table``."""
+    chosen = getattr(cell, table)
+    path = chosen.calibration if chosen is not None else ""
+    if not path:
+        raise NoCalibration(
+            f"{table}.calibration is missing: name a run or its calibration.json with "
+            f"--set {table}.calibration=RUN"
+        )
+    return read_calibration(Path(path))
+
+
+def calibrated_machine(cell: Cell, table: str) -> int | None:
+    """Return the simulated machine's seed of the calibration in ``table``, if it is a run's."""
+    chosen = getattr(cell, table)
+    if chosen is None or cell.simulation is None or cell.simulation.address:
+        return None
+    folder = Path(chosen.calibration).parent
+    if not is_run(folder):
+        return None
+    return read_log(folder).inputs.machine_seed
+
+
+def record_of(calibration: Calibration, path: str) -> Json:
+    """Return the event's facts that keep the calibration."""
+    content = msgspec.to_builtins(calibration)
+    return {"run": calibration.provenance.latest, "file": path, "content": content}
+
+
+def calibration_in(log: Log) -> Calibration | None:
+    """Return the calibration that a run uses, once it has begun to."""
+    facts = (record.fact for record in reversed(log.events))
+    used = next((fact for fact in facts if isinstance(fact, CalibrationUsed)), None)
+    return None if used is None else typed(used.content, Calibration)
+
+
+def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
+    """Return the current calibration; where there is none, the newest that is not known to be bad.
+
+    A touched base is of a visit that ends when the run that looks for one homes the slide.
+    """
+    gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
+    rows = read_index(runs)
+    known = standings(rows)
+    for row in reversed(in_order(rows)):
+        path = runs / row.name / CALIBRATION
+        standing = known.get(row.name, _unproven(row))
+        if (made := _made(path, row, standing, cell)) is None or made.cell != cell.name:
+            continue
+        if machine is not None and row.machine_seed not in (None, machine):
+            gone = gone or f" (that of run {row.name} is of simulated machine {row.machine_seed})"
+        elif made.simulated != simulated:
+            foreign = foreign or path  # a real cell and a simulated one of its name are two
+        elif made.is_of_visit:
+            gone = gone or f" (that of run {row.name} has a base that was touched on a visit)"
+        elif standing.state == "current":
+            return path
+        elif row.name in known and standing.state == "in doubt" and not standing.current:
+            return path  # which is refused with its reason: it may supersede all others
+        elif standing.usable:
+            unproven = unproven or path
+        else:
+            gone = gone or f" (that of run {row.name} is {standing.text})"
+    if found := unproven or (None if gone else foreign):  # which is refused with its reason
+        return found
+    raise NoCalibration(
+        f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
+        f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
+    )
+
+
+def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance | None:
+    """Return how a run's calibration was made; None where it has none that may be current.
+
+    A damaged file ends only what may need it: by the run's journal, or of any cell without that.
+    """
+    if not path.is_file():
+        return None
+    try:
+        return read_calibration(path).provenance
+    except SettingsError:
+        of_cell = (row.cell, row.simulated) == (cell.name, cell.simulation is not None)
+        wanted = standing.usable or standing.state == "in doubt"
+        if wanted and (of_cell or not row.readable):
+            raise
+        return None
+
+
+def standing_of(folder: Path) -> Standing | None:
+    """Return how a run's calibration stands, as `standings_in` does; None where it has none."""
+    folder = folder.resolve()
+    return standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
+
+
+def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
+    """Return standings by journals and files: one before an unread later one is in doubt.
+
+    So is a calibration with which its run did not end.
+    """
+    readable = {row.name for row in rows if row.readable}
+    found = standings(rows)
+    for name in [name for name, each in found.items() if each.state == "current"]:
+        for later in _later_unread(runs / name, readable):
+            why = (
+                f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
+            )
+            found[name] = Standing("in doubt", "", why)
+            break
+    for row in rows:
+        if row.name not in found and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
+            found[row.name] = _unproven(row)
+    return found
+
+
+def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
+    """Yield the folders with a later calibration of the cell and no journal that can be read."""
+    made = None
+    for name in os.listdir(folder.parent):  # noqa: PTH208 - of ten thousand runs a Path each is too slow
+        path = folder.parent / name / CALIBRATION
+        if name in readable or not path.is_file():
+            continue
+        with suppress(SettingsError):  # a file that is none, or damaged, supersedes nothing
+            made = made or read_calibration(folder / CALIBRATION).provenance
+            other = read_calibration(path).provenance
+            of_cell = (other.cell, other.simulated) == (made.cell, made.simulated)
+            if of_cell and other.latest == name and other.written > made.written:
+                yield name
+
+
+def _unproven(row: RunRow) -> Standing:
+    ended = "made no calibration by its journal" if row.finished else f"is {row.condition}"
+    return Standing("in doubt", "", f"its run {ended}")
+
+
+def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
+    calibration, folder = used.calibration, used.path.parent
+    made = calibration.provenance
+    if made.simulated != (cell.simulation is not None):
+        kinds = ("a simulated", "a real") if made.simulated else ("a real", "a simulated")
+        yield f"it is of {kinds[0]} cell, this is {kinds[1]} one; calibrate this cell"
+    if missing := calibration.uncertainty.missing:
+        yield f"it states no uncertainty to judge by: {missing}; calibrate again"
+    if cell.grid.station not in calibration.stations:
+        yield f"station {cell.grid.station} is not calibrated by it"
+    if made.digest == cell.digest:
+        return
+    if not is_run(folder):
+        yield (
+            f"it is of cell {made.cell} with digest {made.digest[:12]}, this one has "
+            f"{cell.digest[:12]}; name the run that wrote it, or run with the cell file of then"
+        )
+        return
+    then = read_log(folder).cell
+    fixed = (
+        "name", "serial", "robot.joint", "robot.smr_mm", "robot.more_smr_mm", "robot.status",
+        "layout.base", "layout.floor", "station", "grid.station",
+    )  # fmt: skip
+    for key in fixed:
+        if attrgetter(key)(then) != attrgetter(key)(cell):
+            yield f"{key} differs from the cell that was calibrated; calibrate this cell"
+
+
+@dataclass(frozen=True, eq=False)
+class Visited:
+    """Nominal and measured positions (N, 3) in {B}; covariances (N, 3, 3) of visit and reading,
+    and (7, 7) of the frames: shift (mm), rotation vector (rad), growth about the origin of {B}.
+
+    ``within_mm2`` (3, 3) is the part of a visit that the model's covariance has in it, too.
+    """
+
+    nominal_mm: Array
+    actual_mm: Array
+    own_mm2: Array
+    common: Array
+    within_mm2: Array
+
+
+def used(log: Log) -> Calibration:
+    """Return the calibration that the run uses; raises `NoCalibration` before it does."""
+    calibration = calibration_in(log)
+    if calibration is None:
+        raise NoCalibration("the run has used no calibration yet")
+    return calibration
+
+
+def visited(log: Log, points: list[Point], station: str) -> Visited:
+    """Return the points, all measured at ``station``; raises `NoBound` without a budget."""
+    calibration = used(log)
+    T_W_B = calibration.base(station)
+    T_B_L = inverse(T_W_B) @ log.matrix("world")
+    nominal_mm = apply(inverse(T_W_B), np.array([p.nominal_mm for p in points], dtype=float))
+    alone_mm2, within_mm2, common = _noise(log, calibration, station, T_W_B)
+    own_mm2 = alone_mm2 + covariances_mm2(points, T_B_L[:3, :3])
+    return Visited(nominal_mm, apply(T_B_L, positions_mm(points)), own_mm2, common, within_mm2)
+
+
+def _noise(
+    log: Log, calibration: Calibration, station: str, T_W_B: Array
+) -> tuple[Array, Array, Array]:
+    """Return the budget's covariances of one visit and of its part within the model, (3, 3), and of
+    the frames, (7, 7), all in {B}.
+
+    The tracker was set up for the calibration and again for this run, so that the lines of {W}
+    count twice. The drill is no part of it.
+    """
+    stated = calibration.budget
+    air_c, then_c = log.temperatures_c(), calibration.validity.temperature_c
+    now_c = float(np.mean(air_c)) if air_c and then_c is not None else None
+    air = temperature(stated.growth_per_k, then_c, stated.air_range_k, now_c)
+    set_up = [line for line in stated.lines if line.frame == "world" and not line.alone]
+    frames = {"world": np.eye(4), "base": T_W_B}
+    alone, within, common = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7))
+    for line in (*stated.lines, *set_up, *stated.stations[station], air):
+        if line.frame == "tool" or line.counts == "in validation":
+            continue
+        covariance = line.about(frames[line.frame], T_W_B)
+        if line.alone:
+            alone += covariance[:3, :3]
+            within += covariance[:3, :3] * line.within_model
+        else:
+            common += covariance
+    return alone, within, common

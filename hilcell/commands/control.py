@@ -1,0 +1,93 @@
+"""``pause``, ``stop`` and ``watch``: a live run, from another process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from hilcell.commands.console import print_answer, print_message
+from hilcell.commands.run_output import (
+    JsonOutput,
+    ProgressOutput,
+    RunOutput,
+    ended_words,
+    kind_of,
+    left_moving,
+)
+from hilcell.commands.signatures import Pause, Stop, Watch
+from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED
+from hilcell.journal.index import find_run
+from hilcell.journal.journal import Record, read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL, live_engine
+from hilcell.journal.runs_folder import command_on
+from hilcell.run.control import Command, order
+from hilcell.sanitize import encodable
+
+
+def pause(args: Pause) -> int:
+    return _command(args, "pause")
+
+
+def stop(args: Stop) -> int:
+    return _command(args, "stop")
+
+
+def _command(args: Pause, command: Command) -> int:
+    folder = find_run(args.runs, args.run)
+    answer = order(folder, command)
+    print_answer(answer.answer(), f"run {folder.name}: asked to {command}", as_json=args.json)
+    return 0
+
+
+def watch(args: Watch) -> int:
+    """Follow a run's journal to its end, or until the engine has died."""
+    folder = find_run(args.runs, args.run)
+    try:
+        return _watch(folder, as_json=args.json)
+    except KeyboardInterrupt:
+        print_message(f"run {folder.name}: not watched any more; watching changes nothing of it")
+        return EXIT_ABORTED
+
+
+def _watch(folder: Path, *, as_json: bool) -> int:
+    log = Log()
+    records = _follow(folder)
+    first = next(records, None)
+    if first is None or first.kind != "plan":
+        print_message(f"run {folder.name}: nothing to see yet")
+        return EXIT_REFUSED
+    log.take(first)
+    name = encodable(folder.name)
+    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(folder, log.inputs.points)
+    with output:
+        output.take(first)
+        for record in records:
+            if output.lost is not None:
+                raise output.lost
+            log.take(record)
+            output.take(record)
+    if output.lost is not None:
+        raise output.lost
+    state = log.state if log.end is None else ended_words(log)
+    again = command_on(folder, "resume")
+    ended = "" if log.end is not None else f"; its engine is gone, `{again}` continues it"
+    fault = f": {log.fault}" if log.end is not None and log.fault else ""
+    print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
+    if words := left_moving(log):
+        print_message(words)
+    return 0
+
+
+def _follow(folder: Path) -> Iterator[Record]:
+    """Yield the records of a journal as they come, until the run's end or its engine's."""
+    seen = 0
+    while True:
+        alive = live_engine(folder) is not None
+        fresh = read_journal(folder / JOURNAL, after=seen)
+        yield from fresh
+        seen += len(fresh)
+        if not alive and not fresh:
+            return
+        time.sleep(0.1)

@@ -1,0 +1,373 @@
+"""The commands that look back: recorded runs, read from their journals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from operator import attrgetter, itemgetter
+from pathlib import Path
+
+import msgspec
+
+from hilcell.atomic_files import CSV, check_output, write_whole
+from hilcell.calibration.lookup import standing_of, standings_in
+from hilcell.cell.devices import load_entry
+from hilcell.commands.console import print_json, print_message, print_table, terminal_columns
+from hilcell.commands.run_output import left_moving, print_suspected
+from hilcell.commands.signatures import Compare, Export, ListRuns, Report, Revoke, Show
+from hilcell.decoding import Json
+from hilcell.invariants import INVARIANTS, Break, Proof, judge
+from hilcell.journal.calibration_status import Standing
+from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
+from hilcell.journal.journal import StorageError
+from hilcell.journal.log import RunJournal
+from hilcell.journal.runs import CALIBRATION, JOURNAL, live_engine, read_log, read_records
+from hilcell.journal.runs_folder import command_on
+from hilcell.model.events import CalibrationRevoked
+from hilcell.ports import HilcellError
+from hilcell.present.renderers import width_of
+from hilcell.present.table import Column, Table
+from hilcell.report.comparison import CHANGES, Setting, compare_runs
+from hilcell.report.facts import Facts, read_facts
+from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.procedure import Procedure
+from hilcell.sanitize import encodable, harmless
+
+# -- runs and show --------------------------------------------------------------------------------
+
+
+def runs(args: ListRuns) -> int:
+    """List the runs of a folder, in the order of their names."""
+    rows = read_index(args.runs)
+    known = standings_in(args.runs, rows)
+    listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
+    for note in clock_notes(rows):
+        print_message(f"warning: {note}")
+    if args.json:
+        print_json({"runs": [_summary(row, known.get(row.name)) for row in listed]})
+        return 0
+    if not os.path.isdir(args.runs):  # noqa: PTH112 - Path.is_dir raises for a name too long
+        print_message(f"no runs: the folder of runs {args.runs} is not there")
+        return 0
+    if not listed:
+        print_message(f"no {'such ' if rows else ''}runs in {args.runs}")
+        return 0
+    _print_list(listed, known)
+    for row in listed:
+        if row.state == UNREADABLE:
+            print_message(row.reason)
+    return 0
+
+
+def _asked_for(row: RunRow, args: ListRuns) -> bool:
+    """Return whether a run is of the cell and operator, and as young, as was asked for."""
+    begun = _time(row.begun)
+    young = args.since is None or (begun is not None and begun >= args.since)
+    asked = ((args.cell, row.cell), (args.operator, row.operator))
+    return young and all(word is None or word.casefold() == own.casefold() for word, own in asked)
+
+
+def _time(begun: str) -> datetime | None:
+    with suppress(ValueError):
+        return datetime.fromisoformat(begun)
+    return None
+
+
+def _local(begun: str) -> str:
+    """Return a time of the index (UTC) in the zone of this PC."""
+    time = _time(begun)
+    return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
+
+
+LIST: tuple[Column[RunRow], ...] = (
+    Column("run", lambda row: encodable(row.name)),
+    Column("procedure", attrgetter("procedure")),
+    Column("cell", attrgetter("cell")),
+    Column("operator", attrgetter("operator")),
+    Column("state", lambda row: row.condition if row.readable else row.state),
+    Column("verdict", attrgetter("verdict")),
+    Column("points", lambda row: row.points if row.readable else None, form="d"),
+    Column("exit", attrgetter("exit"), form="d"),
+    Column("begun", lambda row: _local(row.begun) if row.readable else None),
+    Column("kind", lambda row: ("simulated" if row.simulated else "real") if row.readable else ""),
+)
+
+
+def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
+    """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
+    texts = {row.name: encodable(known[row.name].text) for row in rows if row.name in known}
+    standing = Column[RunRow](
+        "calibration", lambda row: texts.get(row.name) if row.readable else None
+    )
+    room, columns = terminal_columns(), [*LIST, standing]
+    for name in ("procedure", "exit", "points", "operator", "begun", "state", "calibration"):
+        if room is not None and width_of(Table(columns, rows)) > room:
+            columns = [column for column in columns if column.name != name]
+    print_table(Table(columns, rows))
+    if len(columns) <= len(LIST):
+        print_message("a wider terminal, or --json, shows more of each run")
+
+
+def _summary(row: RunRow, standing: Standing | None) -> Json:
+    name = encodable(row.name)
+    if not row.readable:
+        return {"run": name, "state": row.state, "reason": encodable(row.reason)}
+    return {
+        "run": name,
+        "procedure": row.procedure,
+        "cell": row.cell,
+        "state": row.condition,
+        "points": row.points,
+        "exit": row.exit,
+        "simulated": row.simulated,
+        "operator": row.operator,
+        "job": row.job,
+        "live": row.live,
+        "begun": row.begun,
+        "ended": row.ended or None,
+        "verdict": row.verdict,
+        "reason": encodable(row.reason),
+        "standing": standing
+        and {
+            "state": standing.state,
+            "by": standing.by or None,
+            "reason": encodable(standing.reason),
+            "current": standing.current or None,
+            "text": encodable(standing.text),
+        },
+    }
+
+
+def show(args: Show) -> int:
+    folder = find_run(args.runs, args.run)
+    if args.check:
+        return _check(folder, as_json=args.json)
+    log = read_log(folder)
+    inputs = log.inputs
+    procedure: Procedure = load_entry("procedures", inputs.procedure)
+    finished = log.state == "finished"
+    result = procedure.result(log) if finished else log.result
+    standing = standing_of(folder)
+    summary = _summary(row_of(folder), standing) | {
+        "digest": inputs.digest,
+        "seed": inputs.seed,
+        "machine_seed": inputs.machine_seed,
+        "calibration": log.calibration,
+        "accepted": inputs.accepted or None,
+        "fault": log.fault,
+        "not_at_rest": left_moving(log) or None,
+        "sessions": log.session,
+        "link": log.link.counts if log.link is not None else None,
+        "link_warning": (log.link.warning or None) if log.link is not None else None,
+        "verdicts": {key: record.body for key, record in log.judged.items()},
+        "result": result,
+    }
+    if args.json:
+        print_json(summary)
+        return 0
+    shown = (
+        "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
+        "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest",
+        "exit",
+    )  # fmt: skip
+    rows = [(name, str(summary[name])) for name in shown if summary.get(name) not in ("", None)]
+    rows.append(("state", summary["state"]))
+    if summary.get("reason") not in ("", summary.get("fault")):
+        rows.append(("reason", summary["reason"]))
+    if summary.get("verdict"):
+        rows.append(("verdict", summary["verdict"]))
+    if standing is not None:
+        rows.append(("its calibration", encodable(standing.text)))
+    print_table(Table([Column("run", itemgetter(0)), Column(summary["run"], itemgetter(1))], rows))
+    print_suspected(log)
+    if finished:
+        print_table(procedure.table(result))
+        if words := procedure.words(result):
+            print_message(words)
+    return 0
+
+
+# -- show --check: the invariants -----------------------------------------------------------------
+
+
+def _check(folder: Path, *, as_json: bool) -> int:
+    """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
+    proofs = judge(read_records(folder))
+    if as_json:
+        found = {
+            name: {
+                "holds": proof.holds,
+                "checked": proof.checked,
+                "broken": _listed(proof.broken),
+                "unproven": _listed(proof.unproven),
+            }
+            for name, proof in proofs.items()
+        }
+        print_json({"run": encodable(folder.name), "invariants": found})
+    else:
+        columns: list[Column[tuple[str, Proof]]] = [
+            Column("", itemgetter(0)),
+            Column("invariant", lambda row: INVARIANTS[row[0]]),
+            Column("holds", lambda row: _held(row[1])),
+            Column("checked", lambda row: row[1].checked, form="d"),
+        ]
+        print_table(Table(columns, proofs.items()))
+        most = 3  # violations of one invariant
+        for name, proof in proofs.items():
+            for word, breaks in (("broken", proof.broken), ("not proven", proof.unproven)):
+                for each in breaks[:most]:
+                    print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
+                if len(breaks) > most:
+                    print_message(f"{name} {word} at {len(breaks) - most} more records")
+    return 0 if all(proof.holds for proof in proofs.values()) else 1
+
+
+def _listed(breaks: Sequence[Break]) -> list[Json]:
+    return [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
+
+
+def _held(verdict: Proof) -> str:
+    """Return the verdict in words; an invariant that was never judged is not claimed."""
+    if not verdict.holds:
+        return "BROKEN"
+    return "yes" if verdict.checked else "not checked"
+
+
+# -- compare --------------------------------------------------------------------------------------
+
+
+def compare(args: Compare) -> int:
+    """Print the changes from the first run to the second; a drift is no failure of the command."""
+    folders = [find_run(args.runs, name) for name in (args.first, args.second)]
+    if folders[0].resolve() == folders[1].resolve():
+        raise HilcellError(f"run {folders[0].name} is both; expected two runs")
+    first, second = (read_log(folder) for folder in folders)
+    lives, lives_too = (live_engine(folder) is not None for folder in folders)
+    found = compare_runs(first, second, live=(lives, lives_too))
+    names = [encodable(folder.resolve().name) for folder in folders]
+    if args.json:
+        changes = [
+            msgspec.to_builtins(each)
+            | {"verdict": each.verdict, "where": each.where, "figure": each.figure}
+            for each in found.changes
+        ]
+        head: Json = {"first": names[0], "second": names[1], "verdict": found.verdict}
+        print_json(head | msgspec.to_builtins(found) | {"changes": changes})
+        return 0
+    columns: list[Column[Setting]] = [
+        Column("differs", attrgetter("key")),
+        Column("first", attrgetter("first")),
+        Column("second", attrgetter("second")),
+    ]
+    print_table(Table(columns, [Setting("run", *names), *found.settings]))
+    print_table(Table(CHANGES, found.changes))
+    for note in found.notes:
+        print_message(f"note: {note}")
+    print_message(found.verdict)
+    return 0
+
+
+# -- report and export ----------------------------------------------------------------------------
+
+
+def report(args: Report) -> int:
+    """Write one self-contained HTML file, or print it to a PDF where it is named so."""
+    from hilcell.report.html import PARTS, report_html
+    from hilcell.report.pdf import find_browser, pages_of, pdf_of
+
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=_files(folder))
+    browser = find_browser() if place.suffix.lower() == ".pdf" else ""
+    facts = read_facts(folder)
+    html = report_html(facts)
+    if browser:  # once to see on which page each part begins, once to say so
+        html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
+    content = pdf_of(html, browser) if browser else html.encode()
+    write_whole(place, content, inputs=_files(folder))
+    _say_written("report", facts, folder, args.output)
+    return 0
+
+
+def export(args: Export) -> int:
+    from hilcell.report.dcc import dcc_bytes
+    from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
+
+    written, suffixes, what = {
+        "csv": (csv_bytes, CSV, "CSV"),
+        "xlsx": (xlsx_bytes, (".xlsx",), "a workbook"),
+        "json": (json_bytes, (".json",), "JSON"),
+        "dcc": (dcc_bytes, (".xml", ".dcc"), "a DCC"),
+    }[args.form]
+    folder, place = find_run(args.runs, args.run), Path(args.output)
+    check_output(place, suffixes, what, inputs=_files(folder))
+    facts = read_facts(folder)
+    write_whole(place, written(facts), inputs=_files(folder))
+    _say_written(args.form, facts, folder, args.output)
+    return 0
+
+
+def _say_written(what: str, facts: Facts, folder: Path, output: str) -> None:
+    print_message(f"{what} of run {facts.run} in {output}")
+    if facts.log.state != "finished":
+        state = row_of(folder).condition
+        print_message(f"the run is {state}, not finished: it holds what was measured so far")
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what a run is made of: none of it can be made again from the others."""
+    return [*folder.glob(f"{JOURNAL}*"), folder / CALIBRATION]
+
+
+# -- revoke ---------------------------------------------------------------------------------------
+
+
+def revoke(args: Revoke) -> int:
+    """Revoke the calibration of a run, and name the one that is current then."""
+    folder = find_run(args.runs, args.run)
+    log = read_log(folder)
+    if not log.calibrates or live_engine(folder) is not None:
+        raise HilcellError(
+            f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
+        )
+    if before := row_of(folder).facts.revoked:
+        raise HilcellError(
+            f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
+        )
+    cell = f"cell {log.cell.name}"
+    operator = ("--operator", args.operator) if args.operator else ()
+    again = command_on(folder, "revoke", "--reason", args.reason, *operator)
+    _check_permission(folder, again)
+    with locked(lock_of_name(folder.parent, log.cell.name), cell, folder.name):
+        name = encodable(folder.name)
+        journal = RunJournal(folder / JOURNAL, name, create=False, again=again)
+        try:
+            revoked = CalibrationRevoked(reason=args.reason, operator=args.operator)
+            journal.append("event", "", revoked)
+        finally:
+            journal.close()
+    standing = standing_of(folder)
+    current = standing.current if standing else ""
+    if args.json:
+        print_json({"run": folder.name, "reason": args.reason, "current": current or None})
+        return 0
+    machine = f" ({standing.machine})" if standing and standing.machine else ""
+    none = f"{cell}{machine} has no current calibration any more"
+    left = f"current is {current}" if current else none
+    print_message(f"the calibration of run {folder.name} is revoked; {left}")
+    return 0
+
+
+def _check_permission(folder: Path, again: str) -> None:
+    """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
+    for place in (folder / JOURNAL, folder, folder.resolve().parent):
+        why = ""
+        if os.statvfs(place).f_flag & os.ST_RDONLY:
+            why = f"{place} lies on a read-only file system; mount it for writing"
+        elif not os.access(place, os.W_OK):
+            why = f"no permission to write {place}; ask its owner, or revoke as the owner"
+        if why:
+            raise StorageError(
+                f"run {folder.name}: its calibration is not revoked: {why}, then `{again}`"
+            )

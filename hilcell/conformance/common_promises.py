@@ -1,0 +1,539 @@
+"""Promises of every port: identities, calls that may be repeated, readings, failing wires, stops.
+
+``python -m hilcell.conformance.common_promises`` is a program that begins to move a device, to be
+killed.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import partial
+from pkgutil import resolve_name
+from typing import IO, cast
+
+import msgspec
+
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import convert
+from hilcell.clock import WallClock
+from hilcell.conformance.exercise import ACTS, Driver, Port
+from hilcell.conformance.trial import (
+    LOOK_S,
+    Bench,
+    Broken,
+    NotApplicable,
+    Promises,
+    Riding,
+    fails,
+    need,
+)
+from hilcell.decoding import Json, decoded
+from hilcell.errors import DeviceError, Stopped
+from hilcell.ports import Identity
+from hilcell.sanitize import UNSAFE
+
+PROMISES = Promises()
+FAILING = Promises()  # of the wire, and stops: judged behind those of one port
+STOP_S = 0.02
+UNDER_WAY_S = 0.7
+END_S = 10.0
+STANDS_S = 0.3
+# A device has seen by then that its client is gone; `travel` would have ended by then, too.
+GONE_S = 5.0
+
+
+class Task:
+    """A call in a thread of its own."""
+
+    def __init__(self, call: Callable[[], object]) -> None:
+        self.error: Exception | None = None
+        self.ended_s = 0.0
+        self._call = call
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def ended_within(self, limit_s: float) -> bool:
+        self._thread.join(limit_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._call()
+        except Exception as error:  # noqa: BLE001 - its caller judges it
+            self.error = error
+        self.ended_s = time.monotonic()
+
+
+class Order(msgspec.Struct, frozen=True):
+    """A device of a cell, with the classes and the options of its driver, and of its robot's."""
+
+    cell: Json
+    port: Port
+    drivers: list[tuple[str, Json]]
+    path: list[str]
+
+
+def _killed_under_way(bench: Bench) -> None:
+    """Have a program of its own begin what takes seconds, and kill it, as by ``kill -9``."""
+    (kind, options), *carrier = bench.settings()
+    slow = msgspec.structs.replace(options, **bench.acts.slowly())
+    drivers = [
+        (f"{each.__module__}:{each.__qualname__}", msgspec.to_builtins(stated))
+        for each, stated in ((kind, slow), *carrier)
+    ]
+    cell = {k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None}
+    program = subprocess.Popen(
+        [sys.executable, "-P", "-m", "hilcell.conformance.common_promises"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    stdin, stdout = cast("IO[bytes]", program.stdin), cast("IO[bytes]", program.stdout)
+    try:
+        stdin.write(msgspec.json.encode(Order(cell, bench.port, drivers, sys.path)) + b"\n")
+        stdin.flush()
+        while not select.select([stdout], [], [], LOOK_S)[0]:
+            bench.clock.outer()
+        line = stdout.readline().decode().strip()
+        if line != "connected":
+            program.kill()
+            said = program.communicate()[1].decode(errors="replace").strip()
+            raise Broken(f"a program of its own could not use the device: {line} {said[-500:]}")
+        bench.rest(UNDER_WAY_S)
+    finally:
+        program.kill()
+        program.communicate()
+
+
+@PROMISES.add("identity-same")
+def same_identity(bench: Bench) -> None:
+    """Two connects give the same identity, with model and serial number."""
+    bench.present()
+    found = []
+    for _ in range(2):
+        driver = bench.build()
+        found.append(_assets(driver.connect()))
+        driver.close()
+    need(found[0] == found[1], f"first {found[0]}, then {found[1]}")
+    blank = [each for each in found[0] if not (each[1] and each[2])]
+    need(bool(found[0]) and not blank, f"no model or no serial number: {blank or 'nobody'}")
+
+
+def _assets(identities: list[Identity]) -> list[tuple[str, ...]]:
+    return [
+        (each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
+        for each in identities
+    ]
+
+
+@PROMISES.add("identity-clean")
+def clean_identity(bench: Bench) -> None:
+    """No control character of the device is in an identity or an error."""
+    bench.present()
+    driver = bench.build()
+    texts = [text for each in _assets(driver.connect()) for text in each]
+    driver.close()
+    words = [word for text in texts for word in text.split() if len(word) >= 4 and word.isascii()]
+    for word in words:
+        for encoding in ("ascii", "utf-16-le"):
+            bench.wires.rewrite(word.encode(encoding), f"{word[:-1]}\x1b".encode(encoding))
+    try:
+        texts += [text for each in _assets(bench.build().connect()) for text in each]
+    except DeviceError as error:
+        texts.append(error.summary)
+    unsafe = [text for text in texts if UNSAFE.search(text)]
+    need(not unsafe, f"control characters of the device in {unsafe}")
+
+
+@PROMISES.add("identity-wrong")
+def wrong_serial(bench: Bench) -> None:
+    """A device with another serial number than the options' is refused."""
+    (_, options), *_ = bench.settings()
+    others = list(_other_serials(options))
+    if not others:
+        raise NotApplicable("its options name no serial number")
+    for what, changed in others:
+        try:
+            driver = bench.build(**changed)
+        except ValueError:
+            continue  # the options themselves refuse it, as one that means nothing here
+        fails(f"connect with {what}", driver.connect)
+
+
+def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, object]]]:
+    """Yield changes of one serial number each, in words and as options; of parts as well."""
+    for key in options.__struct_fields__:
+        value = getattr(options, key)
+        if isinstance(value, msgspec.Struct):
+            for what, changed in _other_serials(value):
+                yield f"{key}.{what}", {key: msgspec.structs.replace(value, **changed)}
+        elif key.endswith("serial"):
+            other = "no such serial" if isinstance(value, str) else 16_777_213
+            yield f"{key} {other!r}", {key: other}
+
+
+@PROMISES.add("unreachable")
+def unreachable(bench: Bench) -> None:
+    """Connect to nobody raises a DeviceError; a later connect works."""
+    bench.connected().close()
+    bench.wires.refuse()
+    driver = bench.build()
+    try:
+        fails("connect to nobody", driver.connect)
+        driver.close()
+    finally:
+        bench.wires.admit()
+    driver.connect()
+
+
+@PROMISES.add("not-connected")
+def not_connected(bench: Bench) -> None:
+    """A driver that is not connected raises a DeviceError."""
+    bench.present()
+    driver = bench.build()
+    fails("before connect", lambda: bench.acts.ask(driver))
+
+
+@PROMISES.add("connect-twice")
+def connect_twice(bench: Bench) -> None:
+    """A connected driver may be connected again."""
+    driver = bench.connected()
+    driver.connect()
+    bench.acts.ready(driver)
+    bench.visit(driver, 1)
+
+
+@PROMISES.add("close-twice")
+def close_twice(bench: Bench) -> None:
+    """Close works at any time, and a closed driver connects."""
+    driver = bench.build()
+    driver.close()
+    driver.connect()
+    driver.close()
+    driver.close()
+    driver.connect()
+    bench.acts.ask(driver)
+
+
+@PROMISES.add("stop-twice")
+def stop_twice(bench: Bench) -> None:
+    """Stop works at any time; connect takes it back."""
+    driver = bench.build()
+    driver.stop()
+    driver.connect()
+    driver.stop()
+    driver.stop()
+    driver.close()
+    driver.stop()
+    driver.connect()
+    bench.acts.ready(driver)
+    bench.visit(driver, 0)
+
+
+@PROMISES.add("taken", real=True)
+def taken(bench: Bench) -> None:
+    """A reading's time lies between the question and the answer."""
+    driver = bench.connected()
+    for ask in (bench.acts.ask, lambda device: bench.acts.visit(device, 1), bench.acts.ask):
+        asked_s = bench.clock.pc_s()
+        taken_s = ask(driver).taken_s
+        early_ms, late_ms = 1000 * (asked_s - taken_s), 1000 * (taken_s - bench.clock.pc_s())
+        need(early_ms <= 0, f"taken {early_ms:.1f} ms before the question")
+        need(late_ms <= 0, f"taken {late_ms:.1f} ms after the answer")
+
+
+@PROMISES.add("no-number")
+def no_number(bench: Bench) -> None:
+    """A place that is NaN or infinite is refused with a DeviceError."""
+    driver = bench.connected()
+    for value in (math.nan, math.inf, -math.inf):
+        fails(f"a place that is {value}", partial(bench.acts.refused, driver, value))
+
+
+@PROMISES.add("reads-back", real=True)
+def reads_back(bench: Bench) -> None:
+    """After each motion or measurement the reading is of the place asked for."""
+    driver = bench.connected()
+    for place in (0, 1, 0, 1, 0):
+        bench.visit(driver, place)
+
+
+@PROMISES.add("at-rest", "rail", "robot", real=True)
+def at_rest(bench: Bench) -> None:
+    """A device that stands and dithers reads as still."""
+    driver = bench.connected()
+    first = bench.acts.visit(driver, 1)
+    reads = 5
+    for n in range(1, reads + 1):
+        reading = bench.acts.ask(driver)
+        need(reading.still, f"reading {n} of {reads} at rest says that it moves")
+        bench.rested(first, reading, f"reading {n} of {reads} at rest")
+
+
+@PROMISES.add("ended", "rail", "robot", real=True)
+def ended(bench: Bench) -> None:
+    """Readings state when the last motion ended, and were taken after it."""
+    bench.present()
+    driver = bench.connected()
+    began_s = bench.clock.pc_s()
+    reading = bench.acts.visit(driver, 1)
+    need(reading.ended_s is not None, "no end of the motion is stated")
+    need(began_s <= reading.ended_s, "the motion ended before it was asked for")
+    later = bench.acts.ask(driver)
+    need(later.ended_s == reading.ended_s, "the end of the motion changes at rest")
+    need(later.ended_s <= later.taken_s, "the reading was taken before the motion ended")
+
+
+@FAILING.add("silent", waits=True)
+def silent(bench: Bench) -> None:
+    """A device that answers no more is a DeviceError within 60 s."""
+    driver = bench.connected()
+    bench.acts.ask(driver)
+    bench.wires.set("mute")
+    began_s = time.monotonic()
+    fails("no answer comes", lambda: bench.acts.ask(driver))
+    took_s = time.monotonic() - began_s
+    need(took_s <= 60.0, f"noticed after {took_s:.0f} s, expected <= 60 s")
+
+
+@FAILING.add("late", waits=True)
+def late(bench: Bench) -> None:
+    """A late answer never becomes the answer to the next question."""
+    driver = bench.connected()
+    bench.visit(driver, 0)
+    bench.wires.set("hold")
+    with suppress(DeviceError):  # `silent` judges that
+        bench.acts.ask(driver)
+    bench.wires.set("behind")
+    try:
+        reading = bench.acts.visit(driver, 1)
+    except DeviceError:
+        bench.wires.straight()
+        driver.connect()
+        bench.acts.ready(driver)
+        reading = bench.acts.visit(driver, 1)
+    bench.near(reading, 1)
+    # A tracker's first request, its measurement, is kept back by itself.
+    for requests in (1,) if bench.port == "tracker" else (0, 1):
+        bench.tidy()
+        _late_on_the_way(bench, requests)
+    bench.tidy()
+    _answered_again(bench)
+
+
+def _answered_again(bench: Bench) -> None:
+    """Have an old answer come once more, ahead of the right one, though the driver gave none up.
+
+    Only its number, where the protocol has one, tells it from the right one.
+    """
+    driver = bench.connected()
+    bench.acts.visit(driver, 0)
+    bench.wires.set("keep")
+    bench.acts.ask(driver)
+    bench.wires.straight()
+    question = partial(bench.acts.visit, driver, 1)
+    if bench.port != "tracker":  # whose only question is a measurement
+        question()
+        question = partial(bench.acts.ask, driver)
+    bench.wires.set("again")
+    try:
+        reading = question()
+    except DeviceError:
+        return  # it refuses
+    bench.near(reading, 1)
+
+
+def _late_on_the_way(bench: Bench, requests: int) -> None:
+    """Do so with answers on the way to a place, after so many requests of the driver.
+
+    The next question comes when all has ended, so an old answer does not happen to be right.
+    """
+    driver = bench.connected()
+    bench.acts.visit(driver, 0)
+    bench.wires.hold_after(requests)
+    with suppress(DeviceError):
+        bench.acts.visit(driver, 1)
+    bench.clock.wait(30.0)  # a motion from place to place has ended
+    bench.wires.set("behind")
+    try:
+        reading = bench.acts.ask(driver)
+    except DeviceError:
+        return  # it refuses
+    bench.tidy()
+    other = bench.build()
+    other.connect()
+    bench.rested(reading, bench.acts.ask(other), "an answer from before the question")
+
+
+@FAILING.add("slow")
+def slow(bench: Bench) -> None:
+    """Answers that come 50 ms late are as good as prompt ones."""
+    driver = bench.connected()
+    bench.wires.set("slow", delay_s=0.05)
+    bench.visit(driver, 0)
+    bench.visit(driver, 1)
+    bench.acts.ask(driver)
+
+
+@FAILING.add("pieces")
+def pieces(bench: Bench) -> None:
+    """Answers that come in pieces, or together, are as good as whole ones."""
+    driver = bench.connected()
+    for mode in ("pieces", "glue"):
+        bench.wires.set(mode)
+        bench.visit(driver, 0)
+        bench.visit(driver, 1)
+
+
+@FAILING.add("garbage", waits=True)
+def garbage(bench: Bench) -> None:
+    """Noise in place of an answer is a DeviceError."""
+    driver = bench.connected()
+    bench.wires.set("garbage")
+    fails("noise comes", lambda: bench.acts.ask(driver))
+
+
+@FAILING.add("device-killed")
+def device_killed(bench: Bench) -> None:
+    """A device that was killed is a DeviceError; its successor connects."""
+    driver = bench.connected()
+    bench.replace_device()
+    fails("the device was killed", lambda: bench.acts.ask(driver))
+    driver.connect()
+    bench.acts.ready(driver)
+    bench.visit(driver, 0)
+
+
+@FAILING.add("client-killed", paced=True, waits=True)
+def client_killed(bench: Bench) -> None:
+    """A killed program's motion or measurement ends; the next program connects."""
+    bench.present()
+    ready = bench.connected()
+    bench.acts.visit(ready, 0)
+    ready.close()
+    _killed_under_way(bench)
+    bench.rest(GONE_S)
+    driver = bench.build()
+    driver.connect()
+    one = bench.acts.ask(driver)
+    bench.rest(STANDS_S)
+    bench.rested(one, bench.acts.ask(driver), "it goes on without its client")
+    need(bench.acts.short(one), f"it went on to its target without its client, for {GONE_S:g} s")
+    bench.acts.ready(driver)
+    bench.visit(driver, 1)
+
+
+@FAILING.add("stop-at-once", paced=True)
+def stop_at_once(bench: Bench) -> None:
+    """Stop returns within 20 ms, from another thread."""
+
+    def took_s(_n: int) -> float:
+        driver, task = _under_way(bench)
+        began_s = time.monotonic()
+        driver.stop()
+        took_s = time.monotonic() - began_s
+        bench.clock.stop.set()
+        need(task.ended_within(END_S), f"the call goes on {END_S:.0f} s after the stop")
+        bench.clock.stop.clear()
+        driver.close()
+        return took_s
+
+    _prompt("stop took", map(took_s, range(3)), STOP_S)
+
+
+@FAILING.add("stop-rests", "rail", "robot", paced=True)
+def stop_rests(bench: Bench) -> None:
+    """A stop ends the motion with a DeviceError; the device rests."""
+    driver, task = _under_way(bench)
+    driver.stop()
+    need(task.ended_within(END_S), f"the motion does not end within {END_S:.0f} s of its stop")
+    need(isinstance(task.error, DeviceError), f"the motion ended with {task.error!r} at its stop")
+    driver.close()
+    other = bench.build()
+    other.connect()
+    one = bench.acts.ask(other)
+    bench.rest(STANDS_S)
+    bench.rested(one, bench.acts.ask(other), "it still moves after its stop")
+
+
+@FAILING.add("stop-holds", "rail", "robot")
+def stop_holds(bench: Bench) -> None:
+    """After a stop nothing moves before the next connect."""
+    bench.present()
+    driver = bench.connected()
+    driver.stop()
+    fails("a motion after a stop", lambda: bench.acts.visit(driver, 1))
+
+
+@FAILING.add("checked")
+def checked(bench: Bench) -> None:
+    """Every wait on a wire ends within 20 ms of the run's stop."""
+
+    def took_s(pause_s: float) -> float:
+        driver = bench.connected()
+        bench.wires.set("mute")
+        task = Task(partial(bench.acts.ask, driver))
+        task.ended_within(pause_s)
+        bench.clock.stop.set()
+        began_s = time.monotonic()
+        need(task.ended_within(END_S), f"it waits on for {END_S:.0f} s after the run's stop")
+        need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, expected Stopped")
+        bench.tidy()
+        return task.ended_s - began_s
+
+    wakes_s = 0.005  # the system wakes a thread
+    pauses_s = (0.05, 0.057, 0.064)  # before a stop: waits may be in step with it
+    _prompt("left after", map(took_s, pauses_s), STOP_S + wakes_s)
+
+
+def _prompt(what: str, tries_s: Iterable[float], limit_s: float) -> None:
+    """Have one of some times be short enough: a busy PC may delay the others."""
+    best_s = math.inf
+    for took_s in tries_s:
+        best_s = min(best_s, took_s)
+        if took_s <= limit_s:
+            return
+    raise Broken(f"{what} {1000 * best_s:.0f} ms, expected <= {1000 * STOP_S:.0f} ms")
+
+
+def _under_way(bench: Bench) -> tuple[Driver, Task]:
+    """Begin what takes seconds."""
+    bench.present()
+    driver = bench.connected()
+    bench.acts.visit(driver, 0)
+    began_s = time.monotonic()
+    task = Task(lambda: bench.acts.travel(driver))
+    if task.ended_within(UNDER_WAY_S):
+        took_s = task.ended_s - began_s
+        how = "" if task.error is None else f", with {task.error!r}"
+        wanted = f"wanted more than {UNDER_WAY_S:g} s, to be stopped meanwhile"
+        raise Broken(f"{bench.acts.lasting} ended after {took_s:.2f} s{how}; {wanted}")
+    return driver, task
+
+
+def main() -> None:
+    """Connect, say so, and begin what takes seconds."""
+    order = decoded(sys.stdin.buffer.readline(), Order)
+    sys.path[:] = order.path
+    built: list[Driver] = []
+    for (name, stated), table in zip(order.drivers, (order.port, "robot"), strict=False):
+        kind = resolve_name(name)
+        built.append(kind(convert(stated, kind.Options, table), WallClock(threading.Event())))
+    device, *carrier = built
+    for robot in carrier:
+        device = Riding(device, robot)
+    device.connect()
+    print("connected", flush=True)
+    ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
+    threading.Event().wait(30.0)
+
+
+if __name__ == "__main__":
+    main()

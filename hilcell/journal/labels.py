@@ -1,0 +1,147 @@
+"""Words for people: of procedures, steps, events and times, and texts with words for every key.
+
+Errors name a point by its key: ``measure grid/1-0-0``. Raw keys are for the log and for the details
+of a point; everywhere else the screen says *grid point 1-0-0 at S1100*. Journals are dated in UTC;
+times of day are said in a zone, too.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
+
+from msgspec.structs import replace
+
+from hilcell.decoding import Json
+from hilcell.journal.log import Log
+from hilcell.model.events import Event, OtherEvent, StepBegun
+from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
+from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
+
+
+def in_words(text: str, log: Log) -> str:
+    """Return a text with its keys of points and verdicts in words."""
+    verdict = r"(?<![\w/])verdict ([^\s,;:]*[^\s,;:.])"
+    text = re.sub(verdict, lambda found: verdict_words(found[1]), text)
+    key = rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]"
+    return re.sub(key, lambda found: key_words(found[0], log), text)
+
+
+def key_words(key: str, log: Log) -> str:
+    """Return a key in words, with the station where that is known."""
+    point = log.points.get(key)
+    if point is not None:
+        return point.id.words(point.station)
+    id = id_of(key, log)
+    of_grid = id.kind == "grid" and log.plan is not None and not id.station
+    return id.words(log.cell.grid.station if of_grid else "")
+
+
+def verdict_words(key: str) -> str:
+    """Return the subject of a verdict: *validation at S1100*."""
+    if key.startswith(VALIDATION):
+        place = key.removeprefix(VALIDATION)
+        return f"validation at {'the other stations' if place == OTHERS else place}"
+    return verdict_title(key)
+
+
+def id_of(key: str, log: Log) -> PointId:
+    """Return a point's identity, as far as its key shows it where it is not measured."""
+    if key in log.points:
+        return log.points[key].id
+    kind, *parts = key.split("/")
+    stations = {each.name for each in log.cell.station} if log.plan is not None else set()
+    numbered = (
+        r"(?P<number>\d{3})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|"
+        rf"{SEAT}(?P<seat>\d{{1,3}})"
+    )
+    found: Json = {}
+    rest: list[str] = []
+    for part in parts:
+        if part in stations:
+            found["station"] = part
+        elif match := re.fullmatch(numbered, part):
+            digits = match.groupdict() | {"side": match["side"] and f"{match['side']}1"}
+            found |= {name: int(text) for name, text in digits.items() if text}
+        elif kind in ("sign", "validate") or part in HOLDS:
+            found["how"] = part
+        else:
+            rest.append(SIDES.get(part, part))
+    if kind in ("world", "control", *CHECKS, "slide", "three"):  # its nest is the last part
+        rest = rest[-1:]
+    return PointId(kind, target=" ".join(rest), **found)
+
+
+def procedure_words(name: str) -> str:
+    special = {
+        "calibrate": "Calibration",
+        "recheck": "Re-check",
+        "touch": "Touch station",
+        "iso9283": "ISO 9283 test",
+        "paper": "Paper's campaign",
+    }
+    return special.get(name, name.replace("-", " ").capitalize())
+
+
+def step_words(name: str, *, has_rail: bool) -> str:
+    """Return a step's name in words; without a rail the robot alone is homed."""
+    without_rail = {
+        "home": "Park the robot",
+        "hold-station": "No slide to hold",
+        "station-frames": "No other stations",
+    }
+    special = {
+        "home": "Home the rail",
+        "validate": "Validation",
+        "paper-rows": "Paper's rows",
+        "closing": "Closing visits",
+        "two-face": "Tracker in both faces",
+        "reflectors": "Reflectors compared",
+        "two-face-closing": "Tracker in both faces, at the end",
+        "iso9283": "ISO 9283 test",
+    } | ({} if has_rail else without_rail)
+    return special.get(name, name.replace("-", " ").capitalize())
+
+
+def happened_words(event: Event | OtherEvent, log: Log) -> str:
+    """Return an event in words, its points by name; "" where there is nothing to say."""
+    if isinstance(event, StepBegun):
+        has_rail = log.plan is None or log.cell.has_rail
+        return replace(event, name=step_words(event.name, has_rail=has_rail)).text
+    return in_words(event.text, log)
+
+
+def in_zone(t: str, zone: tzinfo | None = None) -> datetime:
+    """Return a journal's time in a zone; None is that of this PC."""
+    return datetime.fromisoformat(t).astimezone(zone)
+
+
+def zone_of(offset_min: int) -> timezone:
+    """Return the zone that is so many minutes ahead of UTC."""
+    return timezone(timedelta(minutes=offset_min))
+
+
+def offset_min() -> int:
+    """Return by how many minutes the clock on this PC's wall is ahead of UTC now."""
+    ahead = datetime.now(UTC).astimezone().utcoffset()
+    return 0 if ahead is None else round(ahead.total_seconds() / 60)
+
+
+def local_words(t: str, zone: tzinfo | None = None) -> str:
+    """Return the time of day in a zone, which is named."""
+    return f"{in_zone(t, zone):%H:%M:%S %Z}"
+
+
+def time_words(t: str, zone: tzinfo | None = None) -> str:
+    """Return the time of day with its zone, and in UTC where that is another."""
+    ahead = in_zone(t, zone).utcoffset()
+    return f"{local_words(t, zone)}, {t[11:19]} UTC" if ahead else local_words(t, zone)
+
+
+def span_words(first: str, last: str, zone: tzinfo | None = None) -> str:
+    """Return from when to when, to the second, with the zone, and in UTC where that is another."""
+    begin, end = in_zone(first, zone), in_zone(last, zone)
+    same_day = begin.date() == end.date()
+    words = f"{begin:%Y-%m-%d %H:%M:%S} to {end:{'%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S'}}"
+    utc = f" ({first[11:19]} to {last[11:19]} UTC)" if begin.utcoffset() else ""
+    return f"{words} {begin:%Z}{utc}"

@@ -1,0 +1,137 @@
+"""The one decision rule, at its edges."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from hilcell.calibration.decision_rule import (
+    Guard,
+    check_limits,
+    guard_of,
+    judged,
+    judged_again,
+    limits_within,
+)
+from hilcell.calibration.measurement_budget import NOISE, budget_of
+from hilcell.calibration.position_errors import judged_places, places
+from hilcell.cell.file import load_cell
+from hilcell.model.outcome import Outcome
+from hilcell.model.point import PointId
+from hilcell.model.verdicts import Judged, Limits, Turn
+from hilcell.ports import HilcellError
+from procedures.validate import Validate
+from tests.hilcell.report.journals import Writer
+
+LIMITS, GUARD = Limits(0.15, 0.4), Guard(0.05, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("mean_mm", "max_mm", "outcome"),
+    [
+        (0.0, 0.0, "accepted"),
+        (0.0999, 0.2999, "accepted"),
+        (0.1001, 0.2, "undecided"),
+        (0.05, 0.3001, "undecided"),
+        (0.1999, 0.4999, "undecided"),
+        (0.2001, 0.2, "rejected"),
+        (0.05, 0.5001, "rejected"),
+        (math.nan, 0.2, "rejected"),
+        (0.05, math.nan, "rejected"),
+        (math.inf, math.inf, "rejected"),
+    ],
+)
+def test_the_guard_band(mean_mm: float, max_mm: float, outcome: Outcome) -> None:
+    found = judged(mean_mm, max_mm, LIMITS, GUARD)
+    assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
+
+
+def test_an_uncertainty_that_is_no_number_accepts_nothing() -> None:
+    assert not judged(0.0, 0.0, LIMITS, Guard(math.nan, 0.0)).holds
+
+
+@pytest.mark.parametrize("also", ["undecided", "rejected"])
+def test_another_test_must_accept_as_well(also: Outcome) -> None:
+    found = judged(0.01, 0.02, LIMITS, GUARD, also=also, words="too few targets")
+    assert (found.holds, found.outcome, found.decision) == (False, also, "too few targets")
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, []), (2, []), (3, ["others"])])
+def test_other_stations_are_judged_together_and_shown_so_where_they_are_several(
+    count: int, shown: list[str]
+) -> None:
+    cell = load_cell("paper")
+    stations = [cell.reference, *(each for each in cell.station if each != cell.reference)]
+    cell = msgspec.structs.replace(cell, station=stations[:count])
+    reference, *others = (each.name for each in cell.station)
+    assert list(judged_places(cell)) == [reference, *(["others"] if others else []), *others]
+    assert list(places(cell)) == [reference, *shown, *others]
+
+
+def test_a_verdict_is_judged_again_by_other_limits() -> None:
+    stated = judged(0.09, 0.2, LIMITS, GUARD)
+    assert judged_again(stated) == stated
+    assert not judged_again(stated, Limits(0.12, 0.4)).holds
+
+
+ORIENTED = LIMITS._replace(max_deg=0.05)
+
+
+@pytest.mark.parametrize(
+    ("turn", "outcome"),
+    [
+        (Turn(0.039, 0.01), "accepted"),
+        (Turn(0.041, 0.01), "undecided"),
+        (Turn(0.061, 0.01), "rejected"),
+        (Turn(math.nan, 0.01), "rejected"),
+        (Turn(0.01, math.nan), "rejected"),
+    ],
+)
+def test_orientation_keeps_its_limit_by_the_same_rule(turn: Turn, outcome: Outcome) -> None:
+    found = judged(0.01, 0.02, ORIENTED, GUARD, turn=turn)
+    assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
+    assert judged_again(found) == found or math.isnan(sum(turn))
+    read = msgspec.json.decode(msgspec.json.encode(found), type=Judged)  # NaN is null there
+    assert judged_again(read).outcome == outcome
+
+
+def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
+    far = Turn(9.0, 0.01)
+    for found in (judged(0.01, 0.02, LIMITS, GUARD, turn=far), judged(0.01, 0.02, ORIENTED, GUARD)):
+        assert found.holds
+        assert found.turn is None
+        assert "max_deg" not in msgspec.to_builtins(found)
+
+
+def test_what_is_left_of_a_tolerance() -> None:
+    assert limits_within(LIMITS, GUARD)[:2] == pytest.approx((0.1, 0.3))
+
+
+@pytest.mark.parametrize("name", ["mean", "max"])
+def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves(name: str) -> None:
+    """U of 0.015 and 0.0127 mm, rectangular, is 0.0227 mm."""
+    check_limits(load_cell("paper", {f"validation.{name}_tolerance_mm": "0.023"}))
+    cell = load_cell("paper", {f"validation.{name}_tolerance_mm": "0.0226"})
+    with pytest.raises(HilcellError, match=rf"validation\.{name}_tolerance_mm .*0\.023 mm"):
+        Validate().plan(cell, 1)
+
+
+def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "few").began()
+    for n, nest in enumerate(("F1", "F2", "F3")):
+        writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
+    log = writer.facts().log
+    budget = budget_of(log)
+    assert budget is not None
+    noise_mm = next(line.u_mm for line in budget.lines if line.name == NOISE)
+    one, many = guard_of(log, 1), guard_of(log, 100)
+    assert one.mean_mm == one.max_mm == many.max_mm == budget.U_mm
+    assert one.mean_mm**2 - many.mean_mm**2 == pytest.approx(4 * 0.99 * noise_mm**2)
+    assert "World frame" in [line.name for line in budget.lines]
+
+
+def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:
+    with pytest.raises(HilcellError) as caught:
+        guard_of(Writer(tmp_path / "none").began().facts().log, 3)
+    assert caught.value.code == "HC-C21"
