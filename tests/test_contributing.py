@@ -1,4 +1,4 @@
-"""The examples of CONTRIBUTING.md work as they stand there."""
+"""The examples for contributors work as they are printed."""
 
 import re
 import socket
@@ -23,13 +23,16 @@ from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
 from tests.hilcell.run.bed import Bed
 
-TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
+ROOT = Path(__file__).parents[1]
+TEXT = "".join(
+    (ROOT / page).read_text("utf-8") for page in ("CONTRIBUTING.md", "docs/first-driver.md")
+)
 BLOCKS = dict(re.findall(r"```\w+\n# (.+)\n((?s:.*?))```", TEXT))
 
 
-def module(source: str) -> Any:
+def module(source: str, file: str) -> Any:
     made = ModuleType("example")
-    exec(compile(source, "CONTRIBUTING.md", "exec"), made.__dict__)
+    exec(compile(source, file, "exec"), made.__dict__)
     return made
 
 
@@ -56,7 +59,7 @@ class Peer:
 
 
 def test_the_driver_measures_stops_and_refuses_another_reflector() -> None:
-    driver = module(BLOCKS["drivers/tracker_lines.py"]).LineTracker
+    driver = module(BLOCKS["drivers/tracker_lines.py"], "docs/first-driver.md").LineTracker
     peer = Peer("LINES 17", "1 2 3 .01 .01 .02 22 1013 45", "9 2 3 .01 .01 .02 22 1013 45")
     options = driver.Options(host="127.0.0.1", port=peer.port, find_radius_mm=5.0)
     tracker: Tracker = driver(options, WallClock(threading.Event()))
@@ -72,7 +75,8 @@ def test_the_driver_measures_stops_and_refuses_another_reflector() -> None:
 
 
 def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> None:
-    procedure = module(BLOCKS["procedures/floor_noise.py"]).FLOOR_NOISE
+    example = ROOT / "docs/examples/floor_noise.py"
+    procedure = module(example.read_text("utf-8"), str(example)).FLOOR_NOISE
     nests = len(load_cell("paper").layout.floor)
     assert procedure.plan(load_cell("paper"), 1).points == 2 * nests
     bed = Bed(tmp_path)

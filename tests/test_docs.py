@@ -30,7 +30,7 @@ GROUPS = PROJECT["project"]["entry-points"]
 )
 ROOMS = {room for layer in LAYERS for room in layer.split(" | ")}
 NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
-# Files of CONTRIBUTING.md that its reader writes.
+# Files that a reader of the examples writes.
 EXAMPLES = ("tracker_lines", "floor_noise", "program_poses")
 
 Arrow = tuple[str, str]
