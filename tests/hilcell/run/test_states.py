@@ -95,7 +95,7 @@ def test_stop_and_fault_are_possible_whenever_something_lives() -> None:
         assert allowed(RUN, state, "fault") == "faulted"
 
 
-def test_the_readme_shows_the_tables() -> None:
-    readme = (Path(__file__).parents[3] / "README.md").read_text("utf-8")
+def test_the_manual_shows_the_tables() -> None:
+    page = (Path(__file__).parents[3] / "docs/architecture.md").read_text("utf-8")
     for table in (RUN, CALIBRATION):
-        assert f"```mermaid\n{mermaid(table)}\n```" in readme
+        assert f"```mermaid\n{mermaid(table)}\n```" in page
