@@ -1,4 +1,4 @@
-"""``docs/faults.md``: fault by phase, and the reaction that was seen."""
+"""``reactions.md``: fault by phase, and the reaction of the run."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from campaigns.faults.phases import Phase
 from campaigns.faults.script import Case
 from campaigns.faults.table import FAULTS, Fault
 
-PAGE = Path(__file__).parents[2] / "docs/faults.md"
-HEAD = """# Faults
+PAGE = Path(__file__).parent / "reactions.md"
+HEAD = """# Reactions to injected faults
 
-Each fault of the catalogue, really brought about on the simulated cell in each phase of a run, and
-the reaction that was seen. `make torture` (`python -m campaigns faults`) runs all cases and
-writes this page. Of each run the alarm, the exit code, the trace checker
-(`hilcell show RUN --check`), the result, and the resume after the cause was put right are judged.
+Each fault of the catalogue, injected into the simulated cell in each phase of a run, with the
+reaction of the run. `make torture` (`python -m campaigns faults`) runs all cases and writes this
+page. It judges the alarm, the exit code, the trace checker (`hilcell show RUN --check`), the
+result, and the resume after the cause is removed.
 
-"went on" means that the result was as without the fault. A code names the alarm: see
-[alarms.md](alarms.md). "n/a" says in two words why a fault has no such phase.
+"went on": the result is that of a run without the fault. Codes: [alarms](../../docs/alarms.md).
+"n/a": the fault has no such phase, for the reason given.
 """
 
 

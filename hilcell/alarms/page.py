@@ -8,23 +8,25 @@ from hilcell.alarms.catalogue import Entry, catalogue
 
 HEAD = """# Alarms
 
-Every alarm of hilcell: its code, its meaning, the steps to take. This page is written from the
-catalogues of hilcell, its drivers and its procedures by `python -m hilcell.alarms.page`.
+All alarms by code, generated from the catalogues of hilcell, its drivers and its procedures
+(`python -m hilcell.alarms.page`). `hilcell explain CODE` prints one entry.
 
-A **fault** has stopped the run; devices are stopped, measured points are kept. A **warning** asks
-for somebody: the run waits, or its result is in doubt. A **notice** is worth knowing. A warning
-that nobody can answer, because the run is unattended, suspends it until a look finds that the cause
-has gone, at most `plan.unattended_wait_s`; then it ends as a fault. A warning that a repetition has
-healed is shown as a notice. `hilcell explain CODE` prints one entry. An alarm stays on the screen
-until its cause is gone and somebody has acknowledged it.
-
-A step marked *(controller)* is checked by hilcell itself: it asks the device's controller before
-anything moves again. All other steps are checked by you.
-
-On the screen an alarm also states its place, the found and the wanted value. Where this list does
-not know a fault (codes that end in 99), the first step there is the failing operation's own advice.
-A stop on the screen is a software stop, not the E-stop.
+- **Fault**, where the row names no severity: the run has stopped, the devices are stopped, the
+  measured points are kept. ***Warning***: the run waits for an answer, or its result is in doubt;
+  an unattended run suspends until the cause is gone, for at most `plan.unattended_wait_s`, then
+  ends with a fault. ***Notice***: for information, as is a warning that a retry cleared.
+- An alarm stays on the screen until its cause is gone **and** it is acknowledged (**k**).
+- After the last step continue with **space** or `hilcell resume RUN`. *New run*: this run cannot
+  continue, start another one with `hilcell run`. *No action*: the run needs nothing to continue.
+- ✓ marks a step that hilcell verifies: it asks the device's controller before anything moves. You
+  check all other steps yourself.
+- The screen also shows where the alarm was raised, the actual and the expected value. For codes
+  that end in 99 the first step is the advice of the operation that failed.
+- A stop on the screen is a software stop. It is not the E-stop.
 """
+COLUMNS = "| code | meaning | steps |\n|---|---|---|"
+MARKS = {"you": "", "controller": " ✓"}
+ENDS = {"resume": "", "new run": " *New run.*", "nothing": " *No action.*"}
 
 
 def page() -> str:
@@ -42,23 +44,22 @@ def page() -> str:
     }
     for letter, title in chapters.items():
         of_chapter = [each for each in entries if each.code.startswith(f"HC-{letter}")]
-        parts += [f"## {title}\n", *map(_section, of_chapter)]
-    others = [_section(each) for each in entries if not each.code.startswith("HC-")]
-    return "\n".join(parts + (["## Other makes\n", *others] if others else []))
+        parts.append(_chapter(title, of_chapter))
+    others = [each for each in entries if not each.code.startswith("HC-")]
+    return "\n".join(parts + ([_chapter("Other makes", others)] if others else []))
 
 
-def _section(entry: Entry) -> str:
+def _chapter(title: str, entries: list[Entry]) -> str:
+    return "\n".join([f"## {title}\n", COLUMNS, *map(_row, entries), ""])
+
+
+def _row(entry: Entry) -> str:
+    severity = "" if entry.severity == "fault" else f" *{entry.severity.capitalize()}.*"
     pairs = zip(entry.do, entry.checked_by, strict=True)
-    steps = [step if by == "you" else f"{step} *({by})*" for step, by in pairs]
-    then = {
-        "resume": "Continue: space, or `hilcell resume RUN`.",
-        "new run": "Start a new run: `hilcell run`.",
-        "nothing": "The run needs nothing to go on.",
-    }
-    steps.append(then[entry.then])
-    numbered = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
-    head = f"### {entry.code} {entry.title}\n\n{entry.severity.capitalize()}. {entry.means}"
-    return f"{head}\n\n{numbered}\n"
+    steps = [f"{number}. {step}{MARKS[by]}" for number, (step, by) in enumerate(pairs, start=1)]
+    means, end = f"**{entry.title}.**{severity} {entry.means}", ENDS[entry.then]
+    cells = (entry.code, means, f"{' '.join(steps)}{end}")
+    return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The Nth write of a run fails, for each N: exit 7, all that was acknowledged is kept, resume ends.
 
-(faults.md 65; the way of SQLite's own tests.)
+(Fault 65 of campaigns/faults; the way of SQLite's own tests.)
 """
 
 import sqlite3
