@@ -1,6 +1,6 @@
 """``python -m benchmarks.combinations``: every pair of devices, each calibrated to its end.
 
-A Markdown table, for docs/combinations.md: by robot, tracker and rail the outcome, the mean error
+A Markdown table: by robot, tracker and rail the outcome, the mean error
 before and after correction, the floor that the instrument's noise sets, and the engine's processor
 time a point. Drivers are found by their entry points; robots of Universal Robots work in cell
 `lab`, all others in `paper`. An axis E1 belongs to a KUKA.
