@@ -156,7 +156,12 @@ def test_pages_name_code_and_files_that_exist(page: str) -> None:
     assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
 
 
-def test_decisions_have_numbers_of_their_own() -> None:
-    records = sorted(path.name for path in (ROOT / "docs/decisions").glob("*.md"))
-    numbers = [name[:4] for name in records if name[:4].isdecimal()]
-    assert len(numbers) == len(set(numbers))
+def test_the_index_lists_every_decision_by_its_number() -> None:
+    folder = ROOT / "docs/decisions"
+    records = sorted(path.name for path in folder.glob("*.md") if path.name != "README.md")
+    assert [int(name[:4]) for name in records] == list(range(1, len(records) + 1))
+    index = (folder / "README.md").read_text("utf-8")
+    listed = re.findall(r"^(\d+)\. \[.+\]\((.+)\)$", index, re.MULTILINE)
+    assert listed == [(str(n), name) for n, name in enumerate(records, 1)]
+    titles = [(folder / name).read_text("utf-8").split()[1] for name in records]
+    assert titles == [f"{n}." for n in range(1, len(records) + 1)]
