@@ -13,7 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, arm_from_joints
 from hilcell.decoding import typed
-from hilcell.fit.methods import FitResult, fitted, methods_table
+from hilcell.fit.methods import FitResult, fit_robot, methods_table
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements
 from hilcell.journal.log import Log, positions_mm
@@ -75,7 +75,7 @@ class Campaign:
 
     def result(self, log: Log) -> Result:
         """Return the cross-validated fit of the measured points."""
-        return {"campaign": fitted(robot_of(log.cell), measured(log)).result}
+        return {"campaign": fit_robot(robot_of(log.cell), measured(log)).result}
 
 
 def poses_of(cell: Cell) -> Measurements:

@@ -12,13 +12,11 @@ from hilcell.cell.settings import SettingsError
 from hilcell.commands.console import print_data, print_json, print_message, print_table
 from hilcell.commands.signatures import Compensate, Fit
 from hilcell.errors import bounded
-from hilcell.fit.methods import FitResult, Fitted, FittedArm, fitted, in_mm, methods_table
-from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
-from hilcell.fit.urdf_file import read_urdf
+from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
+from hilcell.fit.robot_file import Measurements, read_measurements
+from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.programs.arm_targets import ArmTargets
 from hilcell.programs.target_jobs import StationTargets
-
-URDF = ".urdf"
 
 
 def compensate(args: Compensate) -> int:
@@ -58,7 +56,7 @@ def check_settings(cell: str | None, settings: dict[str, str]) -> None:
 
 def fit(args: Fit) -> int:
     """Fit measured data, print how far each method's predictions are off, write what is asked."""
-    robot = _robot(Path(args.robot), args.tip)
+    robot = read_robot(args.robot, args.tip)
     train = _read(Path(args.train))
     test = _read(Path(args.test)) if args.test else None
     if test is not None:
@@ -67,12 +65,12 @@ def fit(args: Fit) -> int:
     tool = _tool(args, train)
     if args.correct:
         inputs.append(Path(args.correct))
-    found = fitted(robot, train, test)
+    found = fit_robot(robot, train, test)
     more: dict[str, object] = {}
     if args.urdf_out or args.dh_out:
-        more["rigid"] = _write_arm(args, robot, found, inputs)
+        more["rigid"] = _write_arm(args, found, inputs)
     if args.correct:
-        job = ArmTargets.plan(robot, found, train, Path(args.correct), tool=tool, say=print_message)
+        job = ArmTargets.plan(found, Path(args.correct), tool=tool, say=print_message)
         bounds = Path(args.bounds) if args.bounds else None
         print_message("\n".join(job.write(Path(args.output), bounds, inputs)))
         more["corrected"] = job.summary
@@ -104,7 +102,7 @@ def _tool(args: Fit, train: Measurements) -> str:
     return tool
 
 
-def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict[str, float]:
+def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
     from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
 
@@ -112,13 +110,13 @@ def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict
         check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
     if args.dh_out:
         check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
-    found = rigid_arm(robot.arm, fit)
+    found = rigid_arm(fit)
     if args.urdf_out:
         remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(found.figures)]
-        write_urdf(Path(args.urdf_out), robot, found, remarks, inputs=inputs)
+        write_urdf(Path(args.urdf_out), fit.robot, found, remarks, inputs=inputs)
         inputs = [*inputs, Path(args.urdf_out)]
     if args.dh_out:
-        write_dh(Path(args.dh_out), robot, found, inputs=inputs)
+        write_dh(Path(args.dh_out), fit.robot, found, inputs=inputs)
     written = " and ".join(filter(None, (args.urdf_out, args.dh_out)))
     print_message("\n".join([f"the identified arm is in {written}", *alone(found.figures)]))
     return in_mm(found.figures)
@@ -169,14 +167,3 @@ def _warn_of_shared(train: Measurements, test: Measurements) -> None:
             f"warning: {shared} rows of {test.source} are training rows too; a test needs rows "
             "that nothing was learnt from: leave them out, or leave --test away"
         )
-
-
-def _robot(path: Path, tip: str) -> Robot:
-    """Read a robot by its file's suffix; raises `SettingsError`."""
-    if path.suffix.lower() == URDF:
-        return read_urdf(path, tip)
-    if tip:
-        raise SettingsError(
-            str(path), [f"--tip {tip} names a link of a URDF; expected a {URDF} file"]
-        )
-    return read_robot(path)

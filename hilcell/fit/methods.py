@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Self, TypedDict
+from typing import NamedTuple, Self, TypedDict
 
 import numpy as np
 
@@ -298,20 +298,62 @@ class FittedArm:
 Method = AtPoints | FittedArm
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """The result, every method as learnt, and its figures at training poses left out in turn."""
+class Predicted(NamedTuple):
+    """Predicted positions of reflectors: ``xyz_mm`` (N, 3) in the tracker's frame,
+    ``covariance_mm2`` (N, 3, 3), and ``bound95_mm`` (N,), the lengths that 95 % of the 3-D
+    differences to a reading keep (`hilcell.geometry.statistics.bounds95_mm`).
+    """
 
+    xyz_mm: Array
+    covariance_mm2: Array
+    bound95_mm: Array
+
+    @classmethod
+    def by(cls, method: Method, rows: Measurements) -> Self:
+        """Return the positions of the rows' reflectors by a method; raises `FitError`."""
+        at_mm, covariance_mm2 = method.predict(rows)
+        return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2, method.freedom))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFit:
+    """A robot and the rows that its errors were learnt from.
+
+    ``result`` is the output of ``fit --json``, ``methods`` has every method as learnt,
+    ``validated`` its figures at training poses left out in turn.
+    """
+
+    robot: Robot
+    train: Measurements
     result: FitResult
     methods: Mapping[str, Method]
     validated: Mapping[str, Figures]
 
+    @property
+    def chosen(self) -> str:
+        """Return the name of the method with the least errors at poses left out."""
+        return self.result["chosen"]
 
-def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) -> Fitted:
-    """Learn from ``train`` and judge every method on ``test``, or by cross-validation.
+    def predict(self, joints_rad: Array, target: str) -> Predicted:
+        """Return positions of a reflector at commanded joints (N, 6) by the chosen method.
 
-    The choice is made by cross-validation in both cases: test rows judge, they do not choose.
-    Raises `FitError`.
+        Raises `FitError` for a reflector that was not measured.
+        """
+        rows = Measurements.unmeasured(np.asarray(joints_rad, dtype=float), target)
+        return Predicted.by(self.methods[self.chosen], rows)
+
+
+def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = None) -> RobotFit:
+    """Learn a robot's errors from measured positions, and choose the method that predicts best.
+
+    Every method of `hilcell fit` learns from ``train`` and is judged on ``test``, or without it by
+    cross-validation. The choice is made by cross-validation in both cases: test rows judge, they
+    do not choose. The robot's base and its reflectors are estimated with the errors. Raises
+    `FitError` for rows that cannot be learnt from.
+
+    >>> fit = fit_robot(read_robot("irb120.toml"), read_measurements("train.csv"))
+    >>> fit.chosen in fit.result["methods"], sorted(fit.result["methods"])
+    (True, ['elastic', 'gp', 'idw', 'mdh', 'nominal', 'tool'])
     """
     start_s = time.perf_counter()
     arm = robot.arm
@@ -355,7 +397,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "test": len(kept if test is None else test),
         "seconds": time.perf_counter() - start_s,
     }
-    return Fitted(result, methods, validated)
+    return RobotFit(robot, train, result, methods, validated)
 
 
 def scattered() -> dict[str, type[LearntModel]]:
@@ -474,9 +516,8 @@ def _judged(
     """Return the methods' figures on test rows, and how their bounds cover the misses."""
     found, coverage, bounds = {}, {}, {}
     for name, method in methods.items():
-        at_mm, covariance_mm2 = method.predict(test)
-        miss_mm = test.xyz_mm - at_mm
-        bounds[name] = statistics.bounds95_mm(covariance_mm2, method.freedom)
+        predicted = Predicted.by(method, test)
+        miss_mm, bounds[name] = test.xyz_mm - predicted.xyz_mm, predicted.bound95_mm
         inside = statistics.lengths_mm(miss_mm) <= bounds[name]
         found[name] = figures_of(miss_mm)
         coverage[name] = Coverage(share=float(inside.mean()), bound_mm=float(bounds[name].mean()))

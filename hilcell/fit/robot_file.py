@@ -11,11 +11,12 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import ArrayLike
 
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
@@ -42,6 +43,24 @@ class Robot:
     base: Array = field(default_factory=lambda: np.eye(4))
     tool: Array = field(default_factory=lambda: np.eye(4))
     limits_rad: Array = field(default_factory=lambda: np.array([[-np.inf] * 6, [np.inf] * 6]))
+
+    @classmethod
+    def from_dh(cls, name: str, rows: ArrayLike, sign: ArrayLike = 1.0) -> Self:
+        """Return a robot of standard DH rows (6, 4): a_mm, alpha_deg, d_mm, offset_deg.
+
+        Row n is ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``; ``sign`` (6,) is -1 for a joint that
+        counts backwards. Raises `ValueError`.
+        """
+        dh, signs = np.array(rows, dtype=float), np.broadcast_to(np.array(sign, dtype=float), 6)
+        if dh.shape != (6, 4) or not np.isfinite(dh).all():
+            raise ValueError(f"DH rows: expected finite numbers (6, 4), got shape {dh.shape}")
+        if not (np.abs(signs) == 1.0).all():
+            raise ValueError(f"DH signs: expected 1 or -1, got {signs.tolist()}")
+        joints = [
+            Joint(a_mm=a_mm, alpha_deg=alpha_deg, d_mm=d_mm, offset_deg=offset_deg, sign=int(each))
+            for (a_mm, alpha_deg, d_mm, offset_deg), each in zip(dh.tolist(), signs, strict=True)
+        ]
+        return cls(name, arm_from_joints(joints, np.eye(4)))
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -91,6 +110,39 @@ class Measurements:
     source: str = "the measurements"
     lines: Sequence[int] = ()
 
+    @classmethod
+    def from_arrays(
+        cls,
+        joints_rad: ArrayLike,
+        xyz_mm: ArrayLike,
+        target: str | Sequence[str] = "SMR",
+        pose: Sequence[str] | None = None,
+    ) -> Self:
+        """Return measurements of arrays: commanded joints (N, 6), positions (N, 3).
+
+        ``target`` names the reflector of all rows, or of each; ``pose`` (N) labels rows measured
+        in one pose, each its own by default. Raises `ValueError`.
+        """
+        joints, xyz = np.array(joints_rad, dtype=float), np.array(xyz_mm, dtype=float)
+        for name, values, width in (("joints_rad", joints, 6), ("xyz_mm", xyz, 3)):
+            if values.shape != (len(joints), width) or not np.isfinite(values).all():
+                raise ValueError(
+                    f"{name}: expected finite numbers ({len(joints)}, {width}), got shape "
+                    f"{values.shape}"
+                )
+        targets = [target] * len(joints) if isinstance(target, str) else list(target)
+        poses = list(map(str, range(1, len(joints) + 1))) if pose is None else list(pose)
+        for name, labels in (("target", targets), ("pose", poses)):
+            if len(labels) != len(joints):
+                raise ValueError(f"{name}: expected {len(joints)} labels, got {len(labels)}")
+        return cls(poses, targets, joints, xyz)
+
+    @classmethod
+    def unmeasured(cls, joints_rad: Array, target: str) -> Self:
+        """Return rows of a reflector at joints (N, 6) whose positions are to be predicted."""
+        labels = list(map(str, range(len(joints_rad))))
+        return cls(labels, [target] * len(labels), joints_rad, np.full((len(labels), 3), np.nan))
+
     def __len__(self) -> int:
         return len(self.pose)
 
@@ -127,7 +179,7 @@ class Measurements:
         )
 
 
-def read_robot(path: Path) -> Robot:
+def read_dh(path: Path) -> Robot:
     """Read ``robot.toml``; raises `SettingsError` naming all problems at once."""
     try:
         values = tomllib.loads(read_text(path))

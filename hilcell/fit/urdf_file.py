@@ -27,7 +27,7 @@ import numpy as np
 
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.targets import numbers
-from hilcell.fit.robot_file import Robot
+from hilcell.fit.robot_file import Robot, read_dh
 from hilcell.geometry.frames import cross_matrix, inverse, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 from hilcell.geometry.statistics import lengths_mm
@@ -194,6 +194,7 @@ def _comment(lines: Sequence[str]) -> bytes:
     return f"\n  <!-- {text} -->".encode("ascii", "replace")
 
 
+URDF = ".urdf"
 MM = 1000.0  # in a metre
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
 TURNS = ("revolute", "continuous")
@@ -241,6 +242,26 @@ class Urdf(Robot):
         """Return how many fixed joints follow the sixth."""
         last = max(n for n, joint in enumerate(self.joints) if joint.kind in TURNS)
         return len(self.joints) - 1 - last
+
+
+def read_robot(path: Path | str, tip: str = "") -> Robot:
+    """Read a robot's nominal kinematics from a URDF or a ``robot.toml``, by the file's suffix.
+
+    ``tip`` names the link that ends the arm, where a URDF has several. Raises `SettingsError`
+    with all problems of the file.
+
+    >>> robot = read_robot("irb120.toml")
+    >>> robot.name, robot.arm.a_mm.tolist()
+    ('IRB 120', [0.0, 270.0, 70.0, 0.0, 0.0, 0.0])
+    """
+    file = Path(path)
+    if file.suffix.lower() == URDF:
+        return read_urdf(file, tip)
+    if tip:
+        raise SettingsError(
+            str(file), [f"--tip {tip} names a link of a URDF; expected a {URDF} file"]
+        )
+    return read_dh(file)
 
 
 def read_urdf(path: Path, tip: str = "") -> Urdf:

@@ -1,47 +1,31 @@
 """Targets of a robot that was measured elsewhere: a list of poses or joints, or a program.
 
 Poses are those of the tool point in the robot's root frame, under the header of `compensate`;
-joints stand under ``name,j1_deg,...,j6_deg``. A controller is taken to know the nominal arm: joints
-for a pose, and the pose of joints, are the nominal arm's. Its tool is a reflector as it was
-identified; its base stands where nominal kinematics with that tool fit the training poses best. An
-identified base would do as well, but where the poses do not determine it, it lies millimetres
-aside, and all corrections would make up for that.
+joints stand under ``name,j1_deg,...,j6_deg``. Both are corrected as
+`hilcell.programs.pose_correction` does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
 from hilcell.calibration.form import written_now
-from hilcell.calibration.influence import bounds_of
 from hilcell.cell.settings import SettingsError, read_file
-from hilcell.compensation.model import Prediction
-from hilcell.compensation.model_choice import NOMINAL
 from hilcell.compensation.programs import Program, load_program
 from hilcell.compensation.provenance import Stamp
 from hilcell.compensation.targets import HEADER, read_named_rows, target_rows
-from hilcell.fit.methods import UNDETERMINED_MM, Fitted, Method
-from hilcell.fit.placement import FitError
-from hilcell.fit.robot_file import Measurements, Robot
-from hilcell.geometry.frames import (
-    FrameError,
-    apply,
-    apply_each,
-    inverse,
-    poses_from_zyx,
-    rigid_fit,
-    zyx_from_pose,
-)
-from hilcell.geometry.inverse import ReachError, refined, status_of
-from hilcell.geometry.kinematics import Arm, Array, Bools, forward
-from hilcell.ports import HilcellError
+from hilcell.fit.methods import RobotFit
+from hilcell.fit.robot_file import Measurements
+from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
+from hilcell.geometry.inverse import ReachError, status_of
+from hilcell.geometry.kinematics import Array
 from hilcell.programs.corrected import Corrected
+from hilcell.programs.pose_correction import Controller, PoseCorrection, Reach
 from hilcell.programs.target_jobs import POSTURE_BITS, TargetFiles, check_posture
 from hilcell.sanitize import counted
 
@@ -59,25 +43,15 @@ class ArmTargets(TargetFiles):
     @classmethod
     def plan(
         cls,
-        robot: Robot,
-        fit: Fitted,
-        train: Measurements,
+        fit: RobotFit,
         source: Path,
         *,
         tool: str,
         say: Callable[[str], object],
     ) -> Self:
-        """Return targets of the reflector ``tool``, corrected by the chosen method of ``train``."""
-        most_known = 500  # measured poses that are searched from
-        chosen = fit.result["chosen"]
-        if chosen == NOMINAL:
-            raise FitError(f"no target is corrected: {fit.result['reason']}")
-        method = fit.methods[chosen]
-        controller = Controller.of(robot, method, train, tool)
-        arm = with_tool_point(replace(robot.arm, tool=robot.tool), controller.tool_mm)
-        known = np.unique(train.joints_rad, axis=0)
-        known = known[:: len(known) // most_known + 1]
-        reach = Reach(arm, robot.base, known, robot.limits_rad)
+        """Return targets of the reflector ``tool``, corrected by the chosen method."""
+        correction, train = PoseCorrection.of(fit, tool), fit.train
+        reach = correction.reach
         program = load_program(source)
         as_joints = False
         if program is None:
@@ -85,27 +59,17 @@ class ArmTargets(TargetFiles):
         else:
             names, poses = program.names, poses_from_zyx(program.values())
             joints_rad = reach.joints(poses, names)
-        errors = controller.errors(method, joints_rad)
-        command = poses.copy()
-        command[:, :3, 3] -= errors.error_mm
-        bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), poses)
-        refuse(
-            ~(bounds.radii_mm <= UNDETERMINED_MM),
-            names,
-            f"targets have 95 % bounds over {UNDETERMINED_MM:g} mm",
-            "the training rows do not determine them; measure poses near them",
-        )
-        sent = zyx_from_pose(command)
+        found = correction.corrected(names, poses, joints_rad)
+        sent = zyx_from_pose(found.command)
         header, rows = HEADER, list(target_rows(names, sent))
         if as_joints:
-            sent_rad = reach.near(command, joints_rad, names)
-            header, rows = JOINT_HEADER, list(joint_rows(names, sent_rad))
+            header, rows = JOINT_HEADER, list(joint_rows(names, found.command_rad()))
         if program is not None:
             cls._check_program(program, reach, joints_rad, sent, source, say)
         stamp = Stamp(f"fit of {Path(train.source).name}", written_now())
-        corrected = Corrected(names, zyx_from_pose(poses), sent, bounds, stamp)
+        corrected = Corrected(names, zyx_from_pose(poses), sent, found.bounds, stamp)
         return cls(
-            source, program, corrected, ROOT, sent[:, :3], header, rows, controller,
+            source, program, corrected, ROOT, sent[:, :3], header, rows, correction.controller,
             cls._beyond(names, joints_rad, train),
         )  # fmt: skip
 
@@ -187,99 +151,6 @@ class ArmTargets(TargetFiles):
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Reach:
-    """Poses and joints of a nominal arm with a tool: its base in the root, measured joints.
-
-    ``known_rad`` (M, 6) are joints that were measured: a pose takes the posture of the nearest.
-    ``limits_rad`` (2, 6).
-    """
-
-    arm: Arm
-    base: Array
-    known_rad: Array
-    limits_rad: Array
-
-    STARTS = 8  # measured poses from which one is searched
-
-    def poses(self, joints_rad: Array) -> Array:
-        """Return the tool's frames in the root (N, 4, 4)."""
-        return self.base @ forward(self.arm, joints_rad)
-
-    def joints(self, poses: Array, names: Sequence[str]) -> Array:
-        """Return joints (N, 6) for poses in the root, in the one posture that was measured."""
-        if not self._one_posture:
-            raise HilcellError(
-                "the measured poses have several postures (elbow, wrist), and a pose does not say "
-                "which the robot takes there; give joints",
-                code="HC-C10",
-            )
-        joints, lost = np.empty((len(poses), 6)), np.zeros(len(poses), dtype=bool)
-        at_once = 512  # poses of one search
-        for first in range(0, len(poses), at_once):
-            part = slice(first, first + at_once)
-            joints[part], found, _ = self._searched(poses[part], enough=1)
-            lost[part] = ~found
-        refuse(
-            lost, names, "poses are not reached in the posture of measured ones",
-            "check frame, tool and units, or give joints",
-        )  # fmt: skip
-        return joints
-
-    def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
-        """Return joints (N, 6) for poses a correction away; refuses far turns, and other limits."""
-        found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
-        # of a joint by a correction: beyond, the wrist is singular there
-        most_turn_rad = np.radians(5.0)
-        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_turn_rad)
-        refuse(
-            ~near, names,
-            f"corrections turn a joint by more than {np.degrees(most_turn_rad):g} deg",
-            "arm or wrist are singular there; give poses",
-        )  # fmt: skip
-        inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])
-        refuse(
-            ~inside.all(axis=1), names, "corrected targets leave the joints' limits",
-            "move them away from the limits",
-        )  # fmt: skip
-        return found
-
-    @cached_property
-    def _one_posture(self) -> bool:
-        """Whether the measured poses are reached in no other measured posture."""
-        return not self._searched(self.poses(self.known_rad), enough=self.STARTS)[2].any()
-
-    def _searched(self, poses: Array, enough: int) -> tuple[Array, Bools, Bools]:
-        """Return joints (N, 6), which were found, which in several postures, each (N,): searched
-        from measured poses nearby until ``enough`` lead there.
-        """
-        wanted = inverse(self.base) @ poses
-        joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
-        several = np.zeros(len(poses), dtype=bool)
-        same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
-        other_rad = 0.01  # of a joint: two postures, not two roundings of one
-        for start in np.swapaxes(self._nearest(poses), 0, 1):
-            left = np.flatnonzero(count < enough)
-            found, arrived = refined(self.arm, wanted[left], start[left])
-            good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
-            at, found = left[good], found[good]
-            apart_rad = np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi))
-            several[at] |= (apart_rad.max(axis=1) > other_rad) & (count[at] > 0)
-            joints[at] = np.where(count[at, None] > 0, joints[at], found)
-            count[at] += 1
-        return joints, count > 0, several
-
-    def _nearest(self, poses: Array) -> Array:
-        """Return the joints (N, S, 6) of the `STARTS` measured poses that are nearest."""
-        known = self.poses(self.known_rad)
-        shift = poses[:, None, :3, 3] - known[:, :3, 3]
-        # |A - B| of rotations is 2 sqrt 2 times the sine of half the angle between them.
-        turn_mm = 300.0  # what a radian counts in the search of the nearest measured pose
-        turn = (poses[:, None, :3, :3] - known[:, :3, :3]) * turn_mm / np.sqrt(2.0)
-        distance = np.sum(shift**2, axis=-1) + np.sum(turn**2, axis=(-2, -1))
-        return self.known_rad[np.argsort(distance, axis=1)[:, : self.STARTS]]
-
-
 def read_list(path: Path, reach: Reach) -> tuple[list[str], Array, Array, bool]:
     """Return N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, 6) for them, and
     whether these are what is listed; raises `SettingsError`, `HilcellError`.
@@ -296,63 +167,3 @@ def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
     """Yield the rows of joints (N, 6) under `JOINT_HEADER`."""
     for name, row in zip(names, np.degrees(joints_rad), strict=True):
         yield [name, *(f"{each:.6f}" for each in row)]
-
-
-def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
-    """Raise `HilcellError` naming the first bad targets."""
-    if (count := int(np.count_nonzero(bad))) > 0:
-        most = 5
-        named = ", ".join(names[n] for n in np.flatnonzero(bad)[:most])
-        more = ", ..." if count > most else ""
-        raise HilcellError(f"{count} of {len(bad)} {what}: {named}{more}; {act}", code="HC-C10")
-
-
-def with_tool_point(arm: Arm, point_mm: Array) -> Arm:
-    """Return the arm whose tool frame is shifted to a point (3,) in it."""
-    tool = arm.tool.copy()
-    tool[:3, 3] += tool[:3, :3] @ point_mm
-    return replace(arm, tool=tool)
-
-
-@dataclass(frozen=True, eq=False)
-class Controller:
-    """A robot's nominal arm, its ``base`` (4, 4) in the tracker's frame, and a reflector ``target``
-    at ``smr_mm`` (3,) on the flange.
-    """
-
-    robot: Robot
-    base: Array
-    target: str
-    smr_mm: Array
-
-    @classmethod
-    def of(cls, robot: Robot, method: Method, train: Measurements, target: str) -> Self:
-        """Return the controller that a method's predictions at the training rows fit best."""
-        smr_mm = np.array([method.smr_mm[each] for each in train.target])
-        nominal_mm = apply_each(forward(robot.arm, train.joints_rad), smr_mm)
-        try:
-            base = rigid_fit(nominal_mm, method.predict(train)[0]).T
-        except FrameError:  # on one line: its turn about the line is the method's
-            base = method.base
-        return cls(robot, base, target, method.smr_mm[target])
-
-    @property
-    def root(self) -> Array:
-        """The robot's root frame in the tracker's (4, 4)."""
-        return self.base @ inverse(self.robot.base)
-
-    @property
-    def tool_mm(self) -> Array:
-        """Return the reflector (3,) in the robot's tool frame."""
-        return np.asarray(apply(inverse(self.robot.tool), self.smr_mm[None])[0])
-
-    def errors(self, method: Method, joints_rad: Array) -> Prediction:
-        """Return e = actual - nominal of the reflector in the root frame at joints (N, 6)."""
-        count = len(joints_rad)
-        labels, nowhere = list(map(str, range(count))), np.full((count, 3), np.nan)
-        rows = Measurements(labels, [self.target] * count, joints_rad, nowhere)
-        seen_mm, covariance_mm2 = method.predict(rows)
-        nominal_mm = apply_each(forward(self.robot.arm, joints_rad), self.smr_mm)
-        R = inverse(self.root)[:3, :3]
-        error_mm = (seen_mm - apply(self.base, nominal_mm)) @ R.T
-        return Prediction(error_mm, R @ covariance_mm2 @ R.T)

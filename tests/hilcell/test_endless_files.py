@@ -14,12 +14,12 @@ from hilcell.calibration.file import read_calibration
 from hilcell.cell import settings
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.compensation.targets import HEADER, read_targets
-from hilcell.fit.robot_file import read_measurements, read_robot
+from hilcell.fit.robot_file import read_dh, read_measurements
 from hilcell.fit.urdf_file import read_urdf
 from hilcell.programs.holes import read_holes
 
 READERS: list[Callable[[Path], object]] = [
-    read_targets, read_holes, read_measurements, read_robot, read_urdf, read_calibration,
+    read_targets, read_holes, read_measurements, read_dh, read_urdf, read_calibration,
     lambda path: source_text(path, "KRL"),
 ]  # fmt: skip
 

@@ -14,7 +14,7 @@ from hilcell.calibration.file import compensate_targets, read_calibration, write
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.model import LearntModel, Measured, Prediction
 from hilcell.compensation.model_choice import MODELS
-from hilcell.fit.methods import fitted
+from hilcell.fit.methods import fit_robot
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from procedures.fit import Fit, SignCheck
@@ -70,7 +70,7 @@ def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
 
 def test_it_is_judged_on_a_robot_that_was_measured_elsewhere() -> None:
     rows, test = (measured_rows(seed, 16, list(SMR_MM)) for seed in (1, 2))
-    assert set(fitted(IRB120, rows, test).result["methods"]) == {"nominal", "idw", "plane"}
+    assert set(fit_robot(IRB120, rows, test).result["methods"]) == {"nominal", "idw", "plane"}
 
 
 def test_it_is_kept_in_the_file_and_corrects_targets(tmp_path: Path) -> None:

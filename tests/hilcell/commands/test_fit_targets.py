@@ -10,8 +10,8 @@ import pytest
 
 from hilcell.compensation.targets import read_named_rows, read_targets
 from hilcell.compensation.targets import write_rows as write_list
-from hilcell.fit.methods import FitResult, Fitted, fitted
-from hilcell.fit.robot_file import Measurements, read_measurements
+from hilcell.fit.methods import FitResult, RobotFit, fit_robot
+from hilcell.fit.robot_file import Measurements, Robot, read_measurements
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import (
     apply,
@@ -79,13 +79,16 @@ def urdf(folder: Path) -> Urdf:
 
 
 @pytest.fixture(scope="module")
-def found(folder: Path, urdf: Urdf) -> Fitted:
-    return fitted(urdf, read_measurements(folder / "train.csv"))
+def found(folder: Path, urdf: Urdf) -> RobotFit:
+    return fit_robot(urdf, read_measurements(folder / "train.csv"))
 
 
 @pytest.fixture(autouse=True)
-def _fitted_once(monkeypatch: pytest.MonkeyPatch, found: Fitted) -> None:
-    monkeypatch.setattr("hilcell.commands.targets.fitted", lambda robot, train, test: found)
+def _fitted_once(monkeypatch: pytest.MonkeyPatch, found: RobotFit) -> None:
+    def fit_of(robot: Robot, train: Measurements, test: Measurements | None) -> RobotFit:
+        return replace(found, robot=robot, train=train)
+
+    monkeypatch.setattr("hilcell.commands.targets.fit_robot", fit_of)
 
 
 def fit(
@@ -198,12 +201,11 @@ def test_a_program_with_strokes_or_another_base_wants_a_calibration(
 
 
 def test_nothing_is_corrected_where_no_method_helps(
-    folder: Path, found: Fitted, monkeypatch: pytest.MonkeyPatch
+    folder: Path, found: RobotFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result: FitResult = {**found.result, "chosen": "nominal", "reason": "no method beats nominal"}
-    monkeypatch.setattr(
-        "hilcell.commands.targets.fitted", lambda robot, train, test: replace(found, result=result)
-    )
+    changed = replace(found, result=result)
+    monkeypatch.setattr("hilcell.commands.targets.fit_robot", lambda robot, train, test: changed)
     words = ("--correct", folder / "train.csv", "--tool", "SMR1", "-o", folder / "c.csv")
     assert "no method beats nominal" in refused(folder, *words)
 
@@ -213,7 +215,7 @@ def test_undetermined_targets_are_named(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hilcell.programs.arm_targets.UNDETERMINED_MM", 1e-6)
+    monkeypatch.setattr("hilcell.programs.pose_correction.UNDETERMINED_MM", 1e-6)
     write_list(tmp_path / "t.csv", JOINT_HEADER, joint_rows(["a", "b"], drawn(2, 2)))
     words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
     assert "1e-06 mm: a, b" in refused(folder, *words)

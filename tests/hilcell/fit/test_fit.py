@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
-from hilcell.fit.methods import AtPoints, cross_validate, fitted
+from hilcell.fit.methods import AtPoints, cross_validate, fit_robot
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import (
     HEADER,
@@ -24,8 +24,8 @@ from hilcell.fit.robot_file import (
     Robot,
     RobotModel,
     Row,
+    read_dh,
     read_measurements,
-    read_robot,
 )
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
@@ -141,7 +141,7 @@ def peer(robot: Robot, train: Measurements, test: Measurements) -> dict[str, Fig
 def pair_of(kind: str, folder: str, train: str) -> Pair:
     if kind == "real":
         return Pair(
-            read_robot(DATA / folder / "robot.toml"),
+            read_dh(DATA / folder / "robot.toml"),
             read_measurements(DATA / folder / f"{train}.csv"),
             read_measurements(DATA / folder / "test.csv"),
             REFERENCE[folder, train],
@@ -154,7 +154,7 @@ def pair_of(kind: str, folder: str, train: str) -> Pair:
 @pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
 def test_the_reference_s_figures_are_reached(names: Names) -> None:
     pair = pair_of(*names)
-    result = fitted(pair.robot, pair.train, pair.test).result
+    result = fit_robot(pair.robot, pair.train, pair.test).result
     for method, wanted in pair.wanted.items():
         figures = result["methods"][method]
         found = (figures["mean_mm"], figures["p95_mm"], figures["max_mm"])
@@ -172,7 +172,7 @@ def test_the_reference_s_figures_are_reached(names: Names) -> None:
 @pytest.mark.parametrize("names", REAL_PAIRS[-1:] if REAL else SYNTHETIC_PAIRS[-1:], ids="-".join)
 def test_without_test_rows_cross_validation_judges(names: Names) -> None:
     pair = pair_of(*names)
-    result = fitted(pair.robot, pair.train).result
+    result = fit_robot(pair.robot, pair.train).result
     assert result["test"] == result["train"] == len(pair.train)
     for method, wanted in pair.wanted.items():
         assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.25)
@@ -218,14 +218,14 @@ def test_rows_in_another_frame_give_the_same_figures() -> None:
     rows, test = measured(1, 22, ["SMR1"]), measured(2, 20, ["SMR1"])
     T = pose_from_zyx(-4000, 300, 20, 60, -45, 110)
     moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
-    there = fitted(IRB120, *moved).result["methods"]
-    for method, figures in fitted(IRB120, rows, test).result["methods"].items():
+    there = fit_robot(IRB120, *moved).result["methods"]
+    for method, figures in fit_robot(IRB120, rows, test).result["methods"].items():
         assert there[method] == pytest.approx(figures, abs=1e-5)
 
 
 def test_an_unknown_target_is_refused() -> None:
     with pytest.raises(FitError, match="SMR3"):
-        fitted(IRB120, measured(1, 10, ["SMR1", "SMR2"]), measured(2, 5, ["SMR3"]))
+        fit_robot(IRB120, measured(1, 10, ["SMR1", "SMR2"]), measured(2, 5, ["SMR3"]))
 
 
 def test_too_few_rows_to_place_the_robot_are_refused() -> None:
@@ -236,7 +236,7 @@ def test_too_few_rows_to_place_the_robot_are_refused() -> None:
 @pytest.mark.parametrize("poses", [1, 4, 9])
 def test_too_few_poses_are_refused(poses: int) -> None:
     with pytest.raises(FitError, match="expected at least 10"):
-        fitted(IRB120, measured(1, poses, ["SMR1"]))
+        fit_robot(IRB120, measured(1, poses, ["SMR1"]))
 
 
 @pytest.mark.parametrize(
@@ -257,23 +257,23 @@ def test_units_signs_and_hands_are_named(
         rows, joints_rad=rows.joints_rad * joint_factor, xyz_mm=rows.xyz_mm * xyz_factor
     )
     with pytest.raises(FitError, match=says):
-        fitted(IRB120, spoilt)
+        fit_robot(IRB120, spoilt)
 
 
 def test_a_test_set_of_another_robot_is_refused() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     other = replace(test, joints_rad=test.joints_rad[::-1])
     with pytest.raises(FitError, match=r"the measurements: .*20 mm"):
-        fitted(IRB120, rows, other)
+        fit_robot(IRB120, rows, other)
 
 
 def test_gross_training_rows_are_named_and_learnt_from_by_no_method() -> None:
     rows, test = measured(1, 24, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
-    before = fitted(IRB120, rows, test).result
+    before = fit_robot(IRB120, rows, test).result
     rows.xyz_mm[7, 0] += 15.0
     rows.xyz_mm[10, 2] -= 8.0
     rows.xyz_mm[30, 1] += 2.0
-    result = fitted(IRB120, rows, test).result
+    result = fit_robot(IRB120, rows, test).result
     named = {(each["pose"], each["target"]): each["miss_mm"] for each in result["outliers"]}
     assert named == {
         ("1003", "SMR2"): pytest.approx(15.0, abs=0.5),
@@ -281,7 +281,7 @@ def test_gross_training_rows_are_named_and_learnt_from_by_no_method() -> None:
         ("1015", "SMR1"): pytest.approx(2.0, abs=0.5),
     }
     assert (result["train"], result["test"]) == (45, 40)
-    assert fitted(IRB120, rows).result["test"] == 45
+    assert fit_robot(IRB120, rows).result["test"] == 45
     for method, figures in result["methods"].items():
         assert figures["mean_mm"] == pytest.approx(before["methods"][method]["mean_mm"], rel=0.15)
 
@@ -290,21 +290,21 @@ def test_rows_that_miss_by_more_than_any_robot_errs_are_refused() -> None:
     rows = measured(1, 24, ["SMR1", "SMR2"])
     rows.xyz_mm[7, 0] += 5000.0
     with pytest.raises(FitError, match=r"1 of 48 .*pose 1003 target SMR2 by 5000 mm; mend"):
-        fitted(IRB120, rows)
+        fit_robot(IRB120, rows)
 
 
 def test_more_rows_that_contradict_than_slips_explain_are_refused() -> None:
     rows = measured(1, 24, ["SMR1", "SMR2"])
     rows.xyz_mm[1:13:2, 2] += 3.0
     with pytest.raises(FitError, match=r"6 of 48 .*10%.*reflector SMR2, 6 of them"):
-        fitted(IRB120, rows)
+        fit_robot(IRB120, rows)
     alone = rows.at(range(0, 48, 2))
     alone.xyz_mm[:3, 2] += 3.0
     with pytest.raises(FitError, match=r"3 of 24 .*state during the measurement"):
-        fitted(IRB120, alone)
+        fit_robot(IRB120, alone)
     alone.xyz_mm[3:9] += np.random.default_rng(8).uniform(3.0, 6.0, (6, 3))
     with pytest.raises(FitError, match="contradict the others"):
-        fitted(IRB120, alone)
+        fit_robot(IRB120, alone)
 
 
 @pytest.mark.parametrize(("sign", "how"), [(-1.0, "with"), (1.0, "against")])
@@ -317,19 +317,19 @@ def test_axes_that_a_controller_couples_are_named(sign: float, how: str, every: 
     shown = true.copy()
     shown[:, 2] += sign * true[:, 1]
     with pytest.raises(FitError, match=f"they fit if joint 3 turns {how} joint 2"):
-        fitted(IRB120, replace(measured_at(true, rows), joints_rad=shown))
+        fit_robot(IRB120, replace(measured_at(true, rows), joints_rad=shown))
 
 
 def test_gross_rows_of_few_poses_are_refused() -> None:
     """Less than 20 poses do not identify a robot that could tell how far a row is off."""
     rows = measured(1, 15, ["SMR1", "SMR2"])
-    result = fitted(IRB120, rows).result
+    result = fit_robot(IRB120, rows).result
     assert "15 poses" in result["refused"]["tool"]
     assert set(result["methods"]) == {"nominal", "idw"}
     assert result["model"] is None
     rows.xyz_mm[7, 0] += 5000.0
     with pytest.raises(FitError, match="pose 1003 target SMR2"):
-        fitted(IRB120, rows)
+        fit_robot(IRB120, rows)
 
 
 @pytest.mark.parametrize(
@@ -342,14 +342,14 @@ def test_gross_rows_of_few_poses_are_refused() -> None:
 def test_poses_out_of_order_are_refused(order: np.ndarray, says: str) -> None:
     rows = measured(1, 40, ["SMR1"])
     with pytest.raises(FitError, match=says):
-        fitted(IRB120, replace(rows, joints_rad=rows.joints_rad[np.argsort(order)]))
+        fit_robot(IRB120, replace(rows, joints_rad=rows.joints_rad[np.argsort(order)]))
 
 
 def test_reflectors_swapped_in_the_test_set_are_named() -> None:
     rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     swapped = replace(test, target=[{"SMR1": "SMR2", "SMR2": "SMR1"}[t] for t in test.target])
     with pytest.raises(FitError, match="SMR1 is SMR2, SMR2 is SMR1"):
-        fitted(IRB120, rows, swapped)
+        fit_robot(IRB120, rows, swapped)
 
 
 def measured_at(joints: np.ndarray, rows: Measurements) -> Measurements:
@@ -375,7 +375,7 @@ def test_joints_that_never_move_widen_the_bounds_where_they_do() -> None:
     coverage = []
     for wrist in (0.0, 0.3):
         asked = test.joints_rad * [1, 1, 1, wrist, wrist, wrist]
-        result = fitted(IRB120, still, measured_at(asked, test)).result
+        result = fit_robot(IRB120, still, measured_at(asked, test)).result
         coverage.append(result["coverage"][result["chosen"]])
         assert coverage[-1]["share"] >= 0.9
     assert coverage[1]["bound_mm"] > 2 * coverage[0]["bound_mm"]
@@ -392,10 +392,10 @@ def turned_alike(seed: int, poses: int, turned_deg: float = 20.0) -> np.ndarray:
 def test_one_orientation_is_predicted_and_others_are_refused() -> None:
     rows = measured(1, 25, ["SMR1"])
     train, test = (measured_at(turned_alike(seed, 25), rows) for seed in (1, 2))
-    result = fitted(IRB120, train, test).result
+    result = fit_robot(IRB120, train, test).result
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
     with pytest.raises(FitError, match="of 25 rows are not determined by the training rows"):
-        fitted(IRB120, train, measured_at(turned_alike(2, 25, 30.0), rows))
+        fit_robot(IRB120, train, measured_at(turned_alike(2, 25, 30.0), rows))
 
 
 def on_a_line(seed: int) -> Measurements:
@@ -406,12 +406,12 @@ def on_a_line(seed: int) -> Measurements:
 
 
 def test_positions_on_one_line_are_predicted_along_it_and_refused_elsewhere() -> None:
-    result = fitted(IRB120, on_a_line(1), on_a_line(2)).result
+    result = fit_robot(IRB120, on_a_line(1), on_a_line(2)).result
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
     assert result["chosen"] == "nominal"  # idw was chosen, and is worse on these test rows
     test = replace(measured(2, 20, ["SMR1"]), source="test.csv")
     with pytest.raises(FitError, match=r"test\.csv: "):
-        fitted(IRB120, on_a_line(1), test)
+        fit_robot(IRB120, on_a_line(1), test)
 
 
 def test_files_lead_to_the_same_figures(tmp_path: Path) -> None:
@@ -424,6 +424,6 @@ def test_files_lead_to_the_same_figures(tmp_path: Path) -> None:
             rows.pose, rows.target, np.degrees(rows.joints_rad), rows.xyz_mm, strict=True
         ):
             writer.writerow([pose, target, *np.round(joints, 6), *np.round(xyz, 4)])
-    read = fitted(IRB120, read_measurements(tmp_path / "train.csv")).result
-    for method, figures in fitted(IRB120, rows).result["methods"].items():
+    read = fit_robot(IRB120, read_measurements(tmp_path / "train.csv")).result
+    for method, figures in fit_robot(IRB120, rows).result["methods"].items():
         assert read["methods"][method] == pytest.approx(figures, abs=1e-3)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilcell.fit.methods import fitted, worse_than_nominal
+from hilcell.fit.methods import fit_robot, worse_than_nominal
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements
 from hilcell.geometry.statistics import Figures
@@ -30,7 +30,10 @@ def copied(rows: Measurements, times: int) -> Measurements:
 def test_poses_measured_again_do_not_flatter_a_method() -> None:
     """Their errors are known from the copy, whatever the pose's number."""
     rows, test = measured(1, 22, ["SMR1"]), measured(2, 40, ["SMR1"])
-    once, thrice = fitted(IRB120, rows, test).result, fitted(IRB120, copied(rows, 3), test).result
+    once, thrice = (
+        fit_robot(IRB120, rows, test).result,
+        fit_robot(IRB120, copied(rows, 3), test).result,
+    )
     assert thrice["chosen"] not in ("nominal", "idw")
     for result in (once, thrice):
         idw = result["coverage"]["idw"]
@@ -40,18 +43,18 @@ def test_poses_measured_again_do_not_flatter_a_method() -> None:
 
 
 def test_a_pose_counts_once_however_often_it_is_measured() -> None:
-    result = fitted(IRB120, copied(measured(1, 15, ["SMR1"]), 4)).result
+    result = fit_robot(IRB120, copied(measured(1, 15, ["SMR1"]), 4)).result
     assert "15 poses" in result["refused"]["tool"]
     with pytest.raises(FitError, match="8"):
-        fitted(IRB120, copied(measured(1, 8, ["SMR1"]), 4))
+        fit_robot(IRB120, copied(measured(1, 8, ["SMR1"]), 4))
 
 
 def test_the_order_of_rows_decides_nothing() -> None:
     rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     rows.xyz_mm[7, 0] += 10.0
-    first = fitted(IRB120, rows, test).result
+    first = fit_robot(IRB120, rows, test).result
     shuffled = rows.at(np.random.default_rng(4).permutation(len(rows)))
-    again = fitted(IRB120, shuffled, test).result
+    again = fit_robot(IRB120, shuffled, test).result
     assert (again["chosen"], again["reason"]) == (first["chosen"], first["reason"])
     assert len(again["outliers"]) == len(first["outliers"]) == 1
     for method, figures in first["methods"].items():
@@ -64,7 +67,7 @@ def test_test_rows_that_contradict_the_training_rows_are_refused() -> None:
     rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     other = replace(test, xyz_mm=1.0005 * test.xyz_mm, source="test.csv")
     with pytest.raises(FitError, match=r"test\.csv: .*40 rows"):
-        fitted(IRB120, rows, other)
+        fit_robot(IRB120, rows, other)
 
 
 def test_a_choice_worse_than_nominal_on_the_test_rows_is_not_kept() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.fit.methods import fitted
+from hilcell.fit.methods import fit_robot
 from hilcell.fit.placement import FitError
 from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, write_dh, write_urdf
 from hilcell.fit.robot_file import Measurements, Robot
@@ -31,7 +31,7 @@ def urdf(tmp_path_factory: pytest.TempPathFactory) -> Urdf:
 
 @pytest.fixture(scope="module")
 def found(urdf: Urdf) -> RigidArm:
-    return rigid_arm(urdf.arm, fitted(urdf, measured(1, 20, NAMES)))
+    return rigid_arm(fit_robot(urdf, measured(1, 20, NAMES)))
 
 
 def seen_mm(text: bytes, T_L_root: Array, smr_mm: dict[str, Array], rows: Measurements) -> Array:
@@ -51,7 +51,7 @@ def test_a_calibrated_urdf_alone_predicts_other_poses(
     robot: Robot = urdf
     arm = found
     if form == "toml":
-        robot, arm = IRB120, rigid_arm(IRB120.arm, fitted(IRB120, measured(1, 20, NAMES)))
+        robot, arm = IRB120, rigid_arm(fit_robot(IRB120, measured(1, 20, NAMES)))
     write_urdf(tmp_path / "c.urdf", robot, arm, ["a remark"], inputs=[])
     text = (tmp_path / "c.urdf").read_bytes()
     assert b"a remark" in text
@@ -113,6 +113,6 @@ def test_left_out_poses_are_predicted_to_the_noise(found: RigidArm) -> None:
 
 
 def test_too_few_poses_identify_no_arm(urdf: Urdf) -> None:
-    few = fitted(urdf, measured(1, 14, ["SMR1"]))
+    few = fit_robot(urdf, measured(1, 14, ["SMR1"]))
     with pytest.raises(FitError, match="14 poses"):
-        rigid_arm(urdf.arm, few)
+        rigid_arm(few)

@@ -10,7 +10,7 @@ import pytest
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import read_targets
-from hilcell.fit.robot_file import HEADER, read_measurements, read_robot
+from hilcell.fit.robot_file import HEADER, read_dh, read_measurements
 
 ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
 ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'
@@ -35,7 +35,7 @@ def problems_of(read: Callable[[Path], object], path: Path) -> str:
 
 
 def test_robot_is_read(written: Write) -> None:
-    arm = read_robot(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm
+    arm = read_dh(written(ROBOT + 5 * ROW + ROW + "sign = -1\n")).arm
     np.testing.assert_array_equal(arm.a_mm, 6 * [10.0])
     np.testing.assert_array_equal(arm.d_mm, 6 * [20.5])
     np.testing.assert_allclose(arm.alpha_rad, 6 * [-np.pi / 2])
@@ -44,7 +44,7 @@ def test_robot_is_read(written: Write) -> None:
 
 
 def test_a_byte_order_mark_is_taken_in_every_file(written: Write, tmp_path: Path) -> None:
-    assert read_robot(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
+    assert read_dh(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
     targets = "\ufeffname,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,1,2,3,0,0,0\n"
     assert read_targets(written(targets))[0] == ["H1"]
     built_in = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
@@ -56,7 +56,7 @@ def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
     text = (
         (ROBOT + 6 * ROW).replace("standard-dh", "modified-dh").replace("a_mm = 10", "a_m = 10", 1)
     )
-    said = problems_of(read_robot, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
+    said = problems_of(read_dh, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
     assert "robot.convention" in said
     for key in ("a_m", "a_mm", "d_mm"):
         assert f"robot.joint[0].{key}: " in said
@@ -76,12 +76,12 @@ def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
     ],
 )
 def test_robot_is_refused(written: Write, text: str, says: str) -> None:
-    assert says in problems_of(read_robot, written(text))
+    assert says in problems_of(read_dh, written(text))
 
 
 def test_missing_and_undecodable_files_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
-        assert problems_of(read_robot, path)
+        assert problems_of(read_dh, path)
     (tmp_path / "given").write_bytes("ü".encode("latin-1"))
     assert "UTF-8" in problems_of(read_measurements, tmp_path / "given")
 
