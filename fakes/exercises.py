@@ -64,45 +64,45 @@ PAGE = """# Training, and faults on demand
 
 ## Training
 
-`hilcell sim --train` runs the simulated cell and offers faults to practise on. In another terminal,
-`hilcell tui` or `hilcell run` with the printed `--set simulation.address=...` works on that cell.
+`hilcell sim --train` runs the simulated cell and offers faults to practise on. In another terminal
+`hilcell tui`, or `hilcell run` with the printed `--set simulation.address=...`, works on that cell.
 
 | key | effect |
-| --- | --- |
-| a number | that fault strikes |
-| Enter | a fault strikes that is not named: find out by the screen and the alarm |
-| Enter again | says which fault it was, its alarm and the steps to take, and puts the cell right |
+|---|---|
+| a number | injects that fault |
+| Enter | injects a fault without naming it: diagnose it by the screen and the alarm |
+| Enter again | names the fault, its alarm and the steps, and repairs the cell; then resume the run |
 | `m` | lists the faults again |
 | `q`, or ctrl-C | ends the simulated cell |
 
-Resume the run then, as after the real fault. The faults, and the alarm that each raises:
-
+| fault | [alarm](alarms.md) |
+|---|---|
 {exercises}
 
 ## Faults on demand
 
-`hilcell sim --faults FILE` strikes faults by a TOML file:
+`hilcell sim --faults FILE` injects faults from a TOML file:
 
 ```toml
 [[fault]]
 name = "rail.emcy"
 value = 0x7305  # without one the fault has its usual value
-after = 2       # so many occasions pass first
-count = 1       # it strikes so often; 0: until it is cleared
-at_rest = false # true: a fault that waits for a motion strikes at rest, too
+after = 2       # occasions that pass first
+count = 1       # number of injections; 0: until it is cleared
+at_rest = false # true: a fault that waits for a motion is injected at rest, too
 ```
 
-Each name, its effect (its value), and the occasion on which it strikes. Values are numbers, or text
-where the name has a *.
+Each name, its effect (value), and the occasion of the injection. Values are numbers, or text where
+the name has a *.
 
 | name | effect | occasion |
-| --- | --- | --- |
+|---|---|---|
 {faults}
 """
 
 
 def page() -> str:
-    exercises = [f"- {each.title}: [{each.alarm}](alarms.md)" for each in EXERCISES]
+    exercises = [f"| {each.title} | {each.alarm} |" for each in EXERCISES]
     faults = [  # the columns of a text are those of the page
         f"| `{name}`{' *' if name in TEXTS else ''} | {text} |" for name, text in KNOWN.items()
     ]
