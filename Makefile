@@ -90,7 +90,7 @@ bundle: $(VENV)/ready  ## one archive in dist/ that installs on a PC without a n
 
 lock:  ## pin every dependency by hash, for all supported pythons; those of a run by themselves
 	$(COMPILE) --extra dev --extra build --output-file requirements.lock
-	$(COMPILE) --extra dev --extra study --extra plant --constraint requirements.lock --output-file requirements-more.lock
+	$(COMPILE) --extra dev --extra pandas --extra study --extra plant --constraint requirements.lock --output-file requirements-more.lock
 	$(COMPILE) --extra offline --extra build --constraint requirements.lock --output-file requirements-run.lock
 
 clean:

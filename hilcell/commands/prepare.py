@@ -14,7 +14,7 @@ from hilcell.commands.signatures import Plan, Prepare
 from hilcell.commands.targets import check_settings
 from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.present.table import Column, Table
-from hilcell.programs.corrected import Released
+from hilcell.programs.corrected import UsableCalibration
 from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, Volume, ratio
 from hilcell.programs.plan import plan as plan_holes
@@ -73,7 +73,7 @@ def _calibrated(args: Plan, cell: Cell) -> Volume | None:
         return None
     if args.free:
         raise SettingsError("--free", ["stations that are not calibrated; leave out one of both"])
-    found = Released.named(args.calibration, args.release, cell)
+    found = UsableCalibration.named(args.calibration, args.release, cell)
     for note in found.notes():
         print_message(note)
     return Volume(found.calibration)

@@ -190,8 +190,13 @@ def read_dh(path: Path) -> Robot:
     return convert(values, _File, str(path)).robot.robot()
 
 
-def read_measurements(path: Path) -> Measurements:
-    """Read measured targets; raises `SettingsError` naming the lines that are not good."""
+def read_measurements(path: Path | str) -> Measurements:
+    """Read measured targets, the CSV of ``hilcell fit --train``.
+
+    Its columns are pose, target, j1_deg .. j6_deg as commanded, x_mm, y_mm, z_mm in the tracker's
+    frame. Raises `SettingsError` naming the lines that are not good.
+    """
+    path = Path(path)
     text = CsvText.read(path, read_file(path), LABELS)
     header_of(path, text, [HEADER])
     problems: list[str] = []

@@ -10,6 +10,7 @@ alone the folder of runs itself keeps them.
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -27,7 +28,7 @@ from hilcell.calibration.form import Calibration, written_now
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.lookup import CalibrationFile
 from hilcell.calibration.orientation import turn_bounds_deg
-from hilcell.calibration.tool_point import Tip
+from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.provenance import CorrectedBefore, Stamp
@@ -38,6 +39,7 @@ from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.calibration_status import Standing
 from hilcell.journal.runs import is_run, run_folders
+from hilcell.journal.runs_folder import usual_runs
 from hilcell.ports import Array
 from hilcell.run.order import Release
 from hilcell.sanitize import counted
@@ -113,11 +115,16 @@ class Corrected:
 
 
 @dataclass(frozen=True)
-class Released:
+class UsableCalibration:
     """A calibration that may be used under the conditions of ``release``.
 
     ``accepted`` says why it is out of tolerance, where that was accepted; ``standing`` is None
     where it is not known, ``cell`` the cell as it was calibrated, None likewise.
+
+    >>> used = open_calibration("small")
+    >>> targets = np.array([[0.0, 0.0, 1250.0, 0.0, 75.0, 0.0]])
+    >>> used.corrected("S1100", ["A1"], targets).command.shape
+    (1, 6)
     """
 
     calibration: Calibration
@@ -176,9 +183,18 @@ class Released:
         return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
 
     def corrected(
-        self, station: str, names: list[str], nominal: Array, tip: Tip, cell: Cell | None
+        self,
+        station: str,
+        names: list[str],
+        nominal: Array,
+        tip: Tip = AT_REFLECTOR,
+        cell: Cell | None = None,
     ) -> Corrected:
-        """Return targets (N, 6) of a tip in {W}, corrected; raises `HilcellError` naming others."""
+        """Return targets (N, 6) of a tip in {W}, corrected: x, y, z in mm, Z-Y-X angles in deg.
+
+        ``cell`` states where the drill is, for the bounds. Raises `HilcellError` naming targets
+        that are outside of the calibrated volume or orientation.
+        """
         command = compensate_targets(self.calibration, station, nominal, names, tip)
         seen = poses_from_zyx(nominal) @ tip.T_D_T
         try:
@@ -229,6 +245,31 @@ class Released:
             else:
                 return []
         return [f"warning: {why}: these targets are known as corrected by their stamp alone"]
+
+
+def open_calibration(
+    name: str | Path,
+    runs: Path | str | None = None,
+    *,
+    temperature_c: float | None = None,
+    max_age_days: float = 180.0,
+    accept_out_of_tolerance: bool = False,
+    accept_not_current: bool = False,
+) -> UsableCalibration:
+    """Open the calibration of a run, or a ``calibration.json``, if it may be used.
+
+    ``runs`` is the folder of runs, as in `open_run`; ``temperature_c`` is the room's. Raises
+    `HilcellError` where `hilcell compensate` would refuse the calibration: it is too old, revoked,
+    superseded, out of tolerance, or of another temperature.
+    """
+    release = Release(
+        temperature=temperature_c,
+        max_age=max_age_days,
+        accept_out_of_tolerance=accept_out_of_tolerance,
+        accept_not_current=accept_not_current,
+        runs=usual_runs(os.environ)[0] if runs is None else Path(runs),
+    )
+    return UsableCalibration.named(str(name), release, None)
 
 
 def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:

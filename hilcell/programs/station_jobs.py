@@ -37,7 +37,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
-from hilcell.programs.corrected import Corrected, Released, drill_mm_of
+from hilcell.programs.corrected import Corrected, UsableCalibration, drill_mm_of
 from hilcell.programs.drilling import NEAR_SHARE, REACH_MM, Drilling, Part, station_program
 from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, StationPlan, Volume
@@ -157,7 +157,7 @@ class StationJobs:
     """
 
     cell: Cell
-    released: Released
+    released: UsableCalibration
     source: Path
     tip: Tip
     part: Part
@@ -182,7 +182,7 @@ class StationJobs:
 
         Raises `HilcellError` where a hole must not be drilled so.
         """
-        released = Released.named(calibration, release, cell)
+        released = UsableCalibration.named(calibration, release, cell)
         tip = tip_named(cell, tool, cell.robot.options.get("tool"))
         if standoff_mm is None:
             standoff_mm = tip.standoff_mm

@@ -41,7 +41,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
-from hilcell.programs.corrected import Corrected, Released, drill_mm_of
+from hilcell.programs.corrected import Corrected, UsableCalibration, drill_mm_of
 from hilcell.run.order import Release
 from hilcell.sanitize import counted
 
@@ -94,7 +94,7 @@ class StationTargets(TargetFiles):
     again; ``remarks`` say where targets and bounds hold.
     """
 
-    released: Released
+    released: UsableCalibration
     tool: str
     points: list[tuple[Array, Array]]
     remarks: list[str]
@@ -117,7 +117,7 @@ class StationTargets(TargetFiles):
         A program's ``strokes`` lead and miss as far (mm); None is the 95 % bound of their point.
         Raises `HilcellError` where the calibration must not be used, or a target not be corrected.
         """
-        released = Released.named(calibration, release, cell)
+        released = UsableCalibration.named(calibration, release, cell)
         program = load_program(source)
         if program is not None:
             check_links(released.calibration, source.name)
@@ -233,7 +233,7 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _check_program(
-        released: Released,
+        released: UsableCalibration,
         targets: Corrected,
         program: Program,
         source: Path,

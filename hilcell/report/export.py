@@ -22,6 +22,8 @@ from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
 from hilcell.report.tables import ACCURACY, FRAMES, Posed, Tables
 
+COMPARED = "before and after"
+
 
 @dataclass(frozen=True, slots=True)
 class Measured:
@@ -185,15 +187,19 @@ def _yes(holds: bool) -> str:
     return "yes" if holds else "no"
 
 
-def xlsx_bytes(facts: Facts) -> bytes:
-    """Return a workbook with the sheets run, points, frames, results and before and after."""
-    compared = Table(ACCURACY, Tables(facts).validated_rows(), "before and after")
+def sheets(facts: Facts) -> list[Table]:
+    """Return the tables run, points, frames, results and before and after, as titled."""
+    compared = Table(ACCURACY, Tables(facts).validated_rows(), COMPARED)
     entries = (f"{row}{column}" for row in range(4) for column in range(4))
     columns: tuple[Column[Posed], ...] = (*FRAMES, *vector("m", entries, "", "matrix.flat"))
     frames = Table(columns, Tables(facts).posed(), "frames")
-    sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
+    return [run_table(facts), points_table(facts), frames, results_table(facts), compared]
+
+
+def xlsx_bytes(facts: Facts) -> bytes:
+    """Return a workbook with `sheets`."""
     begun = datetime.fromisoformat(facts.records[0].t)
-    return xlsx_of(sheets, begun, {compared.title: "before_after"})
+    return xlsx_of(sheets(facts), begun, {COMPARED: "before_after"})
 
 
 def json_bytes(facts: Facts) -> bytes:

@@ -17,7 +17,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.runs import CALIBRATION
-from hilcell.programs.corrected import Released
+from hilcell.programs.corrected import UsableCalibration
 from hilcell.run.order import Release
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
@@ -102,7 +102,7 @@ def test_bounds_hold_at_the_tip(cell: Cell) -> None:
     """Its place on the flange is in them."""
     tip, target = tip_named(cell, "drill"), np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]])
     at_tip = zyx_from_pose(poses_from_zyx(target) @ tip.T_T_D)
-    used = Released(calibration(), Path("c.json"), Release(runs=Path()), None, [], None)
+    used = UsableCalibration(calibration(), Path("c.json"), Release(runs=Path()), None, [], None)
     found = used.corrected("S1100", ["H1"], at_tip, tip, None).bounds
     known = used.corrected("S1100", ["H1"], target, AT_REFLECTOR, None).bounds
     assert isinstance(known, Bounds)
