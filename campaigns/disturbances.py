@@ -59,11 +59,11 @@ def _zero(axis: int) -> Kind:
 
 
 def _lose_zero(axis: int, truth: Truth, lost_deg: float) -> None:
-    truth.plant.lose_zero(math.radians(lost_deg), axis)
+    truth.cell_truth.lose_zero(math.radians(lost_deg), axis)
 
 
 def _widen(truth: Truth, lost_urad: float) -> None:
-    truth.plant.lose_motion(1e-6 * lost_urad)
+    truth.cell_truth.lose_motion(1e-6 * lost_urad)
 
 
 def _jump(truth: Truth, jump_mm: float) -> None:

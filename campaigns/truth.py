@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from fakes.truth.rail_truth import RailTruth, _Shape
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.frames import world_from_tracker
@@ -32,32 +32,32 @@ FROM_BELOW = np.ones(6)
 class Truth:
     """A machine, on which a test may do what a disturbance did for good."""
 
-    plant: Plant
+    cell_truth: CellTruth
     strip_jump_mm: float = 0.0
 
 
 def machine(cell: Cell, seed: int) -> Truth:
     """Return the undisturbed machine of a seed."""
-    return Truth(Plant(cell, seed, PlantTime(), Faults()))
+    return Truth(CellTruth(cell, seed, CellTime(), Faults()))
 
 
 def true_errors_mm(calibration: Path, cell: Cell, truth: Truth) -> dict[str, Array]:
     """Return by station how far (N,) the tool comes from targets, corrected by a calibration."""
-    found, plant = read_calibration(calibration), truth.plant
-    nests_mm = np.array([plant._floor[nest.name] for nest in cell.layout.floor])
+    found, cell_truth = read_calibration(calibration), truth.cell_truth
+    nests_mm = np.array([cell_truth._floor_nests[nest.name] for nest in cell.layout.floor])
     world = world_from_tracker(cell, nests_mm)
     robot, places = cell.robot.nominal(), _in_cube(cell)
     errors = {}
     for station in cell.station:
-        slide_mm = _slide_mm(plant, station.strip_mm - truth.strip_jump_mm)
-        slide = _shape(plant).pose(slide_mm) @ plant._bolted
-        targets = world @ slide @ plant.arm.ideal_base @ places
+        slide_mm = _slide_mm(cell_truth, station.strip_mm - truth.strip_jump_mm)
+        slide = _shape(cell_truth).pose(slide_mm) @ cell_truth._T_S_R
+        targets = world @ slide @ cell_truth.arm.ideal_base @ places
         names = [str(n) for n in range(len(targets))]
         sent = poses_from_zyx(
             compensate_targets(found, station.name, zyx_from_pose(targets), names)
         )
         in_base = inverse(np.array(found.stations[station.name].T_W_B)) @ sent
-        arm = plant.arm.pose(robot.joints_for(in_base), FROM_BELOW, np.zeros(6))
+        arm = cell_truth.arm.pose(robot.joints_for(in_base), FROM_BELOW, np.zeros(6))
         at_mm = apply(world @ slide, arm[:, :3, 3])
         errors[station.name] = lengths_mm(at_mm - targets[:, :3, 3])
     return errors
@@ -72,15 +72,15 @@ def _in_cube(cell: Cell) -> Array:
     return matrix(cell.grid.centre.matrix()[:3, :3], at_mm)
 
 
-def _slide_mm(plant: Plant, strip_mm: float) -> float:
+def _slide_mm(cell_truth: CellTruth, strip_mm: float) -> float:
     """Return where the slide stands when the strip reads ``strip_mm``."""
     slide_mm = strip_mm
     for _ in range(10):
-        slide_mm += strip_mm - _shape(plant).strip_mm(slide_mm)
+        slide_mm += strip_mm - _shape(cell_truth).strip_mm(slide_mm)
     return slide_mm
 
 
-def _shape(plant: Plant) -> _Shape:
+def _shape(cell_truth: CellTruth) -> _Shape:
     """Return what the seed fixes of the rail."""
-    assert isinstance(plant.rail, RailTruth)
-    return plant.rail._shape
+    assert isinstance(cell_truth.rail, RailTruth)
+    return cell_truth.rail._shape

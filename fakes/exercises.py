@@ -51,7 +51,7 @@ EXERCISES: Sequence[FaultExercise] = (
 )
 
 
-def exercises_of(cell: Cell) -> Sequence[FaultExercise]:
+def cell_exercises(cell: Cell) -> Sequence[FaultExercise]:
     """Return the faults to practise on in a cell: none of a rail, or a bus, that it lacks."""
     lacks: tuple[str, ...] = () if cell.has_rail else ("rail.",)
     on_the_bus = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")

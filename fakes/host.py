@@ -1,4 +1,4 @@
-"""A whole simulated cell in one process: plant, simulated devices, control channel.
+"""A whole simulated cell in one process: its physics, simulated devices, control channel.
 
 ``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
 stdout says where everything listens. It lives until stdin ends, so it never outlives its parent.
@@ -29,9 +29,9 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from fakes.faults import load_faults
-from fakes.site import SimulatedDevice, Site, servers_of
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import FLANGE, Plant, ReplayPlant
+from fakes.site import SimulatedDevice, Site, device_servers
+from fakes.time import CellTime
+from fakes.truth.cell_truth import FLANGE, CellTruth, ReplayTruth
 from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
@@ -42,20 +42,20 @@ STDIN = 0
 Values = dict[str, Any]
 
 
-def truth_of(plant: Plant, order: Values) -> Values:
+def truth_answer(truth: CellTruth, order: Values) -> Values:
     """Return the truth in {W}: reflectors, frames; and e (N, 3) in {B} at ``joints_deg`` (N, 6)."""
     answer: Values = {
-        "flange_mm": plant.places_in_world()[FLANGE].tolist(),
-        "reflectors_mm": {name: at.tolist() for name, at in plant.reflectors_in_world().items()},
-        "slide_mm": plant.rail.slide_mm(),
-        "T_W_S": plant.rail.slide_pose().tolist(),
-        "T_W_B": plant.base_in_world().tolist(),
-        "T_W_L": plant.tracker.pose_in_world.tolist(),
+        "flange_mm": truth.places_in_world()[FLANGE].tolist(),
+        "reflectors_mm": {name: at.tolist() for name, at in truth.reflectors_in_world().items()},
+        "slide_mm": truth.rail.slide_mm(),
+        "T_W_S": truth.rail.slide_pose().tolist(),
+        "T_W_B": truth.base_in_world().tolist(),
+        "T_W_L": truth.tracker.pose_in_world.tolist(),
     }
     if "joints_deg" in order:
         joints_rad = np.radians(np.array(order["joints_deg"], dtype=float).reshape(-1, 6))
-        nominal_mm = plant.arm.design.pose(joints_rad)[:, :3, 3]
-        answer["errors_mm"] = plant.arm.errors_mm(joints_rad, nominal_mm).tolist()
+        nominal_mm = truth.arm.design.pose(joints_rad)[:, :3, 3]
+        answer["errors_mm"] = truth.arm.errors_mm(joints_rad, nominal_mm).tolist()
     return answer
 
 
@@ -79,17 +79,17 @@ class Host:
         self._ended = threading.Event()
         cell = convert(order.cell, Cell, "simulated cell")
         self._faults = load_faults(order.faults)
-        self._time = PlantTime(math.inf if order.speed is None else order.speed)
+        self._time = CellTime(math.inf if order.speed is None else order.speed)
         data = cell.simulation.data if cell.simulation is not None else ""
-        self._plant: Plant | ReplayPlant = (
-            ReplayPlant(cell, Path(data), self._time, self._faults)
+        self._cell_truth: CellTruth | ReplayTruth = (
+            ReplayTruth(cell, Path(data), self._time, self._faults)
             if data
-            else Plant(cell, order.seed, self._time, self._faults)
+            else CellTruth(cell, order.seed, self._time, self._faults)
         )
-        site = Site(cell, self._plant, self._faults, self._time)
+        site = Site(cell, self._cell_truth, self._faults, self._time)
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
-            for table, serve in servers_of(cell).items():
+            for table, serve in device_servers(cell).items():
                 device = self._served(table, partial(serve, site, ports.get(table, 0)))
                 made.callback(device.close)
                 self._devices[table] = device
@@ -104,7 +104,7 @@ class Host:
             "fault": lambda order: self._faults.set(**order),
             "clear": self._clear,
             "truth": self._truth,
-            "seat": lambda order: self._plant.seat(str(order["place"])),
+            "seat": lambda order: self._cell_truth.place_reflector(str(order["place"])),
             "quit": lambda order: {"leaving": True},
         }
 
@@ -172,7 +172,9 @@ class Host:
             raise HilcellError(
                 "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
             )
-        return truth_of(self._plant, order) if isinstance(self._plant, Plant) else {}
+        return (
+            truth_answer(self._cell_truth, order) if isinstance(self._cell_truth, CellTruth) else {}
+        )
 
     @staticmethod
     def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:

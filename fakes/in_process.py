@@ -1,8 +1,8 @@
 """A simulated cell inside the engine's own process: its devices without wires, in event time.
 
-Plant, noise and seed are those of the simulated cell behind wires, so is all that a device states:
-the encoder's and the strip's counts, the controller's joints. The additions of wires are left out:
-late and split answers, dither of the counts, faults, the controller's rounding of angles.
+Physics, noise, seed and the values of each device (counts of encoder and strip, joints) are those
+of the simulated cell behind wires. The effects of wires are left out: late and split answers,
+dither of the counts, faults, the controller's rounding of angles.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.time import PatientTime, PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime, CountedTime
+from fakes.truth.cell_truth import CellTruth
 from fakes.truth.machine import controller_arm
 from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion
@@ -46,22 +46,22 @@ class InProcessCell:
 
     def __init__(self, cell: Cell, seed: int) -> None:
         """Raises `SettingsError` for a machine that cannot be."""
-        passing = PlantTime()
-        plant = Plant(cell, seed, passing, Faults())
+        passing = CellTime()
+        truth = CellTruth(cell, seed, passing, Faults())
         self.clock: Clock = EventClock(passing)
         self.rail: Rail = load_entry("rails", "none")(None, self.clock)
-        if isinstance(plant.rail, RailTruth):
-            self.rail = DirectRail(plant.rail, passing, self.clock, cell)
-        self.robot: Robot = DirectRobot(plant.robot, passing, self.clock, cell)
-        self.tracker: Tracker = DirectTracker(plant, self.clock, cell)
+        if isinstance(truth.rail, RailTruth):
+            self.rail = DirectRail(truth.rail, passing, self.clock, cell)
+        self.robot: Robot = DirectRobot(truth.robot, passing, self.clock, cell)
+        self.tracker: Tracker = DirectTracker(truth, self.clock, cell)
 
 
 class EventClock:
     """Satisfies `hilcell.ports.Clock`: a wait passes at once."""
 
-    def __init__(self, passing: PlantTime) -> None:
+    def __init__(self, passing: CellTime) -> None:
         self._time = passing
-        self.pc_s = PatientTime().now_s
+        self.pc_s = CountedTime().now_s
 
     def now_s(self) -> float:
         return self._time.now_s()
@@ -78,7 +78,7 @@ class DirectRail:
 
     COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
 
-    def __init__(self, truth: RailTruth, passing: PlantTime, clock: Clock, cell: Cell) -> None:
+    def __init__(self, truth: RailTruth, passing: CellTime, clock: Clock, cell: Cell) -> None:
         self._truth, self._time, self._clock = truth, passing, clock
         self._ramp = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
         self._powered = False
@@ -132,7 +132,7 @@ class DirectRail:
         self._truth.brake(closed=not on)
 
     def _rest(self) -> None:
-        self._time.advance(max(0.0, self._truth.rests_s - self._time.now_s()))
+        self._time.advance(max(0.0, self._truth.motion_ends_s - self._time.now_s()))
         self._truth.poll()
         self._ended_s = self._clock.pc_s()
 
@@ -140,7 +140,7 @@ class DirectRail:
 class DirectRobot:
     """Satisfies `hilcell.ports.Robot` and `Sweeps`."""
 
-    def __init__(self, motion: RobotMotion, passing: PlantTime, clock: Clock, cell: Cell) -> None:
+    def __init__(self, motion: RobotMotion, passing: CellTime, clock: Clock, cell: Cell) -> None:
         self.motion, self.time, self._clock = motion, passing, clock
         self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
@@ -156,7 +156,7 @@ class DirectRobot:
 
     def rest(self) -> RobotReading:
         """Let the motion come to its end; return the reading."""
-        self.time.advance(max(0.0, self.motion.rests_s - self.time.now_s()))
+        self.time.advance(max(0.0, self.motion.motion_ends_s - self.time.now_s()))
         self._ended_s = self._clock.pc_s()
         return self.read()
 
@@ -205,8 +205,8 @@ class DirectSweep:
 class DirectTracker:
     """Satisfies `hilcell.ports.Tracker`, `Streams` and `TwoFaces`."""
 
-    def __init__(self, plant: Plant, clock: Clock, cell: Cell) -> None:
-        self._plant, self._clock, self._radius_mm = plant, clock, cell.tracker.find_radius_mm
+    def __init__(self, truth: CellTruth, clock: Clock, cell: Cell) -> None:
+        self._truth, self._clock, self._radius_mm = truth, clock, cell.tracker.find_radius_mm
 
     def connect(self) -> list[Identity]:
         return [Identity("Tracker", "direct", "1", ADDRESS, True)]
@@ -219,12 +219,12 @@ class DirectTracker:
         self, near_mm: Array, reflector: str, samples: int, *, back: bool = False
     ) -> TrackerReading:
         """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
-        found = self._plant.tracker.measurements(self._found(near_mm), samples, back=back)
+        found = self._truth.tracker.measurements(self._found(near_mm), samples, back=back)
         if found is None:
             raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
         measure_s = 2.5
         for _ in range(samples):
-            self._plant.time.advance(measure_s)
+            self._truth.time.advance(measure_s)
         xyz_mm, std_mm = found.xyz_mm[0], found.std_mm[0]
         if samples > 1:
             points_mm = found.xyz_mm
@@ -232,14 +232,14 @@ class DirectTracker:
             mean_mm = points_mm.sum(axis=0) / len(points_mm)
             off_mm = points_mm - mean_mm
             xyz_mm, std_mm = mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
-        air = self._plant.tracker.air()
+        air = self._truth.tracker.air()
         return TrackerReading(xyz_mm, std_mm, samples, reflector, air, self._clock.pc_s())
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[DirectStream]:
-        followed = self._plant.streams.follow(self._found(near_mm))
+        followed = self._truth.streams.follow(self._found(near_mm))
         try:
-            yield DirectStream(self._plant, followed, rate_hz)
+            yield DirectStream(self._truth, followed, rate_hz)
         finally:
             followed.end()
 
@@ -250,7 +250,7 @@ class DirectTracker:
         """Do nothing."""
 
     def _found(self, near_mm: Array) -> str:
-        name = self._plant.tracker.find(np.asarray(near_mm, dtype=float), self._radius_mm)
+        name = self._truth.tracker.find(np.asarray(near_mm, dtype=float), self._radius_mm)
         if name is None:
             raise NoReading("HC-T11", "Tracker", "find", "no reflector near its expected place")
         return name
@@ -259,23 +259,23 @@ class DirectTracker:
 class DirectStream:
     """Satisfies `hilcell.ports.Stream`. Samples are computed in the end, by the looks."""
 
-    def __init__(self, plant: Plant, followed: Followed, rate_hz: float) -> None:
+    def __init__(self, truth: CellTruth, followed: Followed, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        self._plant, self._followed = plant, followed
+        self._truth, self._followed = truth, followed
         self._looked_s: list[float] = []
 
     def kickoff(self) -> None:
-        self._looked_s.append(self._plant.time.now_s())
+        self._looked_s.append(self._truth.time.now_s())
 
     def collect(self) -> list[StreamBlock]:
         """Note when it was looked."""
-        self._looked_s.append(self._plant.time.now_s())
+        self._looked_s.append(self._truth.time.now_s())
         return []
 
     def complete(self) -> list[StreamBlock]:
         """Return all samples by the looks they came with; raises `NoReading` at a broken beam."""
         self.collect()
-        streams, step_s = self._plant.streams, 1.0 / self.rate_hz
+        streams, step_s = self._truth.streams, 1.0 / self.rate_hz
         start_s = streams.device_s(self._looked_s[0])
         counts = [int((streams.device_s(at_s) - start_s) / step_s) for at_s in self._looked_s]
         device_s: Array = start_s + step_s * np.arange(1.0, counts[-1] + 1.0)

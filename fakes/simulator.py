@@ -21,11 +21,11 @@ from typing import IO, Any, cast
 
 import msgspec
 
-from fakes.exercises import FaultExercise, exercises_of
+from fakes.exercises import FaultExercise, cell_exercises
 from fakes.faults import load_faults
-from fakes.site import servers_of
-from fakes.time import PatientTime
-from fakes.truth.machine import machine_of
+from fakes.site import device_servers
+from fakes.time import CountedTime
+from fakes.truth.machine import cell_machine
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
@@ -47,7 +47,7 @@ class PaperCell:
     ) -> None:
         """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
         self.check(cell)
-        self.exercises: Sequence[Exercise] = exercises_of(cell)
+        self.exercises: Sequence[Exercise] = cell_exercises(cell)
         load_faults(faults)  # so that a wrong file is refused here, in full
         self._process: subprocess.Popen[bytes] | None = None
         if "rail" in ports and not cell.has_rail:
@@ -82,8 +82,8 @@ class PaperCell:
         if cell.simulation is not None and cell.simulation.address:
             _host_and_port(cell.simulation.address)
         else:
-            machine_of(cell)
-            servers_of(cell)
+            cell_machine(cell)
+            device_servers(cell)
 
     def clock(self, stop: threading.Event) -> SimulatedClock:
         return SimulatedClock(self._control, self._speed, stop)
@@ -120,7 +120,7 @@ class PaperCell:
 
 
 class ReplayCell(PaperCell):
-    """Measured data in place of a plant: ``simulation.data`` names the CSV."""
+    """Measured data in place of simulated physics: ``simulation.data`` names the CSV."""
 
     @classmethod
     def check(cls, cell: Cell) -> None:
@@ -135,7 +135,7 @@ class SimulatedClock:
     def __init__(self, control: Control, speed: float, stop: threading.Event) -> None:
         self._control, self._speed, self._stop = control, speed, stop
         stepped = math.isinf(speed)  # then the cell waits for its PC
-        self.pc_s: Callable[[], float] = PatientTime().now_s if stepped else time.monotonic
+        self.pc_s: Callable[[], float] = CountedTime().now_s if stepped else time.monotonic
 
     def now_s(self) -> float:
         return float(self._control.ask("now")["now_s"])

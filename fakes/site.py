@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant, ReplayPlant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth, ReplayTruth
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.devices import TABLES, load_entry
 from hilcell.cell.file import Cell
@@ -22,17 +22,17 @@ from hilcell.cell.settings import SettingsError
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """One simulated cell: its plant, its faults and its time."""
+    """One simulated cell: its truth, its faults and its time."""
 
     cell: Cell
-    plant: Plant | ReplayPlant
+    truth: CellTruth | ReplayTruth
     faults: Faults
-    time: PlantTime
+    time: CellTime
 
     def slide(self) -> RailTruth:
         """Return the rail; raises `SettingsError` for a cell without one."""
-        if isinstance(self.plant.rail, RailTruth):
-            return self.plant.rail
+        if isinstance(self.truth.rail, RailTruth):
+            return self.truth.rail
         raise SettingsError("rail", ["this cell has no slide to simulate"])
 
 
@@ -56,7 +56,7 @@ class SimulatedDevice(Protocol):
 Serve = Callable[[Site, int], SimulatedDevice]
 
 
-def servers_of(cell: Cell) -> dict[str, Serve]:
+def device_servers(cell: Cell) -> dict[str, Serve]:
     """Return what serves each device of a cell, by table; a cell without a rail has none of one.
 
     Raises `SettingsError` for drivers that nothing simulates.

@@ -21,7 +21,7 @@ from itertools import count
 PAUSE_S = 0.1
 
 
-class PatientTime:
+class CountedTime:
     """The PC's time in a cell that waits for its PC: a count, so that no PC is ever late."""
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class PatientTime:
         return next(self._looks) * tick_s
 
 
-class OwnTime:
+class DeviceTime:
     """Real seconds, of which a pause of this PC counts as `PAUSE_S` at most.
 
     Heartbeats and watchdogs of simulated devices run in it: their PC shares a processor with the
@@ -53,8 +53,8 @@ class OwnTime:
             return self._passed_s
 
 
-class PlantTime:
-    """Seconds since power-on, for one plant; safe to use from several threads."""
+class CellTime:
+    """Seconds since power-on, of one simulated cell; safe to use from several threads."""
 
     EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
 
@@ -119,7 +119,7 @@ class PlantTime:
                 follower()
 
 
-class LifeTimer:
+class WatchdogTimer:
     """$TIMER[10] of a controller: it counts milliseconds, and reaches zero or is set back.
 
     Calls ``act``, in a thread that lives while the timer runs, when it has reached zero.
@@ -128,7 +128,7 @@ class LifeTimer:
     def __init__(self, act: Callable[[], None]) -> None:
         self._act = act
         self._changed = threading.Condition()
-        self._time = OwnTime()
+        self._time = DeviceTime()
         self._zero_s = 0.0
         self._running = self._watched = False
 
@@ -152,7 +152,7 @@ class LifeTimer:
             self._changed.notify()
 
     @property
-    def ran_out(self) -> bool:
+    def expired(self) -> bool:
         """Whether it runs and has reached zero."""
         with self._changed:
             return self._running and self._time.now_s() >= self._zero_s

@@ -2,7 +2,7 @@
 
 Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
 next one, and heartbeats that a fault has silenced are heard again. Heartbeats and wire deadlines
-run in real time, the slide in plant time: a SYNC or an SDO read looks at the slide once, before the
+run in real time, the slide in cell time: a SYNC or an SDO read looks at the slide once, before the
 nodes answer it. In stepped time nobody looks at a slide whose master has died, so a drive that
 brakes by itself is looked at until it stands.
 """
@@ -127,7 +127,7 @@ class Status(IntEnum):
 
 
 class RailDrive(CanopenSlave):
-    """Node 5, CiA 402: moves the rail of the plant as its objects say, by profile or homing.
+    """Node 5, CiA 402: moves the simulated rail as its objects say, by profile or homing.
 
     1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed whenever
     the drive is not in OPERATION ENABLED and has come to rest; while it is open, the servo dithers
@@ -168,12 +168,12 @@ class RailDrive(CanopenSlave):
         self._direction = 0
         self._pending: int | None = None
         self._reached = self._early = self._acknowledged = self._halted = False
-        self._hurry = 1.0
+        self._overspeed = 1.0
         self._limited = self._following_error = False
         self._open_switch = 0
         self._homing = self._homed = self._homing_error = False
 
-    # -- values of the plant ------------------------------------------------------------------
+    # -- observed values ------------------------------------------------------------------
 
     @property
     def _mode(self) -> int:
@@ -381,7 +381,7 @@ class RailDrive(CanopenSlave):
         self._limited = target != wanted
         self._acknowledged = True
         self._early = self._faults.take("rail.early_target_reached") is not None
-        self._hurry = self._faults.number("rail.overspeed") or 1.0
+        self._overspeed = self._faults.number("rail.overspeed") or 1.0
         if self._busy and not self._word & Control.AT_ONCE:
             self._pending = target
         else:
@@ -392,8 +392,8 @@ class RailDrive(CanopenSlave):
         self._target, self._reached, self._busy = target, False, True
         gap = target - self._position()  # of the counter, which may have wrapped
         self._direction = (gap > 0) - (gap < 0)
-        speed = self._hurry * min(number(0x6081), number(0x607F))
-        # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
+        speed = self._overspeed * min(number(0x6081), number(0x607F))
+        # The simulated trapezoid is symmetric; the gentler ramp applies at both ends.
         acceleration = min(number(0x6083), number(0x6084))
         end_mm = self._slide.encoder_mm + gap / self.COUNTS_PER_MM
         self._rail.move(end_mm, speed / self.COUNTS_PER_MM, acceleration / self.COUNTS_PER_MM)
@@ -521,11 +521,11 @@ class RailServer(BusServer):
 
     def _wait_s(self) -> float:
         look_period_s = 0.01
-        longest_s = look_period_s if self._watches() else self.IDLE_S
+        longest_s = look_period_s if self._needs_poll() else self.IDLE_S
         late_s = min((late[0] for late in self._late), default=math.inf)
         return min(super()._wait_s(), max(0.0, late_s - self.now_s()), longest_s)
 
-    def _watches(self) -> bool:
+    def _needs_poll(self) -> bool:
         """Whether the slide must be looked at although no client asks."""
         if self._drive.stopping or (self._slide_moves and not self._drive.moving):
             return True
@@ -533,7 +533,7 @@ class RailServer(BusServer):
         return self._drive.moving and (cyclic or not self._time.stepped)
 
     def _tick(self, now_s: float) -> None:
-        if self._watches():
+        if self._needs_poll():
             self._look(now_s)
         super()._tick(now_s)
         for late in [late for late in self._late if late[0] <= now_s]:
@@ -543,7 +543,7 @@ class RailServer(BusServer):
     def _look(self, now_s: float) -> None:
         slide = self._rail.poll()
         self._slide_moves = slide.moving
-        self._strike(now_s, slide.moving)
+        self._apply_faults(now_s, slide.moving)
         self._drive.observe(slide)
         if self._strip is not None:
             self._strip.observe(slide)
@@ -559,7 +559,7 @@ class RailServer(BusServer):
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
             if self._strip is not None:
-                self._strip.strike()
+                self._strip.apply_faults()
             self._drive.dither()
             self._look(self.now_s())
         elif cob_id in sdo_requests:
@@ -572,7 +572,7 @@ class RailServer(BusServer):
 
     def _transmit(self, cob_id: int, data: bytes) -> None:
         heartbeats = range(0x700, 0x780)
-        if cob_id in heartbeats and not self._beats(cob_id & 0x7F, boot_up=data == b"\0"):
+        if cob_id in heartbeats and not self._heartbeat_sent(cob_id & 0x7F, boot_up=data == b"\0"):
             return
         twin = self._faults.number("rail.second_node")
         if twin is not None and cob_id in (0x580 + twin, 0x700 + twin):
@@ -599,7 +599,7 @@ class RailServer(BusServer):
         self._delay_s = self._faults.number("rail.late_reply") or 0.0
         return False
 
-    def _strike(self, now_s: float, moving: bool) -> None:
+    def _apply_faults(self, now_s: float, moving: bool) -> None:
         """Let the faults of a moving slide happen, or those that are set to strike at rest."""
         take = partial(self._number, moving=moving)
         if (code := take("rail.emcy", 0x7305)) is not None:
@@ -615,7 +615,7 @@ class RailServer(BusServer):
         if take("rail.vanish", 1) is not None:
             self._gateway.close()
 
-    def _beats(self, node: int, *, boot_up: bool) -> bool:
+    def _heartbeat_sent(self, node: int, *, boot_up: bool) -> bool:
         if boot_up:
             return True
         if (lost := self._number("rail.heartbeat_loss", NODE)) is not None:

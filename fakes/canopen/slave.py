@@ -2,7 +2,7 @@
 
 A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the three
 hooks `written`, `switched_off` and `connection_lost`. One thread calls everything.
-Heartbeats and event timers run in real time, independent of the plant's clock, and no heartbeat is
+Heartbeats and event timers run in real time, independent of cell time, and no heartbeat is
 punctual. A lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched:
 a new master must start it again, and a START before its first new heartbeat does not hold.
 """
@@ -291,9 +291,9 @@ class Pdo:
         dictionary.add_array(self.COMMUNICATION + number, self._cob_id, self._type, *timers)
         coded = [index << 16 | 8 * dictionary.entry(index, 0).size for index in mapped]
         coded += [0] * (8 - len(coded))
-        self._places = [Entry("I", value, write=self._change_mapping) for value in coded]
+        self._places_cache = [Entry("I", value, write=self._change_mapping) for value in coded]
         self._count = Entry("B", len(mapped), write=self._change_count)
-        for sub, entry in enumerate((self._count, *self._places)):
+        for sub, entry in enumerate((self._count, *self._places_cache)):
             dictionary.add(self.MAPPING + number, sub, entry)
 
     @property
@@ -306,7 +306,7 @@ class Pdo:
         return self._cob_id.number & 0x7FF
 
     def mapped(self) -> list[Entry]:
-        return [self._mapped(place) for place in self._places[: self._count.number]]
+        return [self._mapped(place) for place in self._places_cache[: self._count.number]]
 
     def assemble(self) -> bytes:
         """Return the present data of the mapped objects."""
@@ -343,10 +343,10 @@ class Pdo:
 
     def _change_count(self, count: int) -> None:
         self._while_invalid(count)
-        if count > len(self._places):
+        if count > len(self._places_cache):
             raise SdoAbortError(Abort.VALUE_RANGE)
         bits = 0
-        for place in self._places[:count]:
+        for place in self._places_cache[:count]:
             try:
                 entry = self._mapped(place)
             except SdoAbortError:
@@ -468,7 +468,7 @@ class CanopenSlave:
         self._send = send
         self._sdo = SdoServer(self.dictionary)
         self._next_heartbeat_s = math.inf
-        self._habits = np.random.default_rng(node)
+        self._jitter_rng = np.random.default_rng(node)
         self._heard_by_s = math.inf
         self._heartbeat_lost = False
         self._add_communication_objects(identity)
@@ -627,7 +627,7 @@ class CanopenSlave:
     def _schedule_heartbeat(self, now_s: float) -> None:
         period_s = self.dictionary.number(0x1017) / 1000.0
         latest_heartbeat = 0.3  # of its period
-        period_s *= 1.0 + self._habits.uniform(0.0, latest_heartbeat)
+        period_s *= 1.0 + self._jitter_rng.uniform(0.0, latest_heartbeat)
         self._next_heartbeat_s = now_s + period_s if period_s else math.inf
 
     def _heard(self, node: int, now_s: float) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from fakes.canopen.slave import CanopenSlave
 from fakes.faults import Faults
-from fakes.time import PAUSE_S, OwnTime
+from fakes.time import PAUSE_S, DeviceTime
 from fakes.wires import HOST, RECEIVE, SerialEnd, Server, listen
 
 
@@ -67,7 +67,7 @@ class SlcanGateway:
         self._sending = b""
         self._opened = self._stalled = self._off = False
         self._held = b""  # a frame that changes places with the next one
-        self._habits = np.random.default_rng(0)
+        self._jitter_rng = np.random.default_rng(0)
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
         """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""
@@ -96,11 +96,11 @@ class SlcanGateway:
         """Send the queue; a client that does not take it in time is dropped."""
         if self._client is not None and self._sending:
             try:
-                if self._habits.random() < self.LATE_SHARE:
-                    cut = int(self._habits.integers(len(self._sending)))
+                if self._jitter_rng.random() < self.LATE_SHARE:
+                    cut = int(self._jitter_rng.integers(len(self._sending)))
                     self._client.sendall(self._sending[:cut])
                     self._sending = self._sending[cut:]
-                    time.sleep(self._habits.uniform(0.0, self.LATE_S))
+                    time.sleep(self._jitter_rng.uniform(0.0, self.LATE_S))
                 self._client.sendall(self._sending)
             except OSError:
                 self.drop()
@@ -216,7 +216,7 @@ class BusServer(Server):
         super().__init__(address)
         self._nodes: dict[int, CanopenSlave] = {}
         self._booted = False
-        self.now_s = OwnTime().now_s
+        self.now_s = DeviceTime().now_s
         self._wake, self._waker = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name=name)
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from fakes.faults import Faults, Vanished
 from fakes.site import Site
-from fakes.time import LifeTimer
-from fakes.truth.cell_truth import strike
-from fakes.truth.machine import controller_arm, flicker
-from fakes.truth.noise import Dither
+from fakes.time import WatchdogTimer
+from fakes.truth.cell_truth import apply_start_faults
+from fakes.truth.machine import controller_arm
+from fakes.truth.noise import Dither, readout_noise
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.truth.robot_motion import RobotState
 from fakes.truth.transforms import Array, components
@@ -121,9 +121,9 @@ class ExternalAxis:
         return state
 
     @property
-    def seen_moving(self) -> bool:
+    def axes_moving(self) -> bool:
         """Whether the slide moves, without letting time pass."""
-        return not self._rail.still
+        return not self._rail.at_rest
 
     def place_mm(self, state: RailState, *, alone: bool) -> float:
         """Return the reading; at rest it dithers, by a step each time E1 is asked for ``alone``."""
@@ -157,11 +157,11 @@ class KrlController:
 
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        cell, plant, faults = site.cell, site.plant, site.faults
-        self._plant, self._motion, self._faults = plant, plant.robot, faults
+        cell, truth, faults = site.cell, site.truth, site.faults
+        self._truth, self._motion, self._faults = truth, truth.robot, faults
         self._slide: ExternalAxis | None = None
-        if cell.rail.driver == RAIL_DRIVER and isinstance(plant.rail, RailTruth):
-            self._slide = ExternalAxis(plant.rail, faults, cell.rail)
+        if cell.rail.driver == RAIL_DRIVER and isinstance(truth.rail, RailTruth):
+            self._slide = ExternalAxis(truth.rail, faults, cell.rail)
         self._slide_mm = 0.0  # the place at which it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
@@ -170,7 +170,7 @@ class KrlController:
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = dict.fromkeys(("HC_CMD", "HC_SEQ", "HC_OV_OLD", "HC_OV_SET"), 0)
         self._integers |= {"HC_VEL": 1, "HC_LIFE": 1500}  # %, ms
-        self._timer = LifeTimer(self._timer_ran_out)
+        self._timer = WatchdogTimer(self._watchdog_expired)
         self._override, self._share = 100, 1.0
         self._stale: dict[str, str] = {}
         self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
@@ -199,14 +199,14 @@ class KrlController:
             reader = self._readers.get(name.strip().upper())
             if reader is None:
                 raise KrlError(name)
-            self._strike_on_request()
+            self._apply_request_faults()
             self._run_program()
             return reader()
 
     def read_all(self, names: Sequence[str]) -> list[str]:
         """Return variables of one moment, as a program on the controller reads them."""
         with self._lock:
-            self._strike_on_request()
+            self._apply_request_faults()
             self._moment = self._poll()
             try:
                 return [self._readers[name]() for name in names]
@@ -217,7 +217,7 @@ class KrlController:
         """Set a variable from its text; raises `ValueError` where KRL would refuse."""
         name = name.strip().upper()
         with self._lock:
-            self._strike_on_request()
+            self._apply_request_faults()
             if name == "HC_TGT":
                 found = raw_members(text, "E6AXIS")  # whose name may be left out
                 if not all(map(_NUMBER.match, found.values())):
@@ -309,11 +309,11 @@ class KrlController:
         cycle_s = 0.012  # of the interpolation: measured axes are as old as its last tick
         if state.moving and which == "$AXIS_ACT_MEAS":
             joints_rad, tick = self._motion.measured(cycle_s)
-            off = flicker(state.landing_rad.tobytes(), tick, 6)
+            off = readout_noise(state.landing_rad.tobytes(), tick, 6)
         elif not state.moving:
             self._looks += 1
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
-            off = flicker(landed, self._looks, 6)
+            off = readout_noise(landed, self._looks, 6)
         flicker_deg = 1e-4  # of each axis at rest
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + flicker_deg * off
@@ -369,7 +369,7 @@ class KrlController:
         self._timer.start(-self._integers["HC_LIFE"])
         return Error.OK
 
-    def _slide_forbids(self) -> int:
+    def _slide_error(self) -> int:
         """Return why the arm must not move, else `OK`."""
         if self._slide is None:
             return Error.OK
@@ -380,9 +380,9 @@ class KrlController:
         return Error.OK if away_mm <= slide_mm else Error.SLIDE_AWAY
 
     @property
-    def _slides_on(self) -> bool:
+    def _slide_in_motion(self) -> bool:
         """Whether the slide moves, also on its brake."""
-        return self._slide is not None and self._slide.seen_moving
+        return self._slide is not None and self._slide.axes_moving
 
     # -- the resident program -------------------------------------------------------------------
 
@@ -404,17 +404,17 @@ class KrlController:
             return self._start_slide()
         if self._integers["HC_CMD"] != self.PTP:
             return Error.UNKNOWN_COMMAND
-        if (forbidden := self._slide_forbids()) != Error.OK:
+        if (forbidden := self._slide_error()) != Error.OK:
             return forbidden
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
-        struck = strike(self._faults, self._plant, target_deg)
-        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
+        motion = apply_start_faults(self._faults, self._truth, target_deg)
+        self._keeps_acknowledge, self._frozen = motion.keeps_acknowledge, motion.frozen
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
-            self._motion.move(np.radians(struck.target_deg), speed)
+            self._motion.move(np.radians(motion.target_deg), speed)
         self._timer.start(-self._integers["HC_LIFE"])
         return Error.OK
 
@@ -426,7 +426,7 @@ class KrlController:
     def _stop(self, wanted: bool) -> None:
         if wanted and not self._in_stop:
             self._brake(Error.STOPPED)
-        elif not wanted and self._in_stop and not self._slides_on:
+        elif not wanted and self._in_stop and not self._slide_in_motion:
             self._in_stop = self._keeps_acknowledge = self._frozen = False
             self._hold_slide()
             self._running = None
@@ -444,11 +444,11 @@ class KrlController:
         if self._slide is not None:
             self._slide.stop()
 
-    def _timer_ran_out(self) -> None:
+    def _watchdog_expired(self) -> None:
         """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
         with self._lock:
             self._run_program()  # a motion that has ended meanwhile needs no sign any more
-            if self._timer.ran_out and self._running is not None and not self._in_stop:
+            if self._timer.expired and self._running is not None and not self._in_stop:
                 self._brake(Error.LOST)
 
     def _set_override(self, percent: int) -> None:
@@ -461,7 +461,7 @@ class KrlController:
 
     # -- faults ---------------------------------------------------------------------------------
 
-    def _strike_on_request(self) -> None:
+    def _apply_request_faults(self) -> None:
         if self._faults.take("robot.mode_t1") is not None:
             self._mode = "#T1"
             self._halt("#P_STOP")
@@ -472,16 +472,16 @@ class KrlController:
         """Let a moving robot get further, strike it if so wanted, and return its state."""
         if self._moment is not None:
             return self._moment
-        self._strike_by_motion()
+        self._apply_motion_faults()
         state = self._motion.poll()
         if self._slide is not None:
             self._slide.poll(self._share)
         self._run_program()
         return state
 
-    def _strike_by_motion(self) -> None:
+    def _apply_motion_faults(self) -> None:
         """Let the faults of a moving robot happen, or those that are set to strike at rest."""
-        take = partial(self._faults.take, moving=self._motion.seen_moving or self._slides_on)
+        take = partial(self._faults.take, moving=self._motion.axes_moving or self._slide_in_motion)
         if take("robot.vanish") is not None:
             raise Vanished
         if take("robot.e_stop") is not None:

@@ -25,7 +25,7 @@ from xml.parsers import expat
 from fakes.faults import Faults
 from fakes.kuka.controller import AXES, FRAME, KrlController, KrlError, aggregate, raw_members
 from fakes.site import Site
-from fakes.time import PlantTime
+from fakes.time import CellTime
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
 RECEIVED = (
@@ -117,7 +117,7 @@ class EkiProgram:
     PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
     NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
 
-    def __init__(self, controller: KrlController, faults: Faults, time: PlantTime) -> None:
+    def __init__(self, controller: KrlController, faults: Faults, time: CellTime) -> None:
         self._controller, self._faults, self._time = controller, faults, time
 
     def command(self, values: dict[str, str]) -> bytes:
@@ -241,12 +241,12 @@ class EkiServer(Server):
 
     def _serve_commands(self, client: socket.socket) -> None:
         with suppress(OSError, Overflow, ValueError):  # the interface hangs up, too
-            self._hear_commands(client)
+            self._receive_commands(client)
         with self._lock:
             if not self._closing.is_set():
                 self._program.lose()
 
-    def _hear_commands(self, client: socket.socket) -> None:
+    def _receive_commands(self, client: socket.socket) -> None:
         segments, former = Segments(client.sendall), b""
         queues = Queues(RECEIVED)
         while data := client.recv(RECEIVE):
@@ -267,9 +267,9 @@ class EkiServer(Server):
                 select.select([client], [], [])
                 self._closing.wait(cycle_s)
                 there = queues.look(client)
-                self._hear_stops(client, queues, there)
+                self._receive_stops(client, queues, there)
 
-    def _hear_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
+    def _receive_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
         while queues.waiting():
             with self._lock:
                 answer = self._program.stop(queues.take())

@@ -36,7 +36,7 @@ from fakes.leica.emscon_packets import (
     wide,
 )
 from fakes.site import Site
-from fakes.time import PlantTime
+from fakes.time import CellTime
 from fakes.truth.tracker_truth import Followed, Measurement, StreamTruth
 from fakes.truth.transforms import Array
 from fakes.wires import HOST, Connection, Listener, Segments, Server
@@ -45,7 +45,7 @@ from fakes.wires import HOST, Connection, Listener, Segments, Server
 class SampleStream:
     """A continuous measurement: samples by the tracker's clock, in packets, late and cut.
 
-    The samples that are due follow from plant time alone, never from when somebody asks. As with
+    The samples that are due follow from cell time alone, never from when somebody asks. As with
     the original a packet holds several samples and comes late; it may come in two pieces, or
     together with the next; only the times inside it say when a sample was taken. The methods must
     not be called by two threads at once.
@@ -54,7 +54,7 @@ class SampleStream:
     def __init__(
         self,
         truth: StreamTruth,
-        time: PlantTime,
+        time: CellTime,
         faults: Faults,
         followed: Followed,
         pack: Callable[[Array, Array], bytes],
@@ -159,7 +159,7 @@ class Result(bytes):
     """The packets that end a measurement; the faults of a wire may damage them."""
 
 
-# A step of a command: seconds of plant time to let pass, packets to send together, or packets with
+# A step of a command: seconds of cell time to let pass, packets to send together, or packets with
 # the stream of samples that follows them.
 Steps = Iterator[float | bytes | tuple[bytes, SampleStream]]
 
@@ -175,8 +175,8 @@ class EmsconDevice:
 
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        self._instrument, self._faults, self._time = site.plant.tracker, site.faults, site.time
-        self._streams = site.plant.streams
+        self._instrument, self._faults, self._time = site.truth.tracker, site.faults, site.time
+        self._streams = site.truth.streams
         mounted = site.cell.tracker.reflector
         names = [*(name for name in OFFSETS_MM if name != mounted), mounted]
         self._reflectors, self._mounted = dict(enumerate(names, 1)), len(names)
@@ -242,7 +242,7 @@ class EmsconDevice:
     # -- settings and queries -------------------------------------------------------------------
 
     def _set(self, name: str, command: int, *values: float) -> Steps:
-        status = self._refused_setting(name, values)
+        status = self._setting_status(name, values)
         if status != Status.OK:
             yield reply(command, status)
             return
@@ -251,7 +251,7 @@ class EmsconDevice:
         self._settings[name] = values
         yield reply(command) + status_change(SETTINGS[name][2])
 
-    def _refused_setting(self, name: str, values: Arguments) -> Status:
+    def _setting_status(self, name: str, values: Arguments) -> Status:
         first, streams = values[0], self._streams is not None
         known_units = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative
         refusals: dict[str, tuple[Status, Callable[[], bool]]] = {
@@ -553,7 +553,7 @@ class EmsconServer(Server):
                 except OSError:
                     stream.end()
 
-        stream_look_s = 0.05  # plant time between two looks for samples that are due
+        stream_look_s = 0.05  # cell time between two looks for samples that are due
         look_s = None if self._time.stepped else stream_look_s / self._time.speed
         self._time.follow(send)
         try:
@@ -582,7 +582,7 @@ class EmsconServer(Server):
                 stream.end()
 
     def _let_pass(self, session: _Session, duration_s: float) -> bool:
-        """Let plant time pass; return False where the client stopped the command meanwhile."""
+        """Let cell time pass; return False where the client stopped the command meanwhile."""
         for left_s in self._time.passing(duration_s):
             packet = session.receive(left_s)
             if packet is None:

@@ -66,9 +66,9 @@ class GeocomDevice:
 
     def __init__(self, site: Site) -> None:
         """The true constant of the prism that is mounted everywhere is the cell file's."""
-        self._instrument, self._faults = site.plant.tracker, site.faults
+        self._instrument, self._faults = site.truth.tracker, site.faults
         self._true_prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
-        self._places, self._prism_m = 4, 0.0
+        self._places_cache, self._prism_m = 4, 0.0
         self._atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
         self._corrections: tuple[float, ...] = (1, 1, 1, 1)  # the instrument has no such errors
         self._edm_mode, self._tilt, self._atr, self._face = 3, 1, 0, 0
@@ -81,8 +81,8 @@ class GeocomDevice:
         take = site.faults.take
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
-            107: (1, self._keep("_places", lambda places: 0 <= places <= 15)),
-            108: (0, lambda: Answer(values=(str(self._places),))),
+            107: (1, self._keep("_places_cache", lambda places: 0 <= places <= 15)),
+            108: (0, lambda: Answer(values=(str(self._places_cache),))),
             110: (0, lambda: _whole(3, 0, 0)),
             2003: (1, lambda mode: self._angles()),
             2006: (1, self._keep("_tilt", lambda on: on in (0, 1))),
@@ -276,7 +276,7 @@ class GeocomDevice:
         return Answer(values=values)
 
     def _reals(self, *values: float) -> Answer:
-        return Answer(values=tuple(f"{value:.{self._places}f}" for value in values))
+        return Answer(values=tuple(f"{value:.{self._places_cache}f}" for value in values))
 
     @staticmethod
     def _other_face(hz: float, v: float) -> tuple[float, float]:
@@ -344,7 +344,7 @@ class GeocomServer(Server):
             return Answer(Code.ABORTED)
 
     def _let_pass(self, session: _Session, duration_s: float) -> None:
-        """Let plant time pass; raises `Aborted`."""
+        """Let cell time pass; raises `Aborted`."""
         for left_s in self._time.passing(duration_s):
             if session.aborted(left_s):
                 raise Aborted

@@ -19,7 +19,7 @@ import msgspec
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
 from fakes.replay.recorded_wire import RecordedWire
-from fakes.time import PatientTime
+from fakes.time import CountedTime
 from hilcell.cell.devices import TABLES, stand_ins, stated_options
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
@@ -261,7 +261,7 @@ class RecordedClock:
     def __init__(self, looks: RecordedLooks, time: EventTime, stop: Event, act: str) -> None:
         """``act`` is what to do where the recording ends."""
         self._looks, self._time, self._stop, self._act = looks, time, stop, act
-        self.now_s, self.pc_s = looks.now_s, PatientTime().now_s
+        self.now_s, self.pc_s = looks.now_s, CountedTime().now_s
 
     def wait(self, duration_s: float) -> None:
         self._looks.wait(duration_s)

@@ -49,7 +49,7 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A reply, perhaps after plant time has passed."""
+    """A reply, perhaps after cell time has passed."""
 
     line: str = "ACK-300 READY"
     after_s: float = 0.0
@@ -65,15 +65,15 @@ def refusal(refused: Refusal) -> Answer:
 class T2saDevice:
     """One bridge with one instrument; ``handle`` takes one request after another."""
 
-    DAWN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
+    POWER_ON = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
     WARM_UP_S = 20.0
     POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
     SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
 
     def __init__(self, site: Site, points: Mapping[str, Array]) -> None:
         """``points`` (3,) are those of the cell file's group, by name."""
-        self._instrument, self._faults = site.plant.tracker, site.faults
-        self._time, options = site.plant.time, site.cell.tracker.options
+        self._instrument, self._faults = site.truth.tracker, site.faults
+        self._time, options = site.truth.time, site.cell.tracker.options
         self._points = points
         self._group = f"{options.get('collection', 'A')};{options.get('group', 'HILCELL')}"
         self._warm_s: float | None = None
@@ -214,7 +214,7 @@ class T2saDevice:
         """Return the line of a position; its date is in the PC's own format."""
         values = [f"{each:.6f}" for each in xyz]
         values[0] = x or values[0]
-        when = self.DAWN + timedelta(seconds=self._time.now_s())
+        when = self.POWER_ON + timedelta(seconds=self._time.now_s())
         date = when.strftime("%m/%d/%Y %I:%M:%S %p")
         return f"ACK-300 Single Point Measurement {path} result {','.join(values)} {date}"
 
@@ -231,13 +231,13 @@ def imported(path: Path) -> dict[str, Array]:
         ) from error
 
 
-def fan(cell: Cell) -> dict[str, Array]:
+def target_fan(cell: Cell) -> dict[str, Array]:
     """Return points (3,) in the tracker's frame in all directions of the cell's reflectors.
 
     A person would import a list into the job, and name it in the cell file. In a simulated cell
-    whose file names none, this fan towards all that the arm and the nests can reach is both.
+    whose file names none, this target_fan towards all that the arm and the nests can reach is both.
     """
-    ways = _ways_mm(cell)
+    ways = _reachable_mm(cell)
     # unit vectors (N, 3), evenly spread by the golden angle
     pitch_rad = 0.01
     count = math.ceil(4.0 * math.pi / pitch_rad**2)
@@ -260,7 +260,7 @@ def write(path: Path, points: dict[str, Array]) -> None:
         csv.writer(file).writerows([name, *map(str, at_mm)] for name, at_mm in points.items())
 
 
-def _ways_mm(cell: Cell) -> Array:
+def _reachable_mm(cell: Cell) -> Array:
     """Return places (N, 3), tracker's frame, throughout the arm's reach, and the nests."""
     rail, layout = cell.rail, cell.layout
     nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
@@ -291,7 +291,7 @@ class T2saServer(Server):
         """The points are those of the cell file's list; without one it names a list of its own."""
         listed = str(site.cell.tracker.options.get("points", ""))
         address: dict[str, str] = {}
-        points = imported(Path(listed)) if listed else fan(site.cell)
+        points = imported(Path(listed)) if listed else target_fan(site.cell)
         self._folder = tempfile.TemporaryDirectory(prefix="t2sa-")
         if not listed:
             address = {"points": str(Path(self._folder.name) / "points.csv")}
@@ -340,7 +340,7 @@ class T2saServer(Server):
     def _measure(
         self, session: LineSession, duration_s: float, finish: Callable[[], Answer]
     ) -> None:
-        """Reply after plant time, or to the halt that has come meanwhile."""
+        """Reply after cell time, or to the halt that has come meanwhile."""
         try:
             halted_by_this = self._let_pass(session, duration_s)
             halted = self._halted.is_set()
@@ -351,7 +351,7 @@ class T2saServer(Server):
             self._reply(session, Answer())
 
     def _let_pass(self, session: LineSession, duration_s: float) -> bool:
-        """Let plant time pass until a halt; return whether that came from this client."""
+        """Let cell time pass until a halt; return whether that came from this client."""
         look_s = 0.02
         for left_s in self._time.passing(duration_s):
             if self._halted.is_set():

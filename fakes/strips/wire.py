@@ -34,7 +34,7 @@ from fakes.wires import Connection, Listener, Segments, SerialLine, Server, Wire
 
 
 class StripSensor:
-    """The head of one strip; ``strike`` before each look."""
+    """The head of one strip; call ``apply_faults`` before each reading."""
 
     COUNTS_PER_MM = 100.0
 
@@ -45,8 +45,7 @@ class StripSensor:
         self.missing = False  # the magnet
         self._frozen = False
         self._jump_mm = 0.0
-        flicker = 6
-        self._flicker = Dither(1, flicker)
+        self._dither = Dither(1, scope=6)
         self._jitter = 0
 
     def observe(self, slide: RailState) -> None:
@@ -55,15 +54,15 @@ class StripSensor:
             at_mm = slide.strip_mm + self._jump_mm
             self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
 
-    def strike(self) -> None:
-        """Let the faults of a look come and go."""
+    def apply_faults(self) -> None:
+        """Apply the faults of one reading."""
         self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
         self._frozen = self._faults.take("rail.strip_frozen") is not None
         jitter = int(self._faults.number("rail.strip_jitter") or 0)
-        self._flicker.step()
-        # Under the fault it alternates, so that any two looks show both sides.
+        self._dither.step()
+        # The fault alternates: any two readings show both sides.
         alternate = -jitter if self._jitter > 0 else jitter
-        self._jitter = alternate if jitter else self._flicker.counts
+        self._jitter = alternate if jitter else self._dither.counts
         self.missing = self._faults.take("rail.missing_magnet") is not None
 
 
@@ -104,7 +103,7 @@ class StripLine(Server):
 
     def _answer(self, command: bytes) -> str:
         if command == b"Z":
-            self._sensor.strike()
+            self._sensor.apply_faults()
             self._sensor.observe(self._rail.poll())
             return f"{self._sensor.position:+08d}>"
         if command == b"X":
@@ -140,9 +139,9 @@ class RailStrip(CanopenSlave):
     def observe(self, slide: RailState) -> None:
         self._sensor.observe(slide)
 
-    def strike(self) -> None:
-        """Let the faults of a SYNC come and go."""
-        self._sensor.strike()
+    def apply_faults(self) -> None:
+        """Apply the faults of one SYNC."""
+        self._sensor.apply_faults()
         before, self._alarms = self._alarms, self.POSITION_ERROR * self._sensor.missing
         encoder_fault = 0x7305
         if self._alarms != before:
@@ -193,7 +192,7 @@ class StripBus(BusServer):
         if cob_id in of_node and self._faults.take("rail.strip_silent") is not None:
             return
         if cob_id == SYNC_COB_ID:
-            self._strip.strike()
+            self._strip.apply_faults()
             self._strip.observe(self._rail.poll())
         super()._receive(cob_id, data)
 

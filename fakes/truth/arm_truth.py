@@ -1,13 +1,13 @@
-"""The robot as it really is: axes that lie askew, joints that do not turn as commanded.
+"""The true robot: misaligned axes, and joints whose angles differ from the commanded ones.
 
-The joints' errors are gravity, harmonics, gear ripple, elasticity and lost motion; all but lost
-motion and repeatability depend on the joint angles alone. Loads follow from how the links lie
-against gravity, not from the angles as the maker counts them.
+Joint errors are gravity, harmonics, gear ripple, elasticity and lost motion; all but lost motion
+and repeatability depend on the joint angles alone. Loads follow from the links' direction to
+gravity, not from the maker's angle convention.
 
 All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
-reference cube. The error is taken as the paper takes it: against the base frame built from the
-circles of axes 1 and 6 (section 4.2), here from the noise-free truth. This ideal {B} is not the
-frame in which the axes are drawn; `ideal_base` relates them.
+reference cube. The error is the paper's: against the base frame built from the circles of axes 1
+and 6 (section 4.2), here without noise. This ideal {B} is not the frame in which the axes are
+drawn; `ideal_base` relates them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from fakes.truth.machine import Errors, Machine, Transmission, mounted
-from fakes.truth.transforms import Array, Chain, carried, frame, rigid, rotation
+from fakes.truth.transforms import Array, Chain, frame, rigid, rotation, transform_point
 from hilcell.cell.tables import Point
 from hilcell.decoding import decoded
 from hilcell.ports import HilcellError
@@ -60,8 +60,8 @@ def unit_rp_mm(jacobians_mm: Array) -> Array:
 
     RP = mean + 3 s of the 3-D distances from the mean position (ISO 9283, 7.2.2).
     ``jacobians_mm`` (N, 3, 6) are d(position) / d(joints). With eigenvalues l of the covariance J
-    J', mean distance = 1 / (2 sqrt(pi)) * integral of (1 - prod (1 + 2 l t)^-1/2) t^-3/2 dt, which
-    is the usual form of E[sqrt(Q)] for a quadratic form Q; its mean square is the trace.
+    J', mean distance = 1 / (2 sqrt(pi)) * integral of (1 - prod (1 + 2 l t)^-1/2) t^-3/2 dt, the
+    usual form of E[sqrt(Q)] for a quadratic form Q; its mean square is the trace.
     """
     eigenvalues = np.linalg.eigvalsh(jacobians_mm @ np.swapaxes(jacobians_mm, -1, -2))
     total = eigenvalues.sum(axis=-1)
@@ -97,7 +97,7 @@ class Design:
         )
         levers_mm = self._levers_mm(self.commands_rad)
         low, high = levers_mm.min(axis=0), levers_mm.max(axis=0)
-        least_mm = 1.0  # a lever that changes by less counts as one that does not change
+        least_mm = 1.0  # a lever that changes by less counts as constant
         self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
         jacobians_mm = self.chain.jacobian(self.commands_rad)[:, :3]
         self.unit_rp_mm = float(unit_rp_mm(jacobians_mm).mean())
@@ -110,10 +110,9 @@ class Design:
         return upper + self._upper_rad, upper + joints_rad[..., 2] + self._fore_rad
 
     def loads(self, joints_rad: Array) -> Array:
-        """Return how heavily each joint (..., 6) is loaded, -1 to 1, at joints (..., 6).
+        """Return the relative load of each joint (..., 6), -1 to 1, at joints (..., 6).
 
-        By the level lever of the reflector about it; the ends of that range are the lightest and
-        the heaviest load over the reference cube.
+        By the horizontal lever of the reflector; -1 and 1 are the extremes over the reference cube.
         """
         loads: Array = (self._levers_mm(joints_rad) - self._middle_mm) / self._half_mm
         return np.clip(loads, -1.0, 1.0)
@@ -124,7 +123,7 @@ class Design:
 
 
 @lru_cache(4)  # a study has few designs, and draws many robots of each
-def _known(machine: bytes, smr_mm: Point) -> Design:
+def _design(machine: bytes, smr_mm: Point) -> Design:
     return Design(decoded(machine, Machine), smr_mm)
 
 
@@ -150,7 +149,7 @@ def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
 
 
 class Deviations(NamedTuple):
-    """Deviations to be scaled: of axes 2 to 6 and of the reflector; the joints' own."""
+    """Deviations that are scaled together: axes 2 to 6, the reflector, the joints."""
 
     shift_mm: Array  # (5, 3) of everything from this axis on
     tilt_rad: Array  # (5, 3) about a point on it
@@ -162,7 +161,7 @@ class Deviations(NamedTuple):
 
     @classmethod
     def drawn(cls, sizes: Errors, design: Chain, rng: np.random.Generator) -> Deviations:
-        """Draw one arm's; gravity mostly pulls down."""
+        """Draw those of one arm; gravity pulls mostly down."""
         normal = rng.standard_normal
         tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
         along = (tilt_rad * design.axes[1:]).sum(axis=1, keepdims=True)  # that is the joint's zero
@@ -181,7 +180,7 @@ class Deviations(NamedTuple):
         return Deviations(*(each * factor for each in self))
 
     def deflection(self, joints_rad: Array, upper: Array, fore: Array) -> Array:
-        """Return how far joints (..., 6) bend, with upper arm and forearm at angles (...)."""
+        """Return the deflection of joints (..., 6), with upper arm and forearm at angles (...)."""
         orders = np.arange(1, self.harmonics_rad.shape[1] // 2 + 1)
         angles = joints_rad[..., None] * orders
         waves = np.empty((*angles.shape, 2))
@@ -198,17 +197,17 @@ class Deviations(NamedTuple):
 
 
 class ArmTruth:
-    """One robot's true geometry; its poses are stated in its own base frame {R}.
+    """One robot's true geometry; its poses are in its own base frame {R}.
 
-    ``smr_mm`` (3,) is where the reflector is mounted on the flange. Raises `HilcellError` where
-    no robot of such sizes is found.
+    ``smr_mm`` (3,) is the reflector's place on the flange. Raises `HilcellError` where no draw
+    gives the errors' sizes.
     """
 
     DRAWS = 100
 
     def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
         self._machine, self._smr_mm = machine, smr_mm
-        self._design = _known(msgspec.json.encode(machine), smr_mm)
+        self._design = _design(msgspec.json.encode(machine), smr_mm)
         self.design = self._design.chain
         sizes = machine.transmission
         self.ripple = Ripple(sizes, rng)
@@ -219,8 +218,8 @@ class ArmTruth:
         )
         self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
         self.joint_sigma_rad = sizes.rp_mm / self._design.unit_rp_mm
-        self.slip_rad = np.zeros(6)  # of a brake, besides
-        self._settle(machine.errors, rng)
+        self.slip_rad = np.zeros(6)  # of brakes
+        self._draw(machine.errors, rng)
 
     def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
         """Return the reflector's frame in {R}, (..., 4, 4).
@@ -233,16 +232,16 @@ class ArmTruth:
         return self.pose_of(true_rad, self.strain(warm_k))
 
     def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
-        """Return how the joints (..., 6) really are turned, however warm the arm is."""
+        """Return the true joint angles (..., 6), which do not depend on temperature."""
         lost = side * self.half_gap_rad + landing_rad
         return self._by_angles(joints_rad) + lost
 
     def strain(self, warm_k: float) -> float:
-        """Return the share by which the arm is longer where it is so much warmer."""
+        """Return the arm's relative thermal growth."""
         return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
 
     def pose_of(self, true_rad: Array, strain: float) -> Array:
-        """Return the reflector's frame in {R}, (..., 4, 4), with joints really turned so."""
+        """Return the reflector's frame in {R}, (..., 4, 4), at true joint angles."""
         return self._chain.pose(true_rad, strain)
 
     def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
@@ -252,8 +251,8 @@ class ArmTruth:
         R, origin_mm = self.ideal_base[:3, :3], self.ideal_base[:3, 3]
         return (at_mm - origin_mm) @ R - targets_mm
 
-    def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
-        """Draw until one draw, brought to its size, has no error that is too large."""
+    def _draw(self, sizes: Errors, rng: np.random.Generator) -> None:
+        """Draw until the largest error of a scaled draw is within its limit."""
         for _ in range(self.DRAWS):
             drawn = Deviations.drawn(sizes, self.design, rng)
             self._scale(sizes, drawn)
@@ -262,11 +261,11 @@ class ArmTruth:
                 return
         raise HilcellError(
             f"errors.largest_mm: none of {self.DRAWS} draws keeps every error below "
-            f"{sizes.largest_mm} mm; take a larger one, or a smaller errors.size_mm"
+            f"{sizes.largest_mm} mm; increase it, or reduce errors.size_mm"
         )
 
     def _scale(self, sizes: Errors, drawn: Deviations) -> None:
-        """Take the draw at the factor that gives the wanted size, by the secant method."""
+        """Scale the draw to the machine's error size, by the secant method."""
         factor, before = 1.0, 0.5
         value, value_before = self._size_mm(drawn, factor), self._size_mm(drawn, before)
         solved_mm = 1e-10
@@ -280,21 +279,21 @@ class ArmTruth:
             factor += (sizes.size_mm - value) / slope
             value = self._size_mm(drawn, factor)
         raise HilcellError(
-            f"errors.size_mm: no errors of size {sizes.size_mm} mm are found; take another size, "
-            "or other sizes of their parts"
+            f"errors.size_mm: no draw has errors of size {sizes.size_mm} mm; change it, or the "
+            "sizes of its components"
         )
 
     def _size_mm(self, drawn: Deviations, factor: float) -> float:
-        self._take(drawn.scaled(factor))
+        self._apply(drawn.scaled(factor))
         errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
         if self._machine.errors.scaled_by == "mean":
             return float(np.linalg.norm(errors_mm, axis=1).mean())
         return varying_rms_mm(self.targets_mm, errors_mm)
 
-    def _take(self, errors: Deviations) -> None:
+    def _apply(self, errors: Deviations) -> None:
         self._errors = errors
         design = self.design
-        # the design with each axis from the second on displaced, and all behind it with it
+        # the design with each axis from the second on displaced, and all distal axes with it
         axes, points_mm = design.axes.copy(), design.points_mm.copy()
         moved = np.eye(4)
         displacements = zip(errors.shift_mm, errors.tilt_rad, strict=True)
@@ -302,14 +301,14 @@ class ArmTruth:
             R, at_mm = rotation(tilt_rad), design.points_mm[joint]
             moved = moved @ rigid(R, at_mm - R @ at_mm + shift_mm)
             axes[joint] = moved[:3, :3] @ design.axes[joint]
-            points_mm[joint] = carried(moved, at_mm)
+            points_mm[joint] = transform_point(moved, at_mm)
         tool_mm = np.array(self._smr_mm) + errors.tool_mm
         last = mounted(frame(self._machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
         self._chain = replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
         self.ideal_base = self._base_from_axes(self._design.axis_6_rad)
 
     def _by_angles(self, joints_rad: Array) -> Array:
-        """Return joint angles (..., 6) with everything that depends on the angles alone."""
+        """Return joint angles (..., 6) with all errors that depend on the angles alone."""
         ripple = self.ripple(joints_rad)
         share = self._machine.transmission.load_share
         if share:
@@ -320,8 +319,8 @@ class ArmTruth:
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
         """Return the ideal {B} in {R}, (4, 4), after section 4.2.
 
-        Axis 1 is {R}'s own z. Axis 6 at the given joints gives x, and the centre of its circle
-        the height, which is nominal by definition.
+        Axis 1 is {R}'s z. Axis 6 at these joints gives x, and the centre of its circle the height,
+        which is nominal by definition.
         """
         joints = self._by_angles(axis_6_rad) + self.half_gap_rad
         axis, centre_mm = axis_6(self._chain, joints)

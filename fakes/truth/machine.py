@@ -1,13 +1,12 @@
-"""The description of a machine: its parts, and how large their errors are.
+"""The description of a machine: its components and the sizes of their errors.
 
-A machine is a TOML file; with a seed it is one physical robot, rail, strip and tracker. Nothing in
-it refers to a cell's measuring plan: sizes are stated over reference poses of its own. Sizes of
-random parts are 1 sigma.
+A machine is a TOML file; with a seed it is one physical robot, rail, strip and tracker. It does not
+depend on a cell's measuring plan: sizes refer to reference poses of its own. Random sizes are
+1 sigma.
 """
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, field
 
-from fakes.truth.transforms import Array, Chain, frame, from_rows
+from fakes.truth.transforms import Array, Chain, axes_from_dh, frame
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
@@ -33,7 +32,7 @@ Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le
 
 
 class JointAxis(Frozen, frozen=True, kw_only=True):
-    """One joint's axis at joints zero in the robot's base frame; its sense is the joint's."""
+    """One joint's axis at joints zero in the robot's base frame, in its positive sense."""
 
     axis: Point
     point_mm: Point
@@ -45,7 +44,7 @@ class JointAxis(Frozen, frozen=True, kw_only=True):
 
 
 class Reference(Frozen, frozen=True, kw_only=True):
-    """The poses over which sizes are stated: a cube, the axis 6 circle, the parked arm."""
+    """The poses to which sizes refer: a cube, the axis 6 circle, the parked arm."""
 
     centre: Pose
     size_mm: Point
@@ -56,8 +55,8 @@ class Reference(Frozen, frozen=True, kw_only=True):
 
 
 class Errors(Frozen, frozen=True, kw_only=True):
-    """Sizes of what is scaled together, and to what: the mean error over the cube against the
-    ideal base, or the RMS that the best rigid motion leaves of it.
+    """Sizes of errors, and the total to which they are scaled together: the mean error over the
+    cube against the ideal base, or its RMS after the best rigid motion.
     """
 
     scaled_by: Literal["mean", "varying"]
@@ -77,15 +76,15 @@ class Errors(Frozen, frozen=True, kw_only=True):
 
 
 class Transmission(Frozen, frozen=True, kw_only=True):
-    """Gears: ripple, lost motion, repeatability; and how much the arm grows with temperature."""
+    """Gears: ripple, lost motion, repeatability; and the arm's thermal growth."""
 
     ripple_urad: Angle
     pins: Cycles
     ratios: Cycles
     half_gap_urad: Angle
     rp_mm: Extent
-    load_share: Share = 0.0  # by which a joint's load changes the ripple, at most
-    unlisted_urad: Angle = 0.0  # amplitude of a harmonic that no gear data name
+    load_share: Share = 0.0  # largest relative change of the ripple with a joint's load
+    unlisted_urad: Angle = 0.0  # amplitude of a harmonic that is not in the gear data
     growth_um_m_k: Rate = 0.0
 
     def __post_init__(self) -> None:
@@ -99,16 +98,13 @@ class Transmission(Frozen, frozen=True, kw_only=True):
 
 
 class RailSizes(Frozen, frozen=True, kw_only=True):
-    """The rail's own errors and those of its strip.
-
-    Without a ``strip`` the slide is held by the drive alone: its encoder is read in place of one.
-    """
+    """The errors of the rail and of its strip; without a ``strip`` the encoder replaces it."""
 
     strip: bool = True
     backlash_mm: Extent
     curve_mm: Offset
     curve_span_mm: Size
-    ways_mm: Offset = 0.01  # how much the curves up and down differ beside the backlash
+    ways_mm: Offset = 0.01  # difference between the curves up and down, besides the backlash
     landing_mm: Offset = 0.01
     short_landing_mm: Offset = 0.0015
     straightness_mm: Offset = 0.06
@@ -119,7 +115,7 @@ class RailSizes(Frozen, frozen=True, kw_only=True):
 
 
 class Mounting(Frozen, frozen=True, kw_only=True):
-    """How far things stand from where the cell file says."""
+    """Deviations of places from the cell file."""
 
     bolted_mm: Offset = 1.2
     bolted_urad: Angle = 500.0
@@ -131,12 +127,12 @@ class Mounting(Frozen, frozen=True, kw_only=True):
 
 
 class TrackerSizes(Frozen, frozen=True, kw_only=True):
-    """The tracker's noise and slow drift, and the room's temperature."""
+    """The tracker's noise and slow drift, and the ambient temperature."""
 
     radial_um: Rate = 7.5
     across_um_m: Rate = 2.5
     drift_mm: Offset = 0.002
-    axes_urad: Angle = 1.0  # collimation, transit tilt and index, as left by its last check
+    axes_urad: Angle = 1.0  # collimation, transit tilt and index errors after its last adjustment
     room_c: Annotated[float, Meta(ge=-20, le=60)] = 23.0
     room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
 
@@ -173,18 +169,15 @@ def mounted(flange: Array, smr_mm: Point) -> Array:
     return T
 
 
-def machine_of(cell: Cell) -> Machine:
-    """Return the machine that a simulated cell names; raises `SettingsError`."""
+def cell_machine(cell: Cell) -> Machine:
+    """Return the machine of a simulated cell; raises `SettingsError`."""
     if cell.simulation is None:
         return load_machine("paper")
     return load_machine(cell.simulation.machine, cell.simulation.sizes)
 
 
 def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
-    """Read a machine by the name of one that comes with the fakes, or a TOML file.
-
-    ``sizes`` replace single values of its tables.
-    """
+    """Read a machine by its built-in name, or a TOML file; ``sizes`` replace single values."""
     folder = resources.files("fakes.truth.machines")
     known = sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if ".toml" in p.name)
     try:
@@ -194,7 +187,7 @@ def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
             text = read_text(Path(where))
         tables = _tables(text)
     except FileNotFoundError:
-        problem = f"no such file, and no machine of that name; known are: {', '.join(known)}"
+        problem = f"no such file or machine; built-in machines: {', '.join(known)}"
         raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
     except (OSError, ValueError) as error:
         raise unreadable(f"simulation.machine {where!r}", error, "machine file") from error
@@ -223,10 +216,10 @@ def _described(text: str, where: str) -> Machine:
     return convert(_tables(text), Machine, where)
 
 
-def chain_of_cell(cell: Cell) -> Chain:
-    """Return the arm of a cell file's own rows: of a robot that has no machine file."""
+def nominal_chain(cell: Cell) -> Chain:
+    """Return the arm of a cell file's DH rows, for a robot without a machine file."""
     rows = cell.robot.joint
-    axes, points_mm, flange = from_rows(
+    axes, points_mm, flange = axes_from_dh(
         np.array([row.a_mm for row in rows]),
         np.radians([row.alpha_deg for row in rows]),
         np.array([row.d_mm for row in rows]),
@@ -238,9 +231,9 @@ def chain_of_cell(cell: Cell) -> Chain:
 
 @dataclass(frozen=True, slots=True)
 class ControllerArm:
-    """The arm as its controller knows it and states it: the design, never the truth.
+    """The arm as its controller knows it: the design, never the truth.
 
-    Status and turn are KUKA's: status bit 0, the wrist lies behind axis 1; bit 1, axis 3 is at or
+    Status and turn are KUKA's: status bit 0, the wrist is behind axis 1; bit 1, axis 3 is at or
     beyond the stretched arm; bit 2, A5 < 0. Turn bit i: joint i + 1 is below 0.
     """
 
@@ -264,7 +257,7 @@ class ControllerArm:
 
     @staticmethod
     def _cross(a: Array, b: Array) -> Array:
-        """Return the cross product of two vectors (3,); numpy's takes ten times as long for two."""
+        """Return the cross product of two vectors (3,), ten times as fast as numpy's."""
         (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -272,22 +265,11 @@ class ControllerArm:
 def controller_arm(cell: Cell) -> ControllerArm:
     """Return the arm as the controller of a simulated cell knows it; raises `SettingsError`.
 
-    A replayed cell has no machine: there the cell file's rows are the robot's.
+    A replayed cell has no machine: the arm follows the cell file's rows.
     """
-    replayed_serial = 860112  # the data name none
+    replayed_serial = 860112  # the data contain none
     if cell.simulation is not None and cell.simulation.data:
         name = cell.robot.name.replace(" ", "").replace("-", "_")
-        return ControllerArm(chain_of_cell(cell), f"#{name} C4 FLR", replayed_serial)
-    machine = machine_of(cell)
+        return ControllerArm(nominal_chain(cell), f"#{name} C4 FLR", replayed_serial)
+    machine = cell_machine(cell)
     return ControllerArm(machine.chain(cell.robot.smr_mm), machine.model, machine.serial)
-
-
-def flicker(key: bytes, look: int, size: int) -> Array:
-    """Return the last digit of a controller that holds still, (size,) between -1 and 1.
-
-    It flickers from one look to the next. A run must give the same figures on any machine. So
-    ``key`` says where and how the robot landed, and ``look`` counts since the program last
-    answered; the time has no part in it.
-    """
-    digest = hashlib.blake2b(b"%d/%b" % (look, key), digest_size=size).digest()
-    return np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0

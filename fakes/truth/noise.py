@@ -1,8 +1,8 @@
-"""Noise that depends on the act and its count, never on the time or the thread.
+"""Noise that depends on the event and its count, never on the time or the thread.
 
-A draw is keyed by the seed, by the act ("robot lands on these joints") and by how many times it has
-happened before. So a run is the same figure for figure on a slow and on a fast machine, while two
-visits of one target still differ.
+A draw is keyed by the seed, the event ("robot lands on these joints") and how often it occurred
+before. So a run gives the same figures on a slow and on a fast PC, while two visits of one target
+differ.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fakes.truth.transforms import Array
 
 
 class KeyedNoise:
@@ -20,14 +21,14 @@ class KeyedNoise:
 
     def __init__(self, seed: int, scope: str = "") -> None:
         self._root = f"{seed}/{scope}"
-        self._seen: Counter[str] = Counter()
+        self._occurrences: Counter[str] = Counter()
 
-    def normal(self, key: str, size: int) -> NDArray[np.float64]:
+    def normal(self, key: str, size: int) -> Array:
         """Return ``size`` unit normal draws for the next occurrence of ``key``."""
         return self.next_generator(key).standard_normal(size)
 
-    def later_normal(self, key: str, size: int) -> Callable[[], NDArray[np.float64]]:
-        """Return what draws as `normal` would now: the occurrence counts, drawn or not."""
+    def later_normal(self, key: str, size: int) -> Callable[[], Array]:
+        """Return a function that draws as `normal` would now; the occurrence counts in any case."""
         occurrence = self._next(key)
         return lambda: self.generator(occurrence).standard_normal(size)
 
@@ -36,8 +37,8 @@ class KeyedNoise:
         return self.generator(self._next(key))
 
     def _next(self, key: str) -> str:
-        self._seen[key] += 1
-        return f"{key}#{self._seen[key]}"
+        self._occurrences[key] += 1
+        return f"{key}#{self._occurrences[key]}"
 
     def generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to ``key`` alone."""
@@ -48,9 +49,9 @@ class KeyedNoise:
 class Dither:
     """Counts of a servo or a strip at rest about zero, at most ``reach`` to either side.
 
-    One step a SYNC. A run must give the same figures however often a slow machine looks (decision
-    6). So every second step lies at zero and the others on its two sides in turn; the middle of any
-    five steps in a row is then zero, wherever one begins.
+    One step a SYNC. Every second step is zero, and the others alternate in sign, so the median of
+    any five consecutive steps is zero: a run gives the same figures however often a slow PC polls
+    (decision 6).
     """
 
     STEPS = 240
@@ -73,3 +74,14 @@ class Dither:
     def change(self) -> int:
         """Return how far it came in the last step; never 0."""
         return self._counts[self._step] - self._counts[self._step - 1]
+
+
+def readout_noise(key: bytes, poll: int, size: int) -> Array:
+    """Return the last digit of a controller at rest, (size,) between -1 and 1.
+
+    It changes from poll to poll. ``key`` identifies where and how the robot landed, ``poll`` counts
+    since the program last answered; time has no influence, so a run gives the same figures on any
+    PC.
+    """
+    digest = hashlib.blake2b(b"%d/%b" % (poll, key), digest_size=size).digest()
+    return np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0

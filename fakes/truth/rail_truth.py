@@ -1,8 +1,8 @@
-"""The truth of the rail: motor, slide, strip; where the slide really is and how it leans.
+"""The truth of the rail: motor, slide and strip; the slide's true position and tilt.
 
-The motor stands where it was commanded. The slide follows it through backlash (play), along the
-error curve of Fig 1, and lands with a little noise that grows with the length of the move. The
-strip reads the slide. The motor's encoder shows nothing of all this.
+The motor reaches its commanded position. The slide follows it through backlash, along the error
+curve of Fig 1, and lands with noise that grows with the length of the move. The strip reads the
+slide; the motor's encoder shows none of this.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
-from fakes.truth.machine import Machine, machine_of
+from fakes.time import CellTime
+from fakes.truth.machine import Machine, cell_machine
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.robot_motion import Path
 from fakes.truth.transforms import Array, frame, rotation
@@ -23,7 +23,7 @@ from hilcell.cell.file import Cell
 
 
 class SmoothCurve:
-    """A random Fourier series, zero at position 0, of about the wanted standard deviation."""
+    """A random Fourier series, zero at position 0, with about the given standard deviation."""
 
     def __init__(
         self, rng: np.random.Generator, deviation: float, period_mm: float, harmonics: int = 4
@@ -59,18 +59,18 @@ class RailState:
 class RailTruth:
     """The rail of one simulated cell; safe to use from several threads.
 
-    It takes the faults ``rail.backlash``, ``rail.slip``, ``rail.pushed`` and
-    ``rail.reference_lost`` itself; all others are the servers'.
+    It applies the faults ``rail.backlash``, ``rail.slip``, ``rail.pushed`` and
+    ``rail.reference_lost``; the servers apply all others.
     """
 
-    SWITCH_MM = 1.0  # limit switches lie this far outside the travel
-    STOP_MM = 0.5  # and the slide stops this far behind them
+    SWITCH_MM = 1.0  # distance of the limit switches from the travel
+    STOP_MM = 0.5  # distance behind them at which the slide stops
 
-    def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
+    def __init__(self, cell: Cell, seed: int, time: CellTime, faults: Faults) -> None:
         self._lock = threading.RLock()
         self._time, self._faults = time, faults
         self._noise = KeyedNoise(seed, "rail")
-        machine = machine_of(cell)
+        machine = cell_machine(cell)
         self._sizes = machine.rail
         self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))
         self._low_mm = cell.rail.travel_min_mm - self.SWITCH_MM
@@ -85,29 +85,27 @@ class RailTruth:
         self._play_mm = power_on_mm  # slide behind the backlash, in the motor's coordinate
         self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
         self._path = Path(time.now_s(), power_on_mm)
-        self._stands: tuple[Path, float] | None = None  # where the slide is after a path
-        self._seen_s = time.now_s()
+        self._rest_position: tuple[Path, float] | None = None  # of the slide, after a path
+        self._followed_s = time.now_s()
 
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Start for ``target_mm`` of the encoder; a motion under way is braked first.
+        """Start for ``target_mm`` of the encoder, after braking a motion in progress.
 
-        A closed brake lets nothing move. Beyond a limit switch the slide stops behind it.
+        Does nothing while the brake is closed. Beyond a limit switch the slide stops behind it.
         """
         with self._lock:
             if self._braked:
                 return
             self._homing = False
-            wanted_mm = target_mm + self._zero_mm
-            limited_mm = min(
-                max(wanted_mm, self._low_mm - self.STOP_MM), self._high_mm + self.STOP_MM
-            )
+            low_mm, high_mm = self._low_mm - self.STOP_MM, self._high_mm + self.STOP_MM
+            limited_mm = min(max(target_mm + self._zero_mm, low_mm), high_mm)
             path = self._fresh_path().brake(acceleration_mm_s2)
             distance_mm = abs(limited_mm - path.end)
             path.travel(limited_mm, speed_mm_s, acceleration_mm_s2)
             self._start(path, f"{target_mm:.3f}", distance_mm)
 
     def quick_stop(self, deceleration_mm_s2: float) -> None:
-        """Brake to standstill on the ramp."""
+        """Brake to standstill."""
         with self._lock:
             self._homing = False
             before_mm = self._landing(self._time.now_s())
@@ -115,7 +113,7 @@ class RailTruth:
             self._landing_mm = (before_mm, before_mm)
 
     def home(self, speed_mm_s: float) -> None:
-        """Run to the negative limit switch, back off it, stand; there the encoder reads 0."""
+        """Move to the negative limit switch and back off it; there the encoder reads 0."""
         homing_mm_s2, back_off_mm_s = 200.0, 10.0
         with self._lock:
             if self._braked:
@@ -127,24 +125,24 @@ class RailTruth:
             self._homing = True
 
     def master(self) -> None:
-        """Have the encoder read the motor's true place: it is absolute."""
+        """Let the encoder read the motor's true position: it is absolute."""
         with self._lock:
             self._zero_mm = 0.0
 
     def brake(self, closed: bool) -> None:
-        """Close or open the holding brake; closed in motion, it stops the slide hard."""
-        brake_mm_s2 = 5000.0  # the closing brake
+        """Close or open the holding brake, which stops a moving slide."""
+        brake_mm_s2 = 5000.0
         with self._lock:
             self._braked = closed
             if closed:
                 self.quick_stop(brake_mm_s2)
 
     def poll(self) -> RailState:
-        """Return the state now; in stepped time a moving slide gets a third further."""
+        """Return the state now; in stepped time each poll advances a motion by a third."""
         with self._lock:
             now_s = self._time.poll(self._path.start_s, self._path.end_s)
             self._follow(now_s)
-            self._strike(now_s)
+            self._apply_faults(now_s)
             motor_mm, velocity_mm_s = self._path.at(now_s)
             encoder_mm = motor_mm - self._zero_mm
             strip_mm = self._shape.strip_mm(self._slide_mm(now_s))
@@ -158,27 +156,27 @@ class RailTruth:
             )
 
     @property
-    def still(self) -> bool:
-        """Whether the slide stands, without letting time pass."""
+    def at_rest(self) -> bool:
+        """Whether the slide is at rest; no time passes."""
         return self._time.now_s() >= self._path.end_s
 
     @property
-    def rests_s(self) -> float:
-        """Return the plant time at which the motion under way ends."""
+    def motion_ends_s(self) -> float:
+        """Cell time at which the motion in progress ends."""
         return self._path.end_s
 
     def slide_mm(self) -> float:
-        """Return where the slide really is along the rail, without letting time pass."""
+        """Return the slide's true position along the rail; no time passes."""
         with self._lock:
             now_s = self._time.now_s()
             self._follow(now_s)
             return self._slide_mm(now_s)
 
     def slide_pose(self) -> Array:
-        """Return the slide in {W}, (4, 4): the frame in which the cell file states nominal {B}."""
+        """Return {S} in {W}, (4, 4): the true frame of the cell file's nominal {B}."""
         return self._shape.pose(self.slide_mm())
 
-    def _strike(self, now_s: float) -> None:
+    def _apply_faults(self, now_s: float) -> None:
         self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0
         if self._braked and now_s >= self._path.end_s:
             pushed_mm = self._faults.number("rail.pushed") or 0.0
@@ -194,7 +192,7 @@ class RailTruth:
     def _start(self, path: Path, key: str, distance_mm: float) -> None:
         self._backlash_mm += self._faults.number("rail.backlash") or 0.0
         self._slip_mm += self._faults.number("rail.slip") or 0.0
-        long_move_mm = 100.0  # from which on the landing noise is that of a long move
+        long_move_mm = 100.0  # shorter moves land with less noise
         share = min(1.0, distance_mm / long_move_mm)
         long_mm, short_mm = self._sizes.landing_mm, self._sizes.short_landing_mm
         sigma_mm = short_mm + share * (long_mm - short_mm)
@@ -209,47 +207,46 @@ class RailTruth:
         return before_mm + min(1.0, share) * (after_mm - before_mm)
 
     def _follow(self, now_s: float) -> None:
-        """Drag the slide behind the motor up to ``now_s``, through every turn of the path."""
-        if self._stands is not None and self._stands[0] is self._path:
-            self._seen_s = now_s
+        """Drag the slide behind the motor up to ``now_s``, through every reversal of the path."""
+        if self._rest_position is not None and self._rest_position[0] is self._path:
+            self._followed_s = now_s
             return
-        corners = self._path.corners(self._seen_s, now_s)
+        corners = self._path.corners(self._followed_s, now_s)
         for motor_mm in (*corners, self._path.at(now_s)[0]):
             self._play_mm = min(max(self._play_mm, motor_mm), motor_mm + self._backlash_mm)
-        self._seen_s = now_s
+        self._followed_s = now_s
         if self._homing and now_s >= self._path.end_s:
             self._homing = False
             self._zero_mm = self._path.end
 
     def _slide_mm(self, now_s: float) -> float:
-        if self._stands is not None and self._stands[0] is self._path:
-            return self._stands[1]
+        if self._rest_position is not None and self._rest_position[0] is self._path:
+            return self._rest_position[1]
         motor_mm = self._path.at(now_s)[0]
         behind = (self._play_mm - motor_mm) / self._backlash_mm
         error_mm = self._shape.error_mm(self._play_mm, behind)
         slide_mm = self._play_mm + error_mm + self._landing(now_s) + self._slip_mm
         if now_s >= self._path.end_s:
-            self._stands = (self._path, slide_mm)
+            self._rest_position = (self._path, slide_mm)
         return slide_mm
 
 
 class FloorTruth:
-    """A robot on the floor, where a slide would be at 0; answers the plant as `RailTruth` does."""
+    """Replaces `RailTruth` for a robot on the floor: a slide that is always at 0."""
 
     def __init__(self, cell: Cell) -> None:
         self._pose = frame(cell.layout.base)
 
     def slide_mm(self) -> float:
-        """Return where a slide would be."""
         return 0.0
 
     def slide_pose(self) -> Array:
-        """Return in {W}, (4, 4), what the cell file states as nominal {B}."""
+        """Return the cell file's nominal {B} in {W}, (4, 4)."""
         return self._pose.copy()
 
 
 class _Shape:
-    """Properties that the seed fixes for good: error curves, straightness, leaning, strip."""
+    """Properties that depend on the seed alone: error curves, straightness, tilt, strip."""
 
     def __init__(self, cell: Cell, machine: Machine, rng: np.random.Generator) -> None:
         sizes = self._sizes = machine.rail
@@ -257,7 +254,7 @@ class _Shape:
         spread = 1.0 + backlash_spread * float(rng.standard_normal())
         self.backlash_mm = sizes.backlash_mm * spread
         self._curve = SmoothCurve(rng, 1.0, 2 * sizes.curve_span_mm, 3)
-        self._ways = SmoothCurve(rng, sizes.ways_mm, 1500.0, 2)
+        self._direction_curve = SmoothCurve(rng, sizes.ways_mm, 1500.0, 2)
         self._strip_long = SmoothCurve(rng, sizes.strip_long_mm, 4000.0, 3)
         self._pole_phase = float(rng.uniform(0.0, 2 * math.pi))
         self._straight = [SmoothCurve(rng, sizes.straightness_mm, 3500.0) for _ in range(2)]
@@ -272,27 +269,26 @@ class _Shape:
         self._share = self._share_as_surveyed(self._base[:3, :3] @ flange_mm)
 
     def _share_as_surveyed(self, lever_mm: Array) -> float:
-        """Return the factor that brings the survey of Fig 1 to its largest error.
+        """Return the factor that scales the survey of Fig 1 to its largest error.
 
-        It was made at the flange of a parked robot, so it shows the slide's leaning times the
-        lever arm (3,) as well as the rail's own error. Where these cancel there, the rail's own
-        stays that of a rail.
+        The survey was made at the flange of a parked robot, so it contains the slide's tilt times
+        the lever arm (3,). The factor is limited, for the two may cancel.
         """
         largest_mm = self._sizes.curve_mm
         positions_mm = np.linspace(0.0, self._sizes.curve_span_mm, 201).tolist()
         own_mm = largest_mm * np.array([self._curve(s) for s in positions_mm])
         leans_rad = np.array([self._lean_rad(s) for s in positions_mm])
-        seen_mm = own_mm + np.vecdot(np.cross(leans_rad, lever_mm), self._along)
-        most_share = 1.5  # of the stated curve
-        return min(most_share, largest_mm / float(np.abs(seen_mm).max()))
+        surveyed_mm = own_mm + np.vecdot(np.cross(leans_rad, lever_mm), self._along)
+        largest_share = 1.5
+        return min(largest_share, largest_mm / float(np.abs(surveyed_mm).max()))
 
     def _lean_rad(self, slide_mm: float) -> Array:
         return self._share * np.array([curve(slide_mm) for curve in self._lean])
 
     def error_mm(self, play_mm: float, behind: float) -> float:
-        """Return Fig 1's error; ``behind`` is 0 on the way up, 1 on the way down."""
+        """Return Fig 1's error; ``behind`` is 0 when moving up, 1 when moving down."""
         along_mm = self._share * self._sizes.curve_mm * self._curve(play_mm)
-        return along_mm + behind * self._ways(play_mm)
+        return along_mm + behind * self._direction_curve(play_mm)
 
     def strip_mm(self, slide_mm: float) -> float:
         """Return the strip's reading, unquantised."""
@@ -301,7 +297,7 @@ class _Shape:
         return slide_mm + self._strip_long(slide_mm) + self._sizes.strip_pole_mm * pole
 
     def pose(self, slide_mm: float) -> Array:
-        """Return the slide in {W}, (4, 4)."""
+        """Return {S} in {W}, (4, 4)."""
         T = self._base.copy()
         T[:3, :3] = rotation(self._lean_rad(slide_mm)) @ self._tilt @ T[:3, :3]
         T[:3, 3] += slide_mm * self._along

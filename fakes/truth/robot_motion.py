@@ -1,9 +1,9 @@
-"""How things move on plant time: one axis along trapezoids, a robot with all its axes (PTP).
+"""Motion in cell time: one axis along trapezoidal profiles, a robot with all its axes (PTP).
 
-Motion of one axis has constant accelerations; a trapezoid that is too short for its speed is a
-triangle. A robot moves from standstill to standstill: its controller's joints run along one
-trapezoid that the slowest axis rules. With each motion go the joints' own errors: from which side
-each comes, and by how much it misses.
+One axis has piecewise constant acceleration; a trapezoid that is too short for its speed is a
+triangle. A robot moves from standstill to standstill: the controller's joints follow one trapezoid,
+limited by the slowest axis. Each motion has joint errors: the side from which each joint arrives
+and its repeatability error.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fakes.time import PlantTime
+from fakes.time import CellTime
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
 
 class Segment(NamedTuple):
-    """Constant acceleration from ``start_s`` on; the last segment of a path stands still."""
+    """Constant acceleration from ``start_s`` on; the last segment of a path is at rest."""
 
     start_s: float
     position: float
@@ -48,7 +48,6 @@ class Path:
 
     @property
     def end(self) -> float:
-        """Return where it ends."""
         return self._segments[-1].position
 
     def brake(self, deceleration: float) -> Path:
@@ -83,7 +82,7 @@ class Path:
         self._starts_s.append(end_s)
 
     def at(self, now_s: float) -> tuple[float, float]:
-        """Return position and velocity at ``now_s``; before the start it stands there."""
+        """Return position and velocity at ``now_s``; those of the start before it."""
         segment = self._segments[max(0, bisect_right(self._starts_s, now_s) - 1)]
         passed_s = max(0.0, now_s - segment.start_s)
         velocity = segment.velocity + segment.acceleration * passed_s
@@ -96,8 +95,8 @@ class Path:
         start_s, position, velocity, acceleration = segments[taken].T
         passed_s = np.maximum(0.0, times_s - start_s)
         then = velocity + acceleration * passed_s
-        found: Array = position + 0.5 * (velocity + then) * passed_s
-        return found
+        positions: Array = position + 0.5 * (velocity + then) * passed_s
+        return positions
 
     def corners(self, after_s: float, until_s: float) -> list[float]:
         """Return the positions where segments began in ``after_s < t <= until_s``."""
@@ -110,21 +109,21 @@ Draw = Callable[[], Array]
 
 
 class RobotState(NamedTuple):
-    """Joints (6,) as the controller counts them, side of last motion, repeatability error."""
+    """The controller's joints (6,), the side of their last motion, their repeatability error."""
 
     joints_rad: Array
     side: Array
-    landing: Draw  # once, and only where somebody asks for it
+    landing: Draw  # lazy: drawn once, at the first use
     moving: bool
 
     @property
     def landing_rad(self) -> Array:
-        """Return the repeatability error (6,)."""
+        """Repeatability error (6,)."""
         return self.landing()
 
 
 class _Leg(NamedTuple):
-    """Motion from one moment on, until the next leg begins."""
+    """Motion until the next leg begins."""
 
     start_s: float
     from_rad: Array
@@ -139,8 +138,8 @@ class RobotMotion:
 
     BRAKE_S = 0.15  # from full speed to standstill on a stop
 
-    def __init__(self, cell: Cell, time: PlantTime, landings: Callable[[str], Draw]) -> None:
-        """``landings``: event -> what draws the repeatability error (6,) in rad."""
+    def __init__(self, cell: Cell, time: CellTime, landings: Callable[[str], Draw]) -> None:
+        """``landings``: event -> function that draws the repeatability error (6,) in rad."""
         self._lock = threading.RLock()
         self._time, self._landings = time, landings
         self._speed_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
@@ -151,65 +150,65 @@ class RobotMotion:
         self._rate = 1.0  # shares a second at full speed
         self._override = 1.0
         self._path = Path(time.now_s(), 0.0)
-        self._standing: RobotState | None = None
+        self._rest_state: RobotState | None = None
         self._legs: list[_Leg] = []
-        self._remembered = 0
-        self._keep_leg()
+        self._recorders = 0
+        self._add_leg()
 
     def move(self, target_rad: Array, speed_share: float) -> None:
-        """Start for joints (6,) at a share 0..1 of full speed; a motion under way ends here."""
+        """Start for joints (6,) at a share 0..1 of full speed, from wherever the robot is."""
         not_moved_rad = 1e-9
         with self._lock:
             self._from = self._joints(self._time.now_s())
             self._to = np.array(target_rad, dtype=float)
             distance = self._to - self._from
-            way_rad = np.abs(distance)
-            moved = way_rad > not_moved_rad
+            distance_rad = np.abs(distance)
+            moved = distance_rad > not_moved_rad
             self._side = np.where(moved, np.sign(distance), self._side)
             key = ",".join(f"{joint:.6f}" for joint in self._to.tolist())
             draw, before = self._landings(key), self._landing
             self._landing = cache(draw)
             if not moved.all():  # joints that have not moved keep their error
-                kept = np.where(moved, draw(), before())
-                self._landing = lambda: kept
-            duration_s = max((way_rad / self._speed_rad_s).tolist())
+                landing_rad = np.where(moved, draw(), before())
+                self._landing = lambda: landing_rad
+            duration_s = max((distance_rad / self._speed_rad_s).tolist())
             self._rate = 1.0 / max(duration_s, 1e-6)
             self._share = speed_share
             self._path = Path(self._time.now_s(), 0.0)
-            self._go_on()
-            self._keep_leg()
+            self._continue()
+            self._add_leg()
 
     def override(self, share: float) -> None:
-        """Change the speed of this and all further motions; 0 makes them stand."""
+        """Change the speed of this and all later motions; 0 stops them."""
         with self._lock:
             self._override = share
             if self.moving:
                 self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
-                self._go_on()
-                self._keep_leg()
+                self._continue()
+                self._add_leg()
 
     def brake(self) -> None:
-        """Stop on the path and forget the target."""
+        """Stop on the path and discard the target."""
         with self._lock:
             self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
             self._share = 0.0
-            self._keep_leg()
+            self._add_leg()
 
     def poll(self) -> RobotState:
-        """Return the state now; in stepped time a moving robot gets a third further."""
+        """Return the state now; in stepped time each poll advances a motion by a third."""
         with self._lock:
             self._time.poll(self._path.start_s, self._path.end_s)
             return self.state()
 
-    def remember(self, wanted: bool) -> None:
-        """Begin, or cease, to keep what `past` needs of motions that have ended."""
+    def record(self, on: bool) -> None:
+        """Begin or end to record completed motions for `past`; calls are counted."""
         with self._lock:
-            self._remembered += 1 if wanted else -1
+            self._recorders += 1 if on else -1
 
     def past(self, times_s: Array) -> tuple[Array, Array, Array]:
         """Return joints, sides and repeatability errors, (N, 6) each, at times (N,) up to now.
 
-        Exact from the motion on that was under way when `remember` began.
+        Exact since the start of the motion in which `record` began.
         """
         with self._lock:
             legs = list(self._legs)
@@ -228,21 +227,21 @@ class RobotMotion:
         )
 
     def state(self, at_s: float | None = None) -> RobotState:
-        """Return the state now, or as of a time just read; the same object at rest."""
+        """Return the state now, or at a time just read; the same object at rest."""
         with self._lock:
-            if self._standing is not None:
-                return self._standing
+            if self._rest_state is not None:
+                return self._rest_state
             now_s = self._time.now_s() if at_s is None else at_s
             moving = self._moves(now_s)
             state = RobotState(self._joints(now_s), self._side, self._landing, moving)
             if not moving:
-                self._standing = state
+                self._rest_state = state
             return state
 
     def measured(self, cycle_s: float) -> tuple[Array, int]:
         """Return the joints (6,) at the last tick of a controller's cycle, and the tick's number.
 
-        Ticks count from the motion's start: a run is the same whenever it moves.
+        Ticks count from the motion's start, so a run does not depend on when it moves.
         """
         with self._lock:
             start_s = self._legs[-1].start_s
@@ -252,42 +251,42 @@ class RobotMotion:
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way; one that an override of 0 holds still is."""
+        """Whether a motion is in progress, also while an override of 0 stops it."""
         return self._moves(self._time.now_s())
 
     @property
-    def rests_s(self) -> float:
-        """Return the plant time at which the motion under way ends."""
+    def motion_ends_s(self) -> float:
+        """Cell time at which the motion in progress ends."""
         return self._path.end_s
 
     @property
-    def seen_moving(self) -> bool:
-        """Whether the joints really turn."""
+    def axes_moving(self) -> bool:
+        """Whether the joints really move."""
         return self._time.now_s() < self._path.end_s
 
-    def _go_on(self) -> None:
+    def _continue(self) -> None:
         speed = self._rate * self._share * self._override
-        self._standing = None
+        self._rest_state = None
         ramp_s = 0.4  # from standstill to full speed
         if speed > 0:
             self._path.travel(1.0, speed, self._rate / ramp_s)
 
-    def _keep_leg(self) -> None:
+    def _add_leg(self) -> None:
         leg = _Leg(self._time.now_s(), self._from, self._to, self._side, self._landing, self._path)
-        if not self._remembered:
+        if not self._recorders:
             self._legs.clear()
         self._legs.append(leg)
 
     def _moves(self, now_s: float) -> bool:
-        held = self._share > 0 and self._path.end < 1.0
-        return held or now_s < self._path.end_s
+        overridden = self._share > 0 and self._path.end < 1.0
+        return overridden or now_s < self._path.end_s
 
     def _fresh_path(self) -> Path:
         now_s = self._time.now_s()
         return Path(now_s, *self._path.at(now_s))
 
     def _joints(self, now_s: float) -> Array:
-        if self._standing is not None:
-            return self._standing.joints_rad
+        if self._rest_state is not None:
+            return self._rest_state.joints_rad
         share = self._path.at(now_s)[0]
         return self._from + share * (self._to - self._from) if share < 1 else self._to

@@ -1,13 +1,12 @@
-"""The truth of the tracker: its place, the reflectors it finds, its readings, and the air.
+"""The truth of the tracker: its pose, the visible reflectors, its readings, and the air.
 
 Noise along the beam is a length, across it an angle. All positions are in the tracker's frame, mm.
-The plant time between two measurements depends a little on the machine's speed, so slow drift and
-air follow the number of measurements, each counted as 5 s.
+Cell time between two measurements depends slightly on the PC's speed, so slow drift and air follow
+the number of measurements, each counted as 5 s.
 
-A reflector that is followed is sampled by the tracker's own clock, which began at another moment
-than any other, and runs a little too fast or too slow. The truth of a sample is where the reflector
-was at the sample's time, however late it is asked for. Noise follows the sample's number in its
-stream.
+A followed reflector is sampled by the tracker's own clock, with an offset and a drift of its own.
+The truth of a sample is the reflector's position at the sample's time, however late it is
+collected. Noise follows the sample's number in its stream.
 """
 
 from __future__ import annotations
@@ -15,16 +14,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.truth.machine import machine_of
+from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.robot_motion import RobotMotion
-from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotation
+from fakes.truth.transforms import Array, frame, inverse, rigid, rotation, transform_point
 from hilcell.cell.file import Cell
 from hilcell.fit.robot_file import read_measurements
 from hilcell.ports import Air
@@ -38,19 +38,19 @@ class Measurement:
     std_mm: Array
 
 
-class _Struck(NamedTuple):
+class _MeasurementFaults(NamedTuple):
     offset_mm: float
     noisy_mm: float | None
     spike_mm: float
 
 
 class TrackerTruth:
-    """A tracker that sees reflectors given in {W}.
+    """A tracker that measures reflectors given in {W}.
 
-    It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
+    It applies the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
     ``tracker.noisy``, ``tracker.spike``, ``tracker.warmer``, ``tracker.wrong_offset``,
     ``tracker.wrong_target``, ``tracker.collimation``, ``tracker.transit``, ``tracker.index`` and
-    ``tracker.turning`` itself; all others are the server's.
+    ``tracker.turning``; the server applies all others.
     """
 
     MEASUREMENT_S = 5.0
@@ -66,12 +66,12 @@ class TrackerTruth:
         rng = KeyedNoise(seed).generator("tracker")
         self._noise, self._back = KeyedNoise(seed, "tracker"), KeyedNoise(seed, "tracker's back")
         self._faults, self._reflectors = faults, reflectors_in_world
-        self.measured = 0  # how often
+        self.measured = 0  # number of measurements
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
-        machine = machine_of(cell)
+        machine = cell_machine(cell)
         self._sizes = machine.tracker
-        turn = machine.mounting.tracker_urad * 1e-6 * rng.standard_normal(3)
-        placed = rigid(rotation(turn), machine.mounting.tracker_mm * rng.standard_normal(3))
+        tilt_rad = machine.mounting.tracker_urad * 1e-6 * rng.standard_normal(3)
+        placed = rigid(rotation(tilt_rad), machine.mounting.tracker_mm * rng.standard_normal(3))
         self.pose_in_world = frame(cell.tracker.pose) @ placed
         self._from_world = inverse(self.pose_in_world)
         self._drift = tuple(rng.standard_normal((2, 3)) * self._sizes.drift_mm)
@@ -85,37 +85,39 @@ class TrackerTruth:
 
     def reflectors(self) -> dict[str, Array]:
         return {
-            name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
+            name: transform_point(self._from_world, at_mm)
+            for name, at_mm in self._reflectors().items()
         }
 
     def reflector(self, name: str) -> Array | None:
-        """Return where one reflector is, None where it is not to be seen."""
+        """Return the position (3,) of a reflector, None where it is not visible."""
         at_mm = self._reflectors().get(name)
-        return None if at_mm is None else carried(self._from_world, at_mm)
+        return None if at_mm is None else transform_point(self._from_world, at_mm)
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point (3,), if within range and radius."""
-        places, near = self._reflectors(), carried(self.pose_in_world, near_mm).tolist()
+        places, near = self._reflectors(), transform_point(self.pose_in_world, near_mm).tolist()
         off_mm = {name: math.dist(at_mm.tolist(), near) for name, at_mm in places.items()}
         order = sorted(off_mm, key=off_mm.__getitem__)
-        seen = (name for name in order if self._in_range(carried(self._from_world, places[name])))
-        best, next_best = next(seen, None), next(seen, None)
+        to_tracker = partial(transform_point, self._from_world)
+        in_range = (name for name in order if self._in_range(to_tracker(places[name])))
+        best, next_best = next(in_range, None), next(in_range, None)
         if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
             return next_best
         return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
-        found = self.measurements(name, 1, back=back)
-        return None if found is None else Measurement(found.xyz_mm[0], found.std_mm[0])
+        one = self.measurements(name, 1, back=back)
+        return None if one is None else Measurement(one.xyz_mm[0], one.std_mm[0])
 
     def measurements(self, name: str, count: int, *, back: bool = False) -> Measurement | None:
-        """Return measurements in a row, (N, 3) each, or None where one is out of range.
+        """Return consecutive measurements, (N, 3) each, or None where one is out of range.
 
-        Those in the second face, ``back``, take noise of their own and are no step of the drift:
-        all others are the same with and without them.
+        Those in the second face, ``back``, have separate noise and do not advance the drift: they
+        do not change the others.
         """
-        struck: dict[int, _Struck] = {}  # rows with a fault
+        faults: dict[int, _MeasurementFaults] = {}  # by row
         xyz_mm = np.empty((count, 3))
         for row in range(count):
             at_mm = self.reflector(name)
@@ -123,19 +125,19 @@ class TrackerTruth:
                 return None
             self.measured += not back
             if back:
-                struck[row] = _Struck(self._offset_mm, None, 0.0)
+                faults[row] = _MeasurementFaults(self._offset_mm, None, 0.0)
             elif self._faults.any_armed or self._offset_mm:
-                struck[row] = self._strike(name)
+                faults[row] = self._apply_faults(name)
             if name in self._lifted_mm:
                 at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
             xyz_mm[row] = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         xyz_mm = self._sighted(xyz_mm, back=back)
         range_mm = np.sqrt(np.vecdot(xyz_mm, xyz_mm))[:, None]
         along = xyz_mm / range_mm
-        for row, fault in struck.items():
+        for row, fault in faults.items():
             xyz_mm[row] += fault.offset_mm * along[row]
         noise = self._back if back else self._noise
-        # Keys that a slide which lands a few micrometres off does not change.
+        # Rounded, so that the slide's landing noise does not change the keys.
         keys = [",".join(f"{value / 10.0:.0f}" for value in each) for each in xyz_mm.tolist()]
         draws = np.array([noise.normal(key, 6) for key in keys])
         draws, std_draws = draws[:, :3], draws[:, 3:]
@@ -143,19 +145,19 @@ class TrackerTruth:
         radial = np.vecdot(draws, along)[:, None] * along
         noise_mm = radial_mm * radial + across_mm * (draws - radial)
         sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
-        for row, fault in struck.items():
+        for row, fault in faults.items():
             if fault.noisy_mm is not None:
                 noise_mm[row] = fault.noisy_mm * draws[row]
                 sigma_mm[row] = fault.noisy_mm / math.sqrt(3.0)
         xyz_mm += noise_mm
-        for row, fault in struck.items():
+        for row, fault in faults.items():
             xyz_mm[row, 2] += fault.spike_mm
         return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(std_draws)))
 
     def read(self, at_world_mm: Array, draws: Array) -> Array:
         """Return single readings (M, 3) of positions (N, 3) in {W}, with unit noise (N, 3).
 
-        M < N where one is out of range: the beam is lost there. Drift and air stand still.
+        M < N where one is out of range: there the beam is lost. Drift and air do not advance.
         """
         at_mm = at_world_mm @ self._from_world[:3, :3].T + self._from_world[:3, 3]
         xyz_mm = self._sighted(self._scale * at_mm + self._bump_mm + self._slow_drift_mm())
@@ -166,12 +168,12 @@ class TrackerTruth:
         radial = (draws * along).sum(axis=1, keepdims=True) * along
         radial_mm, across_mm = self._sigma_mm(range_mm[:, None])
         noise_mm = radial_mm * radial + across_mm * (draws - radial)
-        found: Array = (xyz_mm + noise_mm)[: lost[0] if len(lost) else None]
-        return found
+        readings_mm: Array = (xyz_mm + noise_mm)[: lost[0] if len(lost) else None]
+        return readings_mm
 
     @property
     def warm_k(self) -> float:
-        """How much warmer the room is now than its mean."""
+        """Present deviation of the ambient temperature from its mean."""
         return self._temperature_c() - self._sizes.room_c
 
     def air(self) -> Air:
@@ -190,7 +192,7 @@ class TrackerTruth:
         age = self.measured * self.MEASUREMENT_S / air_period_s
         return math.sin(2 * math.pi * age + self._air_phases[number])
 
-    def _strike(self, name: str) -> _Struck:
+    def _apply_faults(self, name: str) -> _MeasurementFaults:
         number = self._faults.number
         noisy_mm = number("tracker.noisy")
         self._bump_mm[0] += number("tracker.drift_step") or 0.0
@@ -199,30 +201,27 @@ class TrackerTruth:
         self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
         self._warmer_k += number("tracker.warmer") or 0.0
         self._offset_mm += number("tracker.wrong_offset") or 0.0
-        # faults of the axes, in urad
-        axes = ("tracker.collimation", "tracker.transit", "tracker.index")
-        for axis, fault in enumerate(axes):
+        for axis, fault in enumerate(("tracker.collimation", "tracker.transit", "tracker.index")):
             self._axes_rad[axis] += self.URAD * (number(fault) or 0.0)
         if (turning := number("tracker.turning")) is not None:
             self._turning_rad, self._turning_since = self.URAD * turning, self.measured
-        return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
+        return _MeasurementFaults(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
 
     def _sighted(self, xyz_mm: Array, *, back: bool = False) -> Array:
-        """Return places (N, 3) as a tracker sees them that turns, and whose axes are a little off.
+        """Return positions (N, 3) with the errors of the tracker's axes and its rotation drift.
 
-        In the second face the axes' errors have the other sign.
+        In the second face the errors of the axes have the opposite sign.
         """
         x, y, z = xyz_mm.T
         flat_mm, range_mm = np.hypot(x, y), np.sqrt(np.vecdot(xyz_mm, xyz_mm))
-        nought = np.zeros(len(xyz_mm))
-        around = np.stack([-y, x, nought], axis=1)
+        around = np.stack([-y, x, np.zeros(len(xyz_mm))], axis=1)
         down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / range_mm[:, None]
         collimation, transit, index = -self._axes_rad if back else self._axes_rad
-        turned = self._turning_rad * (self.measured - self._turning_since) / 1000.0
-        across = (collimation * range_mm + transit * z) / flat_mm + turned
-        found: Array = xyz_mm + across[:, None] * around
-        found += (index * range_mm / flat_mm)[:, None] * down
-        return found
+        drift_rad = self._turning_rad * (self.measured - self._turning_since) / 1000.0
+        across = (collimation * range_mm + transit * z) / flat_mm + drift_rad
+        sighted_mm: Array = xyz_mm + across[:, None] * around
+        sighted_mm += (index * range_mm / flat_mm)[:, None] * down
+        return sighted_mm
 
     def _sigma_mm(self, range_mm: Array) -> tuple[float, Array]:
         return self._sizes.radial_um * 1e-3, self._sizes.across_um_m * 1e-6 * range_mm
@@ -239,48 +238,46 @@ class TrackerTruth:
 
 
 class ReplayTracker:
-    """Sees the reflectors recorded for the pose at which the robot stands."""
+    """Measures the reflectors recorded for the robot's present pose."""
 
     def __init__(self, data: Path, robot: RobotMotion) -> None:
         self._rows = read_measurements(data)
         self._robot = robot
 
     def reflectors(self) -> dict[str, Array]:
-        """Return the recorded positions of the reflectors at this pose, by name."""
         state = self._robot.state()
         if state.moving:
             return {}
         off_rad = np.abs(self._rows.joints_rad - state.joints_rad).max(axis=1)
-        same_pose_rad = 2e-5  # joints travel as decimals
+        same_pose_rad = 2e-5  # joints are sent as decimals
         here = np.flatnonzero(off_rad <= same_pose_rad)
         return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
 
     def reflector(self, name: str) -> Array | None:
-        """Return the recorded position of one reflector, None where there is none."""
         return self.reflectors().get(name)
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the reflector nearest to a point (3,) within the radius."""
-        found = {
+        off_mm = {
             name: float(np.linalg.norm(at_mm - near_mm))
             for name, at_mm in self.reflectors().items()
         }
-        best = min(found, key=found.__getitem__, default=None)
-        return best if best is not None and found[best] <= radius_mm else None
+        best = min(off_mm, key=off_mm.__getitem__, default=None)
+        return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:
-        """Return the recorded measurement, whose face the data do not tell."""
+        """Return the recorded measurement, in either face."""
         at_mm = self.reflector(name)
-        std_mm = 0.005  # the data say nothing of each reading's spread
+        std_mm = 0.005  # the data contain no standard deviations
         return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
 
     def air(self) -> Air:
-        """Return the air, which the data do not tell."""
+        """Return standard air, for the data contain none."""
         return Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
 
 
 class Followed(NamedTuple):
-    """A reflector that is followed from now on, until `end`."""
+    """A reflector that is followed until `end`."""
 
     read: Callable[[Array], Array]  # device times (N,) -> readings (M, 3)
     end: Callable[[], None]
@@ -299,27 +296,27 @@ class StreamTruth:
         self._robot, self._tracker, self._path = robot, tracker, path_in_world
         self._noise = KeyedNoise(seed, "stream")
         clock = KeyedNoise(seed).generator("tracker clock")
-        power_on_s = (2_000.0, 400_000.0)  # how long the tracker may have been on
+        power_on_s = (2_000.0, 400_000.0)  # since when the tracker is on
         self.offset_s = float(clock.uniform(*power_on_s))
         drift_ppm = 30.0
         self.drift = drift_ppm * 1e-6 * float(clock.uniform(-1.0, 1.0))
 
     def device_s(self, time_s: float) -> float:
-        """Return the tracker's own time at a plant time."""
+        """Return the tracker's time at a cell time."""
         return self.offset_s + (1.0 + self.drift) * time_s
 
     def follow(self, name: str) -> Followed:
         """Follow a reflector. ``read`` takes device times (N,), returns readings (M, 3).
 
-        M < N where the beam is lost; each time is asked for once, in order.
+        M < N where the beam is lost; each time must be read once, in order.
         """
         noise = self._noise.next_generator(name)
 
         def read(device_s: Array) -> Array:
-            plant_s: Array = (device_s - self.offset_s) / (1.0 + self.drift)
-            at_mm = self._path(name, plant_s)
+            cell_s: Array = (device_s - self.offset_s) / (1.0 + self.drift)
+            at_mm = self._path(name, cell_s)
             draws = noise.standard_normal((len(device_s), 3))
             return self._tracker.read(at_mm, draws[: len(at_mm)])
 
-        self._robot.remember(wanted=True)
-        return Followed(read, lambda: self._robot.remember(wanted=False))
+        self._robot.record(on=True)
+        return Followed(read, lambda: self._robot.record(on=False))

@@ -1,12 +1,11 @@
-"""Rotations and frames of the simulated cell, and its serial arms, by its own mathematics.
+"""Rotations, frames and serial arms of the simulated cell, with mathematics of their own.
 
-Nothing here comes from `hilcell.geometry`: a calibration is worth something only if truth and
-controller do not share its code. Frames are (4, 4), lengths mm, angles rad unless named.
+Nothing comes from `hilcell.geometry`: a calibration is tested only if truth and controller do not
+share its code. Frames are (4, 4), lengths mm, angles rad unless named.
 
 An arm is a product of exponentials, ``T(q) = exp(s1 q1) .. exp(s6 q6) T(0)`` (Brockett 1984): each
-joint turns everything behind it about a line that is stated once, where it lies at joints zero, in
-the robot's base frame. A joint's positive sense is its axis's direction; there are no signs or
-offsets beside it.
+joint rotates all distal bodies about its line at joints zero, given in the robot's base frame. The
+axis's direction is the joint's positive sense; there are no other signs or offsets.
 """
 
 from __future__ import annotations
@@ -23,15 +22,14 @@ from hilcell.cell.tables import Pose
 from hilcell.ports import HilcellError
 
 Array = NDArray[np.float64]
-UNTURNED = np.eye(3)
 
 
-def turned(axes: Array, angles_rad: Array) -> Array:
+def axis_rotation(axes: Array, angles_rad: Array) -> Array:
     """Return rotations (..., 3, 3) by angles (...) about unit axes (..., 3), after Rodrigues."""
-    return turned_by(*generators(axes), angles_rad)
+    return axis_rotation_by(*axis_generators(axes), angles_rad)
 
 
-def generators(axes: Array) -> tuple[Array, Array]:
+def axis_generators(axes: Array) -> tuple[Array, Array]:
     """Return the matrices (..., 3, 3) of the cross product with unit axes (..., 3), and squares."""
     K = np.zeros((*axes.shape, 3))
     x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
@@ -40,25 +38,25 @@ def generators(axes: Array) -> tuple[Array, Array]:
     return K, K @ K
 
 
-def turned_by(K: Array, squares: Array, angles_rad: Array) -> Array:
-    """Return what `turned` does, for axes of which the `generators` are known."""
+def axis_rotation_by(K: Array, squares: Array, angles_rad: Array) -> Array:
+    """Return as `axis_rotation`, from known `axis_generators`."""
     sine = np.sin(angles_rad)[..., None, None]
     versine = (1.0 - np.cos(angles_rad))[..., None, None]
-    return UNTURNED + sine * K + versine * squares
+    return np.eye(3) + sine * K + versine * squares
 
 
 def rotation(vector_rad: Array) -> Array:
     """Return the rotation (3, 3) of a rotation vector (3,)."""
     angle = float(np.linalg.norm(vector_rad))
     axis = vector_rad / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
-    return turned(axis, np.array(angle))
+    return axis_rotation(axis, np.array(angle))
 
 
 def rotation_vector(R: Array) -> Array:
     """Return the rotation vector (3,) of a rotation (3, 3), of an angle up to pi.
 
-    By the quaternion, from its largest component (Shepperd 1978); in plain numbers, for a
-    controller states it hundreds of times a second.
+    By the quaternion, from its largest component (Shepperd 1978); in plain numbers, which is
+    faster: a controller sends it hundreds of times a second.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
     w, x, y, z = max(
@@ -83,14 +81,14 @@ def rigid(R: Array, shift_mm: Array) -> Array:
 def product(frames: Sequence[Array]) -> Array:
     """Return the product of frames (..., 4, 4), the first the outermost."""
     if frames[0].ndim == 2:
-        return reduce(np.ndarray.dot, frames)  # the same for single ones, in a third of the time
+        return reduce(np.ndarray.dot, frames)  # a third of the time of matmul
     return reduce(np.matmul, frames)
 
 
 def frame(pose: Pose) -> Array:
-    """Return the matrix (4, 4) of a stated frame: Rz(A) Ry(B) Rx(C)."""
+    """Return the matrix (4, 4) of a pose: Rz(A) Ry(B) Rx(C)."""
     angles = np.radians([pose.a_deg, pose.b_deg, pose.c_deg])
-    Rz, Ry, Rx = turned(np.eye(3)[::-1], angles)
+    Rz, Ry, Rx = axis_rotation(np.eye(3)[::-1], angles)
     return rigid(Rz @ Ry @ Rx, np.array([pose.x_mm, pose.y_mm, pose.z_mm]))
 
 
@@ -99,7 +97,7 @@ def components(T: Array) -> Array:
     R = T[:3, :3]
     cos_b = float(np.hypot(R[0, 0], R[1, 0]))
     b = np.arctan2(-R[2, 0], cos_b)
-    gimbal = 1e-9  # cosine of B below which A and C turn about one line
+    gimbal = 1e-9  # cosine of B below which A and C rotate about the same line
     if cos_b > gimbal:
         a, c = np.arctan2(R[1, 0], R[0, 0]), np.arctan2(R[2, 1], R[2, 2])
     else:
@@ -112,8 +110,8 @@ def inverse(T: Array) -> Array:
     return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
 
 
-def carried(T: Array, point_mm: Array) -> Array:
-    """Return a point (3,) carried by rigid motions (..., 4, 4)."""
+def transform_point(T: Array, point_mm: Array) -> Array:
+    """Return a point (3,) transformed by rigid motions (..., 4, 4)."""
     return T[..., :3, :3] @ point_mm + T[..., :3, 3]
 
 
@@ -127,7 +125,7 @@ class Chain:
     _generators: tuple[Array, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_generators", generators(self.axes))
+        object.__setattr__(self, "_generators", axis_generators(self.axes))
 
     def pose(self, joints_rad: Array, strain: float = 0.0) -> Array:
         """Return the last frame (..., 4, 4) at joints (..., 6).
@@ -138,13 +136,17 @@ class Chain:
         if strain:
             points_mm, last = points_mm * (1.0 + strain), last.copy()
             last[:3, 3] *= 1.0 + strain
-        return product([*self._turns(joints_rad, points_mm), last])
+        return product([*self._joint_motions(joints_rad, points_mm), last])
 
     def lines(self, joints_rad: Array) -> tuple[list[tuple[Array, Array]], Array]:
         """Return direction (..., 3) and a point (..., 3) of each axis, and the last frame's."""
-        moved = self._moved(joints_rad)
+        moved = [np.broadcast_to(np.eye(4), (*joints_rad.shape[:-1], 4, 4))]  # of bodies 0 .. 6
+        for each in self._joint_motions(joints_rad, self.points_mm):
+            moved.append(moved[-1] @ each)
         placed = zip(moved[:-1], self.axes, self.points_mm, strict=True)
-        lines = [(T[..., :3, :3] @ axis, carried(T, point_mm)) for T, axis, point_mm in placed]
+        lines = [
+            (T[..., :3, :3] @ axis, transform_point(T, point_mm)) for T, axis, point_mm in placed
+        ]
         return lines, (moved[-1] @ self.last)[..., :3, 3]
 
     def levers(self, joints_rad: Array) -> Array:
@@ -153,7 +155,7 @@ class Chain:
         return np.stack([tip_mm - point_mm for _, point_mm in lines], axis=-2)
 
     def jacobian(self, joints_rad: Array) -> Array:
-        """Return d(shift in mm, turn in rad) / d(joints) of the last frame, (..., 6, 6)."""
+        """Return d(shift in mm, rotation in rad) / d(joints) of the last frame, (..., 6, 6)."""
         lines, tip_mm = self.lines(joints_rad)
         columns = [
             np.concatenate([np.cross(direction, tip_mm - point_mm), direction], axis=-1)
@@ -164,20 +166,20 @@ class Chain:
     def solve(self, poses: Array, start_rad: Array) -> Array:
         """Return joints (N, 6) for poses (N, 4, 4) by damped least squares from a start (6,).
 
-        The posture is the start's. Raises `HilcellError` where it does not arrive.
+        The posture is the start's. Raises `HilcellError` where it does not converge.
         """
         joints = np.tile(start_rad, (len(poses), 1))
         longest_step_rad = 0.3
         steps = 60
-        scale_mm = 1000.0  # a radian counts as much as this
-        arrived = 1e-10  # of it
+        scale_mm = 1000.0  # weighs as much as a radian
+        converged = 1e-10
         for _ in range(steps):
-            found = self.pose(joints)
-            # (shift / scale_mm, about the turn) from found to wanted, (N, 6)
-            shift = (poses[:, :3, 3] - found[:, :3, 3]) / scale_mm
-            columns = np.swapaxes(found[:, :3, :3], -1, -2), np.swapaxes(poses[:, :3, :3], -1, -2)
+            actual = self.pose(joints)
+            # (shift / scale_mm, small rotation) to the target pose, (N, 6)
+            shift = (poses[:, :3, 3] - actual[:, :3, 3]) / scale_mm
+            columns = np.swapaxes(actual[:, :3, :3], -1, -2), np.swapaxes(poses[:, :3, :3], -1, -2)
             error = np.concatenate([shift, 0.5 * np.cross(*columns).sum(axis=1)], axis=-1)
-            if np.abs(error).max() < arrived:
+            if np.abs(error).max() < converged:
                 return joints
             J = self.jacobian(joints)
             J[..., :3, :] /= scale_mm
@@ -187,33 +189,26 @@ class Chain:
             joints = joints + step.clip(-longest_step_rad, longest_step_rad)
         raise HilcellError("simulated robot: a reference pose of the machine is out of reach")
 
-    def _moved(self, joints_rad: Array) -> list[Array]:
-        """Return the motion (..., 4, 4) of bodies behind 0, 1, .. 6 joints."""
-        moved = [np.broadcast_to(np.eye(4), (*joints_rad.shape[:-1], 4, 4))]
-        for each in self._turns(joints_rad, self.points_mm):
-            moved.append(moved[-1] @ each)
-        return moved
-
-    def _turns(self, joints_rad: Array, points_mm: Array) -> list[Array]:
-        """Return the motion (..., 4, 4) of each joint alone, about its axis through a point."""
-        R = turned_by(*self._generators, joints_rad)
+    def _joint_motions(self, joints_rad: Array, points_mm: Array) -> list[Array]:
+        """Return the rotation (..., 4, 4) of each joint about its axis through a point."""
+        R = axis_rotation_by(*self._generators, joints_rad)
         single = np.zeros((*joints_rad.shape, 4, 4))
         single[..., :3, :3], single[..., 3, 3] = R, 1.0
         single[..., :3, 3] = points_mm - (R @ points_mm[..., None])[..., 0]
         return [single[..., number, :, :] for number in range(6)]
 
 
-def from_rows(
+def axes_from_dh(
     a_mm: Array, alpha_rad: Array, d_mm: Array, offset_rad: Array, sign: Array
 ) -> tuple[Array, Array, Array]:
     """Return axes, points and the flange of Denavit-Hartenberg rows, each (6,).
 
-    Walks along the rows at joints zero: each joint turns about the z axis on which it stands.
+    At joints zero; each joint rotates about the z axis of the frame before it.
     """
     T, axes, points_mm = np.eye(4), np.zeros((6, 3)), np.zeros((6, 3))
     x, z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for row in range(6):
         axes[row], points_mm[row] = sign[row] * T[:3, 2], T[:3, 3]
-        T = T @ rigid(turned(z, offset_rad[row]), d_mm[row] * z)
-        T = T @ rigid(turned(x, alpha_rad[row]), a_mm[row] * x)
+        T = T @ rigid(axis_rotation(z, offset_rad[row]), d_mm[row] * z)
+        T = T @ rigid(axis_rotation(x, alpha_rad[row]), a_mm[row] * x)
     return axes, points_mm, T

@@ -28,7 +28,7 @@ class Rtde(Sized):
         """``sessions``: the numbers of the scripts that were sent, by those of the recording."""
         super().__init__(">H", 0, 0)
         self._sessions = sessions
-        self._places: dict[str, int] = {}  # of a field in a package of data
+        self._places_cache: dict[str, int] = {}  # of a field in a package of data
         self._time_s, self._count, self._question = 0.0, 0, 0
 
     def unheard(self, message: bytes) -> bool:
@@ -56,22 +56,22 @@ class Rtde(Sized):
             self._learn(recorded, answer)
         fields = ("timestamp", "output_int_register_26", "output_int_register_27")
         echo = "input_int_register_28"
-        if answer[KIND] != DATA or not self._places.keys() >= {*fields, echo}:
+        if answer[KIND] != DATA or not self._places_cache.keys() >= {*fields, echo}:
             return answer
         found = bytearray(answer)
         time_s, number, count = (
-            struct.unpack_from(form, found, self._places[name])[0]
+            struct.unpack_from(form, found, self._places_cache[name])[0]
             for form, name in zip(("!d", "!i", "!i"), fields, strict=True)
         )
         least_s = 1e-6  # from one package to the next
         self._time_s = max(time_s, self._time_s + least_s)
         self._count = max(count, self._count + 1)
         session = self._sessions.get(number, number)
-        struct.pack_into("!d", found, self._places[fields[0]], self._time_s)
+        struct.pack_into("!d", found, self._places_cache[fields[0]], self._time_s)
         for name, value in zip(
             (*fields[1:], echo), (session, self._count, self._question), strict=True
         ):
-            struct.pack_into("!i", found, self._places[name], value)
+            struct.pack_into("!i", found, self._places_cache[name], value)
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:
@@ -81,7 +81,7 @@ class Rtde(Sized):
     def works(self, asked: bytes, answer: bytes) -> bool:
         """Whether the script has not acknowledged a write's number yet."""
         acknowledged = "output_int_register_24"
-        values, at = asked[HEAD + 1 :], self._places.get(acknowledged)
+        values, at = asked[HEAD + 1 :], self._places_cache.get(acknowledged)
         if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != self.INPUTS.size or at is None:
             return False
         sequence, *_ = self.INPUTS.unpack(values)
@@ -93,9 +93,9 @@ class Rtde(Sized):
         names = asked[HEAD + 8 :].decode("ascii", "replace").split(",")
         types = answer[HEAD + 1 :].decode("ascii").split(",")
         at = HEAD + 1
-        self._places, self._time_s, self._count = {}, 0.0, 0
+        self._places_cache, self._time_s, self._count = {}, 0.0, 0
         for name, kind in zip(names, types, strict=False):
-            self._places[name], at = at, at + size.get(kind, 0)
+            self._places_cache[name], at = at, at + size.get(kind, 0)
 
 
 class UrScript(Dialect):

@@ -22,9 +22,10 @@ import numpy as np
 
 from fakes.faults import Vanished
 from fakes.site import Site
-from fakes.time import LifeTimer
-from fakes.truth.cell_truth import strike
-from fakes.truth.machine import controller_arm, flicker
+from fakes.time import WatchdogTimer
+from fakes.truth.cell_truth import apply_start_faults
+from fakes.truth.machine import controller_arm
+from fakes.truth.noise import readout_noise
 from fakes.truth.transforms import Array, rotation_vector
 from fakes.wires import HOST, RECEIVE, Listener, Segments, Server
 
@@ -89,7 +90,7 @@ class UrController:
 
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        self._plant, self._motion = site.plant, site.plant.robot
+        self._truth, self._motion = site.truth, site.truth.robot
         self._faults, self._time, cell = site.faults, site.time, site.cell
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
@@ -100,7 +101,7 @@ class UrController:
         self.inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
         self.inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
         self._session = self._count = self._acknowledged = self._error = 0
-        self._timer = LifeTimer(self._life_ran_out)
+        self._timer = WatchdogTimer(self._watchdog_expired)
         self._stale: Values | None = None
         self.restore()
 
@@ -123,7 +124,7 @@ class UrController:
     def state(self) -> Values:
         """Return the outputs of one cycle by name; a moving robot gets further."""
         with self._lock:
-            self._strike_by_motion()
+            self._apply_motion_faults()
             self._run()
             values = self._values()
             stale = self._faults.take("robot.stale_position") is not None
@@ -139,7 +140,7 @@ class UrController:
     def write(self, values: dict[str, float]) -> None:
         life = "input_int_register_26"  # the PC's sign
         with self._lock:
-            self._strike_on_request()
+            self._apply_request_faults()
             changed = {name for name, value in values.items() if self.inputs[name] != value}
             self.inputs |= values
             if life in changed:
@@ -155,7 +156,7 @@ class UrController:
     def play(self, script: str) -> None:
         """Play a program in place of the one before; local control, or a stop, takes none."""
         with self._lock:
-            self._strike_on_request()
+            self._apply_request_faults()
             name = self.NAME.match(script)
             ready = self._mode == Mode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
             if not self.remote or not ready or not name:
@@ -170,7 +171,7 @@ class UrController:
 
     def ask(self, command: str) -> str:
         with self._lock:
-            self._strike_on_request()
+            self._apply_request_faults()
             if command == "stop":
                 if not self.remote:
                     return "Failed to execute: stop"
@@ -206,7 +207,7 @@ class UrController:
             speeds = (now_rad - before_rad) / self.STEP_S
         else:
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
-            off = flicker(landed, round(now_s / self.STEP_S), 12)
+            off = readout_noise(landed, round(now_s / self.STEP_S), 12)
             joints_rad, speeds = joints_rad + dither_rad * off[:6], dither_rad_s * off[6:]
         T = self._arm.chain.pose(joints_rad)
         pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])
@@ -267,11 +268,11 @@ class UrController:
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
-        struck = strike(self._faults, self._plant, target_deg)
-        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
+        motion = apply_start_faults(self._faults, self._truth, target_deg)
+        self._keeps_acknowledge, self._frozen = motion.keeps_acknowledge, motion.frozen
         self._moves = True
         if not self._frozen:
-            to_rad = np.radians(struck.target_deg)
+            to_rad = np.radians(motion.target_deg)
             way_rad = np.abs(to_rad - self._motion.state().joints_rad)
             slowest_s = float(np.max(way_rad / self._full_rad_s))
             wanted_s = float(np.max(way_rad)) / speed_rad_s
@@ -297,16 +298,16 @@ class UrController:
         self._program, self._runtime = "", Runtime.STOPPED
         self._moves = self._keeps_acknowledge = self._frozen = False
 
-    def _life_ran_out(self) -> None:
+    def _watchdog_expired(self) -> None:
         """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
         with self._lock:
             self._run()  # a motion that has ended meanwhile needs no sign any more
-            if self._timer.ran_out and self._moves:
+            if self._timer.expired and self._moves:
                 self._brake(Error.LOST)
 
     # -- faults -------------------------------------------------------------------------------
 
-    def _strike_on_request(self) -> None:
+    def _apply_request_faults(self) -> None:
         if self._faults.take("robot.mode_t1") is not None:
             self.remote = False
             self._end_program()
@@ -316,9 +317,9 @@ class UrController:
             self._end_program()
             self._mode, self._session = Mode.BOOTING, 0
 
-    def _strike_by_motion(self) -> None:
+    def _apply_motion_faults(self) -> None:
         """Let a moving robot get further, and the faults of one happen."""
-        take = partial(self._faults.take, moving=self._motion.seen_moving)
+        take = partial(self._faults.take, moving=self._motion.axes_moving)
         if take("robot.vanish") is not None:
             raise Vanished
         if take("robot.e_stop") is not None:

@@ -73,5 +73,5 @@ def test_the_slide_is_stopped_and_stands_within_50_mm(unit: float) -> None:
         assert found.code == "HC-R46"
         assert figure(found, "factor") == pytest.approx(unit, rel=0.2)
         rail.close()
-        assert bench.rail.still
+        assert bench.rail.at_rest
         assert 0.1 < abs(bench.rail.slide_mm() - began_mm) < 50.0

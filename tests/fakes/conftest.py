@@ -5,7 +5,7 @@ import pytest
 from hilcell.cell.file import Cell, load_cell
 
 
-class OwnTime:
+class DeviceTime:
     """The real time of a simulated controller, which the test drives."""
 
     def __init__(self) -> None:
@@ -34,8 +34,8 @@ def cell() -> Cell:
 
 
 @pytest.fixture
-def own_time(monkeypatch: pytest.MonkeyPatch) -> OwnTime:
+def device_time(monkeypatch: pytest.MonkeyPatch) -> DeviceTime:
     """Return the time of the life timers that are made later."""
-    time = OwnTime()
-    monkeypatch.setattr("fakes.time.OwnTime", lambda: time)
+    time = DeviceTime()
+    monkeypatch.setattr("fakes.time.DeviceTime", lambda: time)
     return time

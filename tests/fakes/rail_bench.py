@@ -24,8 +24,8 @@ from canopen import objectdictionary as od
 from fakes.canopen.rail_server import RailServer
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import load_cell
 
@@ -37,9 +37,9 @@ TICK_S = 0.01
 PATIENT_S = 600.0  # of canopen, which a busy PC would keep waiting
 
 
-def site_of(rail: RailTruth, faults: Faults, time: PlantTime) -> Site:
-    """Return a site whose plant is a rail alone, which is made sooner."""
-    return Site(CELL, cast("Plant", SimpleNamespace(rail=rail)), faults, time)
+def site_of(rail: RailTruth, faults: Faults, time: CellTime) -> Site:
+    """Return a site whose truth is a rail alone, which is made sooner."""
+    return Site(CELL, cast("CellTruth", SimpleNamespace(rail=rail)), faults, time)
 
 
 def until(holds: Callable[[], bool]) -> None:
@@ -130,7 +130,7 @@ class Bus(Asker):
     """A fresh rail behind an open channel; ``now_s`` is the time of heartbeats and timers."""
 
     def __init__(self) -> None:
-        self.time, self.faults = PlantTime(), Faults()
+        self.time, self.faults = CellTime(), Faults()
         self.rail = RailTruth(CELL, 1, self.time, self.faults)
         self.server = RailServer(site_of(self.rail, self.faults, self.time))
         self.now_s = 0.0
@@ -204,9 +204,9 @@ class Bench:
 @contextmanager
 def served(speed: float = math.inf) -> Iterator[Bench]:
     """Serve a fresh rail; paced at ``speed`` times real time, or stepped."""
-    plant_time, faults = PlantTime(speed), Faults()
-    rail = RailTruth(CELL, 1, plant_time, faults)
-    server = RailServer(site_of(rail, faults, plant_time))
+    cell_time, faults = CellTime(speed), Faults()
+    rail = RailTruth(CELL, 1, cell_time, faults)
+    server = RailServer(site_of(rail, faults, cell_time))
     server.start()
     try:
         yield Bench(server, rail, faults)

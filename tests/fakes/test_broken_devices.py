@@ -36,10 +36,10 @@ def cell_with(
     serve: str, folder: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> PaperCell:
     """Return a started cell whose robot is a package's, with that function ``serve``."""
-    install(folder, ENTRIES.format("plant_0"), plant_0=WHOLE.replace(SERVE, serve))
+    install(folder, ENTRIES.format("truth_0"), truth_0=WHOLE.replace(SERVE, serve))
     monkeypatch.syspath_prepend(folder)
     monkeypatch.setenv("PYTHONPATH", str(folder))
-    request.addfinalizer(lambda: sys.modules.pop("plant_0", None))
+    request.addfinalizer(lambda: sys.modules.pop("truth_0", None))
     return PaperCell(load_cell("paper", {"robot.driver": "mine"}), seed=1)
 
 
@@ -47,7 +47,7 @@ def cell_with(
     ("serve", "found"),
     [
         (SERVE, "NoneType has no address, start, restore, close"),
-        ("def serve(site, port): return 1 / 0", "ZeroDivisionError: division by zero (plant_0.py"),
+        ("def serve(site, port): return 1 / 0", "ZeroDivisionError: division by zero (truth_0.py"),
     ],
 )
 def test_a_device_that_cannot_be_served_is_named(
@@ -78,4 +78,4 @@ def test_an_error_behind_a_wire_is_shown_when_the_cell_ends(
     simulated.close()
     said = capsys.readouterr().err
     assert said.startswith("simulated cell: mine client: TypeError: ")
-    assert said.endswith("(plant_0.py, line 21)\n")
+    assert said.endswith("(truth_0.py, line 21)\n")

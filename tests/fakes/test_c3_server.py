@@ -13,8 +13,8 @@ from fakes.faults import Faults
 from fakes.kuka.c3_server import C3Server
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly, quiet
@@ -25,7 +25,7 @@ FAR = [-60.0, -60.0, 60.0, 30.0, -60.0, 90.0]
 
 @dataclass
 class Robot:
-    plant: Plant
+    truth: CellTruth
     faults: Faults
     server: C3Server
     controller: KrlController
@@ -35,13 +35,13 @@ class Robot:
 @pytest.fixture
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
-    plant = Plant(cell, 1, PlantTime(), faults)
-    server = C3Server(Site(cell, plant, faults, plant.time))
+    truth = CellTruth(cell, 1, CellTime(), faults)
+    server = C3Server(Site(cell, truth, faults, truth.time))
     controller = server.controller
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:
-            yield Robot(plant, faults, server, controller, C3Client(wire))
+            yield Robot(truth, faults, server, controller, C3Client(wire))
         controller.restore()  # its timer ends
 
 
@@ -129,7 +129,7 @@ def test_motion_by_handshake(robot: Robot) -> None:
     assert numbers(robot.client.read("$AXIS_ACT"))[:6] == pytest.approx(NEAR, abs=1.2e-4)
     x, y = numbers(robot.client.read("$POS_ACT"))[:2]
     assert np.degrees(np.arctan2(-y, x)) == pytest.approx(5.0, abs=1.0)  # A1 turns clockwise
-    assert robot.plant.time.now_s() > 0.2
+    assert robot.truth.time.now_s() > 0.2
 
 
 def looks(robot: Robot, count: int = 6) -> list[list[float]]:
@@ -167,11 +167,11 @@ def test_stopping_takes_a_connection_of_its_own(robot: Robot) -> None:
     robot.client.read("$AXIS_ACT")
     with connected(robot.server.port) as wire:
         C3Client(wire).write("HC_STOP", "TRUE")
-    robot.plant.time.advance(5.0)
+    robot.truth.time.advance(5.0)
     stopped = robot.client.read("$AXIS_ACT")
     assert robot.client.read("HC_ERR") == "9"
     assert robot.client.read("HC_ACK") == "0"
-    robot.plant.time.advance(5.0)
+    robot.truth.time.advance(5.0)
     assert robot.client.read("$AXIS_ACT") == stopped
     assert numbers(stopped)[0] > FAR[0] + 1
     robot.client.write("HC_STOP", "FALSE")
@@ -235,6 +235,6 @@ def test_unknown_types_are_not_answered(robot: Robot) -> None:
 
 def test_what_became_due_is_done_before_an_answer(robot: Robot) -> None:
     done: list[str] = []
-    robot.plant.time.follow(lambda: done.append("a sample"))
+    robot.truth.time.follow(lambda: done.append("a sample"))
     assert robot.client.read("$MODE_OP") == "#EX"
     assert done == ["a sample"]

@@ -12,10 +12,10 @@ from fakes.faults import Faults
 from fakes.kuka.controller import KrlController, KrlError
 from fakes.kuka.eki_server import RECEIVED, EkiServer, Overflow, Queues
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
-from tests.fakes.conftest import OwnTime
+from tests.fakes.conftest import DeviceTime
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import connected
 
@@ -81,7 +81,7 @@ def axes_of(state: dict[str, str]) -> list[float]:
 
 @dataclass
 class Robot:
-    plant: Plant
+    truth: CellTruth
     faults: Faults
     server: EkiServer
     controller: KrlController
@@ -91,13 +91,13 @@ class Robot:
 @pytest.fixture
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
-    plant = Plant(cell, 1, PlantTime(), faults)
-    server = EkiServer(Site(cell, plant, faults, plant.time))
+    truth = CellTruth(cell, 1, CellTime(), faults)
+    server = EkiServer(Site(cell, truth, faults, truth.time))
     controller = server.controller
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:
-            yield Robot(plant, faults, server, controller, EkiClient(wire))
+            yield Robot(truth, faults, server, controller, EkiClient(wire))
         controller.restore()  # its timer ends
 
 
@@ -153,7 +153,7 @@ def test_the_stop_has_a_channel_of_its_own(robot: Robot) -> None:
         assert robot.client.ask(-1)["Command.Stopped"] == "FALSE"
         wire.sendall(b'<RobotStop Id="5" Brake="1"></RobotStop>')
         EkiClient(wire, STOP_END).document()
-    robot.plant.time.advance(5.0)
+    robot.truth.time.advance(5.0)
     state = robot.client.ask(-2)
     assert (state["Command.Stopped"], state["Error.Code"]) == ("TRUE", "9")
     assert state["Command.Finished_Id"] == "0"
@@ -254,12 +254,12 @@ def test_a_full_queue_closes_the_connection() -> None:
         queues.add(b"<RobotCommand")
 
 
-def test_a_motion_brakes_when_no_command_comes(own_time: OwnTime, robot: Robot) -> None:
+def test_a_motion_brakes_when_no_command_comes(device_time: DeviceTime, robot: Robot) -> None:
     robot.faults.set("robot.frozen")  # it never arrives
     robot.client.ask(1, MOVE, FAR)
     for number in (-1, -2):
-        own_time.at_s += 1.4
+        device_time.at_s += 1.4
         assert robot.client.ask(number)["Command.Stopped"] == "FALSE"
-    own_time.at_s += 1.6
+    device_time.at_s += 1.6
     until(lambda: robot.controller.read("HC_ERR") == "8")
     assert robot.client.ask(-3)["Command.Stopped"] == "TRUE"

@@ -19,26 +19,26 @@ from CESAPI.packet import ES_LU_Millimeter, StationaryModeDataT, SystemUnitsData
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 
 pytestmark = pytest.mark.waits
 
 
 @pytest.fixture
-def plant(cell: Cell) -> Plant:
-    return Plant(cell, 1, PlantTime(math.inf), Faults())
+def truth(cell: Cell) -> CellTruth:
+    return CellTruth(cell, 1, CellTime(math.inf), Faults())
 
 
 @pytest.fixture
-def command(cell: Cell, plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[CommandSync]:
+def command(cell: Cell, truth: CellTruth, monkeypatch: pytest.MonkeyPatch) -> Iterator[CommandSync]:
     soon = SimpleNamespace(  # in place of 0.2 s, and of a limit that a busy PC passes
         sleep=lambda _s: threading.Event().wait(0.002), time=lambda: 0.0
     )
     for module in (CESAPI.command, CESAPI.connection):
         monkeypatch.setattr(module, "time", soon)
-    server = EmsconServer(Site(cell, plant, Faults(), plant.time))
+    server = EmsconServer(Site(cell, truth, Faults(), truth.time))
     with contextlib.closing(server):
         server.start()
         connection = Connection()
@@ -49,7 +49,7 @@ def command(cell: Cell, plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterat
             connection.disconnect()
 
 
-def test_a_measurement_from_first_to_last(command: CommandSync, plant: Plant) -> None:
+def test_a_measurement_from_first_to_last(command: CommandSync, truth: CellTruth) -> None:
     assert command.GetSystemStatus().lTrackerSerialNumber == EmsconDevice.SERIAL
     command.Initialize()
     units = SystemUnitsDataT()
@@ -62,7 +62,7 @@ def test_a_measurement_from_first_to_last(command: CommandSync, plant: Plant) ->
     command.SetStationaryModeParams(stationary)
     command.SetReflector(3)
     assert command.GetReflector().iInternalReflectorId == 3
-    at = plant.tracker.reflectors()["F2"]
+    at = truth.tracker.reflectors()["F2"]
     command.GoPosition(1, *at)
     result = command.StartMeasurement()
     np.testing.assert_allclose((result.dVal1, result.dVal2, result.dVal3), at, atol=0.06)

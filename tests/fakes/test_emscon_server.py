@@ -12,8 +12,8 @@ import pytest
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconDevice, EmsconServer
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import FLANGE, Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import FLANGE, CellTruth
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected, exactly
@@ -23,24 +23,24 @@ OK, NOT_INITIALIZED, NO_DISTANCE, NOT_READY, NO_RESULT = 0, 39, 37, 10004, 10009
 
 @dataclass
 class Tracker:
-    plant: Plant
+    truth: CellTruth
     faults: Faults
     server: EmsconServer
     client: EmsconClient
 
     def at(self, name: str) -> Array:
-        return self.plant.tracker.reflectors()[name]
+        return self.truth.tracker.reflectors()[name]
 
 
 @contextlib.contextmanager
 def running(cell: Cell, speed: float = math.inf) -> Iterator[Tracker]:
-    faults, clock = Faults(), PlantTime(speed)
-    plant = Plant(cell, 1, clock, faults)
-    server = EmsconServer(Site(cell, plant, faults, clock))
+    faults, clock = Faults(), CellTime(speed)
+    truth = CellTruth(cell, 1, clock, faults)
+    server = EmsconServer(Site(cell, truth, faults, clock))
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:
-            yield Tracker(plant, faults, server, EmsconClient(wire))
+            yield Tracker(truth, faults, server, EmsconClient(wire))
 
 
 @pytest.fixture
@@ -167,8 +167,8 @@ def test_wrong_parameters_are_refused(ready: Tracker) -> None:
 def test_recorded_measurements_are_no_streams(
     ready: Tracker, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ready.plant, "streams", None)
-    device = EmsconDevice(Site(cell, ready.plant, Faults(), ready.plant.time))
+    monkeypatch.setattr(ready.truth, "streams", None)
+    device = EmsconDevice(Site(cell, ready.truth, Faults(), ready.truth.time))
     for mode, status in ((0, OK), (1, 2)):
         (answer,) = device.handle(struct.pack("<iIII", 16, 0, 24, mode))
         assert isinstance(answer, bytes)
@@ -205,7 +205,7 @@ def test_identity(ready: Tracker) -> None:
 def test_measures_nothing_that_moves(ready: Tracker) -> None:
     at = ready.at(FLANGE)
     assert ready.client.ask(55, "3di", *at, 1)[0] == OK
-    ready.plant.robot.move(np.radians([-60, -60, 60, 30, -60, 90]), 0.2)
+    ready.truth.robot.move(np.radians([-60, -60, 60, 30, -60, 90]), 0.2)
     assert ready.client.ask(49)[0] == OK
     assert ready.client.reply(49)[0] == NO_RESULT
 
@@ -229,11 +229,11 @@ def test_other_commands(ready: Tracker) -> None:
     assert ready.client.ask(49)[0] == NOT_READY  # in the bird bath nothing is tracked
 
 
-def test_measuring_takes_plant_time(ready: Tracker) -> None:
+def test_measuring_takes_cell_time(ready: Tracker) -> None:
     assert ready.client.ask(28, "2i", 5000, 1)[0] == OK
-    before = ready.plant.time.now_s()
+    before = ready.truth.time.now_s()
     ready.client.measure(*ready.at("F1"))
-    assert 5.0 < ready.plant.time.now_s() - before < 7.0
+    assert 5.0 < ready.truth.time.now_s() - before < 7.0
 
 
 def test_a_late_result(ready: Tracker) -> None:
@@ -276,7 +276,7 @@ def test_paced_measurement_can_be_stopped_and_is_busy_meanwhile(cell: Cell) -> N
         client = tracker.client
         client.ready()
         assert client.ask(55, "3di", *tracker.at("F1"), 1)[0] == OK
-        tracker.plant.time.speed = 1e-3  # a measurement takes minutes
+        tracker.truth.time.speed = 1e-3  # a measurement takes minutes
         assert client.ask(49)[0] == OK
         assert client.ask(2)[0] == 1  # busy
         assert client.ask(52)[0] == OK

@@ -12,8 +12,8 @@ import pytest
 from fakes.faults import Faults
 from fakes.leica.emscon_server import EmsconServer, SampleStream
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import FLANGE, Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import FLANGE, CellTruth
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected
@@ -25,8 +25,8 @@ READY, BEAM_LOST = 27, 25
 
 @dataclass
 class Streaming:
-    plant: Plant
-    time: PlantTime
+    truth: CellTruth
+    time: CellTime
     faults: Faults
     client: EmsconClient
 
@@ -37,7 +37,7 @@ class Streaming:
     def start(self, separation_ms: int = 10, points: int = 0) -> None:
         """Follow the reflector on the flange."""
         client = self.client
-        assert client.ask(55, "3di", *self.plant.tracker.reflectors()[FLANGE], 1)[0] == OK
+        assert client.ask(55, "3di", *self.truth.tracker.reflectors()[FLANGE], 1)[0] == OK
         assert client.ask(MODE, "I", 1)[0] == OK
         assert client.ask(PARAMETERS, "4i", separation_ms, points, 0, 0)[0] == OK
         assert client.ask(START)[0] == OK
@@ -67,15 +67,15 @@ class Streaming:
 
 @contextlib.contextmanager
 def running(cell: Cell, speed: float = math.inf) -> Iterator[Streaming]:
-    faults, time = Faults(), PlantTime(speed)
-    plant = Plant(cell, 1, time, faults)
-    server = EmsconServer(Site(cell, plant, faults, time))
+    faults, time = Faults(), CellTime(speed)
+    truth = CellTruth(cell, 1, time, faults)
+    server = EmsconServer(Site(cell, truth, faults, time))
     with contextlib.closing(server):
         server.start()
         with connected(server.port) as wire:
             client = EmsconClient(wire)
             client.ready()
-            yield Streaming(plant, time, faults, client)
+            yield Streaming(truth, time, faults, client)
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def tracker(cell: Cell) -> Iterator[Streaming]:
 
 def test_samples_come_as_cell_time_passes(tracker: Streaming) -> None:
     tracker.start()
-    at_mm = tracker.plant.tracker.reflectors()[FLANGE]
+    at_mm = tracker.truth.tracker.reflectors()[FLANGE]
     tracker.pass_time(1.005)
     times_s, xyz_mm, sizes = tracker.stop()
     assert len(times_s) == 100
@@ -97,7 +97,7 @@ def test_samples_come_as_cell_time_passes(tracker: Streaming) -> None:
 
 
 def test_the_clock_is_the_tracker_s_own(tracker: Streaming) -> None:
-    truth = tracker.plant.streams
+    truth = tracker.truth.streams
     tracker.start(separation_ms=1000)
     began_s = tracker.time.now_s()
     tracker.pass_time(10_000.0)
@@ -122,9 +122,9 @@ SAMPLES_MM = [[4310.028578, 734.154198, 741.170459], [4213.508629, 909.940104, 4
 
 @pytest.mark.parametrize("leaps_s", [[0.01] * 60, [0.157, 0.001, 0.442], [0.6]])
 def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]) -> None:
-    faults, time = Faults(), PlantTime()
-    plant = Plant(cell, 1, time, faults)
-    plant.robot.move(plant.robot.state().joints_rad + 0.1, 0.2)
+    faults, time = Faults(), CellTime()
+    truth = CellTruth(cell, 1, time, faults)
+    truth.robot.move(truth.robot.state().joints_rad + 0.1, 0.2)
     xyz_mm: list[Array] = []
 
     def pack(_times_s: Array, found_mm: Array) -> bytes:
@@ -132,10 +132,10 @@ def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]
         return b""
 
     stream = SampleStream(
-        plant.streams,
+        truth.streams,
         time,
         faults,
-        plant.streams.follow(FLANGE),
+        truth.streams.follow(FLANGE),
         pack,
         separation_s=0.01,
         points=0,
@@ -152,12 +152,12 @@ def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]
 
 def test_a_sample_s_truth_is_that_of_its_own_time(tracker: Streaming) -> None:
     """Moved, overridden, braked and moved again before anybody asks."""
-    plant, time = tracker.plant, tracker.time
-    robot, seen = plant.robot, []
-    plant.streams.follow(FLANGE)
+    truth, time = tracker.truth, tracker.time
+    robot, seen = truth.robot, []
+    truth.streams.follow(FLANGE)
 
     def note() -> None:
-        seen.append((time.now_s(), plant.reflectors_in_world()[FLANGE]))
+        seen.append((time.now_s(), truth.reflectors_in_world()[FLANGE]))
 
     for change in (
         lambda: robot.move(robot.state().joints_rad + 0.2, 0.05),
@@ -171,7 +171,7 @@ def test_a_sample_s_truth_is_that_of_its_own_time(tracker: Streaming) -> None:
             note()
         time.advance(0.001)  # lost motion flips at the very moment at which the next begins
     times_s = np.array([at_s for at_s, _ in seen])
-    found_mm = plant.path_in_world(FLANGE, times_s)
+    found_mm = truth.path_in_world(FLANGE, times_s)
     np.testing.assert_allclose(found_mm, [at_mm for _, at_mm in seen], atol=1e-9)
 
 
@@ -188,9 +188,9 @@ def test_a_broken_beam_ends_it_with_a_status_change(tracker: Streaming) -> None:
 
 def test_out_of_sight_is_out_of_the_stream() -> None:
     with running(load_cell("paper", {"layout.reflectors": "by_hand"})) as tracker:
-        tracker.plant.seat(FLANGE)
+        tracker.truth.place_reflector(FLANGE)
         tracker.start()
-        tracker.plant.seat("")
+        tracker.truth.place_reflector("")
         tracker.pass_time(1.0)
         assert len(tracker.until(8, BEAM_LOST)[0]) == 0
 
@@ -204,16 +204,16 @@ def test_paced_time_streams_by_itself(cell: Cell) -> None:
 
 
 def test_while_it_streams_a_poll_is_an_exchange(tracker: Streaming) -> None:
-    robot = tracker.plant.robot
+    robot = tracker.truth.robot
     tracker.start()
     robot.move(robot.state().joints_rad + 0.2, 0.01)
     before_s = tracker.time.now_s()
     robot.poll()
-    assert tracker.time.now_s() - before_s == pytest.approx(PlantTime.EXCHANGE_S)
+    assert tracker.time.now_s() - before_s == pytest.approx(CellTime.EXCHANGE_S)
     tracker.stop()
     before_s = tracker.time.now_s()
     robot.poll()
-    assert tracker.time.now_s() - before_s > 10 * PlantTime.EXCHANGE_S
+    assert tracker.time.now_s() - before_s > 10 * CellTime.EXCHANGE_S
 
 
 def test_an_impossible_separation_is_refused(tracker: Streaming) -> None:

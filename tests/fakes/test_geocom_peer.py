@@ -18,26 +18,26 @@ from geocompy.geo.gctypes import GeoComCode
 from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from tests.fakes.conftest import station_cell
 
 
 @pytest.fixture
-def plant(cell: Cell) -> Plant:
-    return Plant(cell, 1, PlantTime(math.inf), Faults())
+def truth(cell: Cell) -> CellTruth:
+    return CellTruth(cell, 1, CellTime(math.inf), Faults())
 
 
 @pytest.fixture(params=["socket", "serial"])
 def station(
-    plant: Plant, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    truth: CellTruth, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[GeoCom]:
     monkeypatch.setattr(geocompy.geo, "sleep", lambda _s: None)
     monkeypatch.setattr(geocompy, "communication", SimpleNamespace(sleep=lambda _s: None))
     line = request.param == "serial"
     faults = Faults()
-    server = GeocomServer(Site(station_cell(serial=line), plant, faults, plant.time))
+    server = GeocomServer(Site(station_cell(serial=line), truth, faults, truth.time))
     with contextlib.closing(server):
         server.start()
         channel = str(server.address["channel"])
@@ -50,7 +50,7 @@ def station(
             yield GeoCom(wire)
 
 
-def test_a_measurement_from_first_to_last(station: GeoCom, plant: Plant) -> None:
+def test_a_measurement_from_first_to_last(station: GeoCom, truth: CellTruth) -> None:
     assert station.csv.get_serial_number().params == GeocomDevice.SERIAL
     assert station.csv.get_instrument_name().params == "TS60 (simulated)"
     assert station.csv.get_firmware_version().params == (8, 50, 0)
@@ -61,7 +61,7 @@ def test_a_measurement_from_first_to_last(station: GeoCom, plant: Plant) -> None
     assert station.tmc.set_atmospheric_corrections(1e-6, 1009.0, 23.0, 23.0).error == GeoComCode.OK
     assert station.tmc.get_atmospheric_corrections().params == (1e-6, 1009.0, 23.0, 23.0)
     assert station.tmc.set_prism_correction(0.0).error == GeoComCode.OK
-    x, y, z = at_mm = plant.tracker.reflectors()["F2"]
+    x, y, z = at_mm = truth.tracker.reflectors()["F2"]
     hz, v = -math.atan2(y, x) % math.tau, math.atan2(math.hypot(x, y), z)
     assert station.aut.turn_to(hz, v).error == GeoComCode.OK
     assert station.aut.fine_adjust(0.01, 0.01).error == GeoComCode.OK

@@ -14,8 +14,8 @@ import serial
 from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.conftest import station_cell
@@ -26,7 +26,7 @@ Wire = Callable[[bytes], None]
 
 @dataclass
 class Station:
-    plant: Plant
+    truth: CellTruth
     faults: Faults
     device: GeocomDevice
     write: Callable[[bytes], object]
@@ -58,14 +58,14 @@ class Station:
         return self.ask(2108, 5000, 1)
 
     def at(self, name: str) -> Array:
-        return self.plant.tracker.reflectors()[name]
+        return self.truth.tracker.reflectors()[name]
 
 
 @contextlib.contextmanager
 def running(cell: Cell, line: bool, prism_m: float = 0.0) -> Iterator[Station]:
-    faults, clock = Faults(), PlantTime(math.inf)
-    plant = Plant(cell, 1, clock, faults)
-    site = Site(station_cell(serial=line, prism_mm=1000 * prism_m), plant, faults, clock)
+    faults, clock = Faults(), CellTime(math.inf)
+    truth = CellTruth(cell, 1, clock, faults)
+    site = Site(station_cell(serial=line, prism_mm=1000 * prism_m), truth, faults, clock)
     server = GeocomServer(site)
     device = server.device
     with contextlib.closing(server), contextlib.ExitStack() as stack:
@@ -73,11 +73,11 @@ def running(cell: Cell, line: bool, prism_m: float = 0.0) -> Iterator[Station]:
         channel = str(server.address["channel"])
         if line:
             port = stack.enter_context(serial.Serial(channel, 115200, timeout=None))
-            yield Station(plant, faults, device, port.write, port.readline)
+            yield Station(truth, faults, device, port.write, port.readline)
         else:
             wire = stack.enter_context(connected(int(channel.rpartition(":")[2])))
             file = stack.enter_context(wire.makefile("rb"))
-            yield Station(plant, faults, device, wire.sendall, file.readline)
+            yield Station(truth, faults, device, wire.sendall, file.readline)
 
 
 @pytest.fixture
@@ -178,9 +178,9 @@ def test_a_late_result_comes_with_the_next_one(station: Station) -> None:
 
 
 def test_a_motion_is_aborted(cell: Cell) -> None:
-    faults, clock = Faults(), PlantTime(0.01)  # a motion takes minutes
-    plant = Plant(cell, 1, clock, faults)
-    server = GeocomServer(Site(cell, plant, faults, clock))
+    faults, clock = Faults(), CellTime(0.01)  # a motion takes minutes
+    truth = CellTruth(cell, 1, clock, faults)
+    server = GeocomServer(Site(cell, truth, faults, clock))
     with contextlib.closing(server):
         server.start()
         port = int(str(server.address["channel"]).rpartition(":")[2])

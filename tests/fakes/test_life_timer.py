@@ -10,25 +10,25 @@ import pytest
 from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
-from fakes.time import LifeTimer, PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime, WatchdogTimer
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
-from tests.fakes.conftest import OwnTime
+from tests.fakes.conftest import DeviceTime
 from tests.fakes.rail_bench import until
 
 FAR = "{E6AXIS: A1 -60.0, A2 -60.0, A3 60.0, A4 30.0, A5 -60.0, A6 90.0}"
 
 
 @pytest.fixture
-def plant(cell: Cell) -> Plant:
+def truth(cell: Cell) -> CellTruth:
     """Return one in real time, in which the motion lasts."""
-    return Plant(cell, 1, PlantTime(1.0), Faults())
+    return CellTruth(cell, 1, CellTime(1.0), Faults())
 
 
 @pytest.fixture
-def robot(cell: Cell, plant: Plant, own_time: OwnTime) -> Iterator[KrlController]:
+def robot(cell: Cell, truth: CellTruth, device_time: DeviceTime) -> Iterator[KrlController]:
     """Return a controller under way that waits 2 s for a sign."""
-    controller = KrlController(Site(cell, plant, Faults(), plant.time))
+    controller = KrlController(Site(cell, truth, Faults(), truth.time))
     for name, value in (("LIFE", "2000"), ("TGT", FAR), ("VEL", "1"), ("CMD", "1"), ("SEQ", "1")):
         controller.write(f"HC_{name}", value)
     yield controller
@@ -40,12 +40,12 @@ def lost(robot: KrlController) -> bool:
 
 
 def test_without_a_sign_the_robot_brakes_and_latches_until_it_is_taken_back(
-    robot: KrlController, plant: Plant, own_time: OwnTime
+    robot: KrlController, truth: CellTruth, device_time: DeviceTime
 ) -> None:
-    own_time.at_s = 2.1
+    device_time.at_s = 2.1
     until(lambda: lost(robot))
     assert robot.read("HC_STOP") == "TRUE"
-    until(lambda: not plant.robot.moving)
+    until(lambda: not truth.robot.moving)
     stands = robot.read("$AXIS_ACT")
     robot.write("$TIMER[10]", "-100")  # a sign that comes too late changes nothing
     robot.write("HC_STOP", "TRUE")
@@ -56,31 +56,33 @@ def test_without_a_sign_the_robot_brakes_and_latches_until_it_is_taken_back(
     assert robot.read("$AXIS_ACT") == stands  # the command is gone
 
 
-def test_signs_keep_it_moving(robot: KrlController, plant: Plant, own_time: OwnTime) -> None:
+def test_signs_keep_it_moving(
+    robot: KrlController, truth: CellTruth, device_time: DeviceTime
+) -> None:
     for _ in range(3):
-        own_time.at_s += 1.9
+        device_time.at_s += 1.9
         robot.write("$TIMER[10]", "-2000")
     assert (robot.read("HC_ERR"), robot.read("HC_STOP")) == ("0", "FALSE")
-    assert plant.robot.moving
+    assert truth.robot.moving
 
 
-def test_a_robot_that_stands_needs_no_sign(robot: KrlController, own_time: OwnTime) -> None:
+def test_a_robot_that_stands_needs_no_sign(robot: KrlController, device_time: DeviceTime) -> None:
     robot.write("HC_STOP", "TRUE")
     robot.write("HC_STOP", "FALSE")
-    own_time.at_s = 100.0
+    device_time.at_s = 100.0
     assert (robot.read("HC_ERR"), robot.read("HC_STOP")) == ("9", "FALSE")
 
 
-def test_a_timer_acts_once_each_time_that_it_is_started(own_time: OwnTime) -> None:
+def test_a_timer_acts_once_each_time_that_it_is_started(device_time: DeviceTime) -> None:
     acted = threading.Semaphore(0)
-    timer = LifeTimer(acted.release)
+    timer = WatchdogTimer(acted.release)
     for _ in range(2):
         timer.start(-10)
-        own_time.at_s += 0.02
+        device_time.at_s += 0.02
         acted.acquire()
-        until(lambda: not timer.ran_out)
+        until(lambda: not timer.expired)
     timer.start(-100_000)
     timer.stop()
-    own_time.at_s += 1000.0
-    assert not timer.ran_out
+    device_time.at_s += 1000.0
+    assert not timer.expired
     assert not acted.acquire(blocking=False)

@@ -12,9 +12,9 @@ from fakes.faults import Faults, load_faults
 from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
-from fakes.truth.machine import load_machine, machine_of
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
+from fakes.truth.machine import cell_machine, load_machine
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 
@@ -22,14 +22,14 @@ FOLDER = resources.files("fakes.truth.machines")
 
 
 def test_a_cell_names_its_machine() -> None:
-    models = [machine_of(load_cell(name)).model for name in ("paper", "hard", "six-r")]
+    models = [cell_machine(load_cell(name)).model for name in ("paper", "hard", "six-r")]
     assert models == ["#KR210R2700_2 C4 FLR", "#KR210R2700_2 C4 FLR", "#SR12_1400"]
 
 
 def test_the_controllers_identity_is_the_machines() -> None:
     cell = load_cell("six-r")
-    plant = Plant(cell, 1, PlantTime(), Faults())
-    controller = KrlController(Site(cell, plant, Faults(), plant.time))
+    truth = CellTruth(cell, 1, CellTime(), Faults())
+    controller = KrlController(Site(cell, truth, Faults(), truth.time))
     assert controller.read("$TRAFONAME[]").startswith('"#SR12_1400')
     assert controller.read("$KR_SERIALNO") == "500147"
 
@@ -61,14 +61,14 @@ def test_an_unknown_machine_is_refused(cell: Cell) -> None:
 def test_single_sizes_of_a_machine_are_replaced() -> None:
     cell = load_cell("paper", {"simulation.sizes.rail.backlash_mm": "0.05"})
     whole = load_machine("paper")
-    assert machine_of(cell).rail == msgspec.structs.replace(whole.rail, backlash_mm=0.05)
-    assert machine_of(cell).transmission == whole.transmission
+    assert cell_machine(cell).rail == msgspec.structs.replace(whole.rail, backlash_mm=0.05)
+    assert cell_machine(cell).transmission == whole.transmission
 
 
 def test_a_size_that_no_machine_has_is_refused() -> None:
     sizes = {"simulation.sizes.rail.backlas_mm": "0.05", "simulation.sizes.rail.curve_mm": "-1.0"}
     with pytest.raises(SettingsError) as found:
-        machine_of(load_cell("paper", sizes))
+        cell_machine(load_cell("paper", sizes))
     assert found.value.source == "simulation.sizes of paper"
     keys = [problem.split(":")[0] for problem in found.value.problems]
     assert keys == ["rail.backlas_mm", "rail.curve_mm"]
@@ -114,7 +114,7 @@ def test_a_machine_that_cannot_be_drawn_names_its_file_and_key(
     own = changed(tmp_path, before, after)
     cell = load_cell("paper", {"simulation.machine": own})
     with pytest.raises(SettingsError) as caught:
-        Plant(cell, 1, PlantTime(math.inf), Faults())
+        CellTruth(cell, 1, CellTime(math.inf), Faults())
     assert caught.value.source == f"simulation.machine {own!r}"
     assert caught.value.problems[0].startswith(f"{found}: ")
 

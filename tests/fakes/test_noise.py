@@ -53,7 +53,7 @@ def test_a_servo_dithers_while_it_has_power() -> None:
         assert set(looks(bus)) == {(0, 0)}, "the brake holds it"
         bus.enable(1)
         positions, speeds = zip(*looks(bus), strict=True)
-        assert bus.rail.still
+        assert bus.rail.at_rest
         assert 2 <= max(positions) - min(positions) <= 4
         assert all(0 < abs(speed) <= HUNTING for speed in speeds)
         for index, kind in ((0x6067, "I"), (0x6068, "H"), (0x606F, "H"), (0x6070, "H")):

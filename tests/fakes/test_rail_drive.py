@@ -340,7 +340,7 @@ def test_quick_stop_by_receive_pdo(option: int, ends: int) -> None:
         bus.send(0x205, b"\x02\x00")
         until(bus.slow)
         assert bus.status() & 0x4F == ends & 0x4F
-        assert bus.rail.still
+        assert bus.rail.at_rest
         assert bus.position() < 1_000_000
         if option == 6:
             assert bus.status() & BIT_10
@@ -361,7 +361,7 @@ def left_alone(bus: Bus, option: int) -> None:
     bus.beat()
     bus.let_pass(0.09)
     assert bus.emergencies() == []
-    assert not bus.rail.still
+    assert not bus.rail.at_rest
     bus.let_pass(0.2)
     assert bus.emergencies() == [0x8130]
 
@@ -371,7 +371,7 @@ def test_lost_heartbeat_stops_a_moving_slide(option: int, stopped: int) -> None:
     """The drive stops by itself, as 6007 says, when the master falls silent."""
     with on_bus() as bus:
         left_alone(bus, option)
-        assert bus.rail.still
+        assert bus.rail.at_rest
         assert bus.status() & 0x4F == stopped
         position = bus.position()
         assert 0 < position < 2_900_000, "the drive kept its reference"
@@ -385,7 +385,7 @@ def test_lost_heartbeat_may_stop_nothing() -> None:
     with on_bus() as bus:
         left_alone(bus, 0)
         assert bus.status() & 0x6F == 0x27
-        assert not bus.rail.still
+        assert not bus.rail.at_rest
 
 
 # -- canopen's own CiA 402 node as the peer ----------------------------------------------------

@@ -40,9 +40,9 @@ def test_killed_master_leaves_the_slide_standing_and_the_bus_free() -> None:
         ) as client:
             assert client.stdout is not None
             assert client.stdout.readline() == b"moving\n"
-            assert not bench.rail.still
+            assert not bench.rail.at_rest
             client.kill()
-        until(lambda: bench.rail.still)
+        until(lambda: bench.rail.at_rest)
         with Master(bench.server.port) as master:
             assert master.status() & 0x6F == 0x40
             position = master.position()
@@ -126,7 +126,7 @@ def test_lasting_fault_still_lets_the_slide_stop() -> None:
         bus.faults.set("rail.fault", 0x2310, count=0)
         bus.start(1_000_000)
         until(bus.faulty)
-        assert bus.rail.still
+        assert bus.rail.at_rest
         assert bus.emergencies() == [0x2310]
 
 

@@ -56,9 +56,9 @@ def test_jitter_of_one_count(bus: Bus) -> None:
 
 
 def test_same_moves_give_the_same_figures_however_often_one_looks() -> None:
-    """Stepped time: end of motion, strip and plant time do not depend on polls.
+    """Stepped time: end of motion, strip and cell time do not depend on polls.
 
-    The strip by its middle of five, wherever in its flicker they begin.
+    The strip by its middle of five, wherever in its jitter they begin.
     """
     found = []
     for looks in (0, 7):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
+from fakes.time import CellTime
 from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import forward
@@ -28,7 +28,7 @@ def go(rail: RailTruth, target_mm: float) -> RailState:
 
 
 def homed(cell: Cell, seed: int = 1, faults: Faults | None = None) -> RailTruth:
-    rail = RailTruth(cell, seed, PlantTime(), faults or Faults())
+    rail = RailTruth(cell, seed, CellTime(), faults or Faults())
     rail.brake(closed=False)
     rail.home(100.0)
     until_still(rail)
@@ -36,7 +36,7 @@ def homed(cell: Cell, seed: int = 1, faults: Faults | None = None) -> RailTruth:
 
 
 def test_home_puts_the_encoder_to_zero_at_the_strips_zero(cell: Cell) -> None:
-    rail = RailTruth(cell, 1, PlantTime(), Faults())
+    rail = RailTruth(cell, 1, CellTime(), Faults())
     before = rail.poll()
     assert abs(before.encoder_mm - before.strip_mm) > 2.0  # not referenced, and it shows
     rail.brake(closed=False)
@@ -102,7 +102,7 @@ def test_reversal_smaller_than_the_backlash_moves_nothing(cell: Cell) -> None:
 def test_truth_does_not_depend_on_polls(cell: Cell) -> None:
     ends = []
     for polls in (1, 7):
-        time = PlantTime()
+        time = CellTime()
         rail = RailTruth(cell, 3, time, Faults())
         rail.brake(closed=False)
         for target in (100.0, -200.0, 5.0):
@@ -172,7 +172,7 @@ def test_slide_pose_leans_a_little(cell: Cell) -> None:
 
 def test_where_lean_and_error_cancel_in_the_survey_the_rail_stays_one(cell: Cell) -> None:
     """Of seed 1065 they do: the rail's own error was 4.6 mm."""
-    rail = RailTruth(cell, 1065, PlantTime(), Faults())
+    rail = RailTruth(cell, 1065, CellTime(), Faults())
     errors_mm = [rail._shape.error_mm(float(at_mm), 0.0) for at_mm in range(0, 3001, 100)]
     assert max(map(abs, errors_mm)) < 2.0
 

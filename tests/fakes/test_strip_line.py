@@ -7,15 +7,15 @@ from contextlib import closing
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.strips.wire import StripLine
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 
 
 def test_a_head_that_misses_its_strip_says_so_in_its_register(cell: Cell) -> None:
     faults = Faults()
-    plant = Plant(cell, 1, PlantTime(), faults)
-    with closing(StripLine(Site(cell, plant, faults, plant.time), {})) as line:
+    truth = CellTruth(cell, 1, CellTime(), faults)
+    with closing(StripLine(Site(cell, truth, faults, truth.time), {})) as line:
         line.answers(b"Z")
         assert line.answers(b"X") == ([b"0x00>\r"], b"")
         faults.set("rail.missing_magnet")

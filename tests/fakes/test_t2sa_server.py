@@ -15,9 +15,9 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.spatialanalyzer.t2sa_server import T2saDevice, T2saServer, fan, imported, write
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.spatialanalyzer.t2sa_server import T2saDevice, T2saServer, imported, target_fan, write
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.kinematics import Array
@@ -47,9 +47,9 @@ class Client:
 
 @dataclass
 class Bridge:
-    plant: Plant
+    truth: CellTruth
     faults: Faults
-    time: PlantTime
+    time: CellTime
     points: dict[str, Array]
     server: T2saServer
 
@@ -61,18 +61,18 @@ class Bridge:
 
 @contextlib.contextmanager
 def running(cell: Cell, folder: Path, speed: float = math.inf) -> Iterator[Bridge]:
-    faults, clock = Faults(), PlantTime()
-    plant = Plant(cell, 1, clock, faults)
-    at_mm = plant.tracker.reflectors()
+    faults, clock = Faults(), CellTime()
+    truth = CellTruth(cell, 1, clock, faults)
+    at_mm = truth.tracker.reflectors()
     points = {"NEAR": 0.8 * at_mm["F1"] + [0, 30, 0], "AWAY": -at_mm["F1"], "F2": at_mm["F2"]}
     write(folder / "points.csv", points)
     options = {"points": str(folder / "points.csv"), "collection": "A", "group": "G"}
     tracker = msgspec.structs.replace(cell.tracker, options=options)
     cell = msgspec.structs.replace(cell, tracker=tracker)
-    server = T2saServer(Site(cell, plant, faults, PlantTime(speed)))
+    server = T2saServer(Site(cell, truth, faults, CellTime(speed)))
     with contextlib.closing(server):
         server.start()
-        yield Bridge(plant, faults, clock, points, server)
+        yield Bridge(truth, faults, clock, points, server)
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_the_laser_warms_up(bridge: Bridge) -> None:
 
 
 def test_a_point_only_sets_the_direction(client: Client, bridge: Bridge) -> None:
-    at_mm = bridge.plant.tracker.reflectors()
+    at_mm = bridge.truth.tracker.reflectors()
     np.testing.assert_allclose(client.measure("NEAR"), at_mm["F1"], atol=0.06)
     np.testing.assert_allclose(client.measure("F2"), at_mm["F2"], atol=0.06)
     assert not np.array_equal(client.measure("F2"), client.measure("F2"))
@@ -168,22 +168,22 @@ def test_a_halt_overtakes_a_measurement(cell: Cell, tmp_path: Path, own: bool) -
 
 
 def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -> None:
-    faults, clock = Faults(), PlantTime()
-    plant = Plant(cell, 1, clock, faults)
-    server = T2saServer(Site(cell, plant, faults, clock))
+    faults, clock = Faults(), CellTime()
+    truth = CellTruth(cell, 1, clock, faults)
+    server = T2saServer(Site(cell, truth, faults, clock))
     listed = Path(str(server.address["points"]))
     points = imported(listed)
     assert len(points) > 1000
-    np.testing.assert_allclose(points["H000001"], fan(cell)["H000001"], atol=1e-9)
+    np.testing.assert_allclose(points["H000001"], target_fan(cell)["H000001"], atol=1e-9)
     server.close()
     assert not listed.exists()
     own = tmp_path / "own.csv"
     write(own, {"P1": np.array([1.0, 2.0, 3.0])})
     tracker = msgspec.structs.replace(cell.tracker, options={"points": str(own)})
-    server = T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock))
+    server = T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), truth, faults, clock))
     assert "points" not in server.address
     server.close()
     assert own.exists()
     own.write_text("P1,1,two,3\n", "ascii")
     with pytest.raises(SettingsError):
-        T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), plant, faults, clock))
+        T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), truth, faults, clock))

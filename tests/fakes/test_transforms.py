@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fakes.truth.machine import chain_of_cell, controller_arm, machine_of
+from fakes.truth.machine import cell_machine, controller_arm, nominal_chain
 from fakes.truth.transforms import Chain, components, frame, inverse, rotation, rotation_vector
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose
@@ -50,13 +50,13 @@ def test_design_is_the_cell_files_nominal_robot(name: str) -> None:
     """The cell file only claims what the machine is; both are written down apart."""
     cell = load_cell(name)
     arm, q = cell.robot.arm(), joints()
-    chain = chain_of_cell(cell) if name == "replay" else machine_of(cell).chain(cell.robot.smr_mm)
+    chain = nominal_chain(cell) if name == "replay" else cell_machine(cell).chain(cell.robot.smr_mm)
     np.testing.assert_allclose(chain.pose(q), forward(arm, q), atol=1e-9)
     np.testing.assert_allclose(chain.jacobian(q), joint_jacobian(arm, q), atol=1e-9)
 
 
 def test_rows_give_the_same_arm_as_the_machines_axes(cell: Cell) -> None:
-    of_rows, of_file = chain_of_cell(cell), machine_of(cell).chain(cell.robot.smr_mm)
+    of_rows, of_file = nominal_chain(cell), cell_machine(cell).chain(cell.robot.smr_mm)
     np.testing.assert_allclose(of_rows.pose(joints()), of_file.pose(joints()), atol=1e-9)
 
 

@@ -16,12 +16,12 @@ import pytest
 from fakes import wires
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from fakes.universal_robots import server as ur_server
 from fakes.universal_robots.server import UrServer
 from hilcell.cell.file import load_cell
-from tests.fakes.conftest import OwnTime
+from tests.fakes.conftest import DeviceTime
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import REGISTERS, RtdeClient, connected, exactly
 
@@ -52,8 +52,8 @@ class Robot:
 
 @contextlib.contextmanager
 def serving(port: int = 0, speed: float = 50.0) -> Iterator[Robot]:
-    faults, time = Faults(), PlantTime(speed)
-    site = Site(LAB, Plant(LAB, 1, time, faults), faults, time)
+    faults, time = Faults(), CellTime(speed)
+    site = Site(LAB, CellTruth(LAB, 1, time, faults), faults, time)
     server = ur_server.serve(site, port)
     with contextlib.closing(server):
         server.start()
@@ -94,7 +94,7 @@ def test_the_program_moves_and_acknowledges(robot: Robot) -> None:
         assert np.abs(np.array(state[2:8]) - target).max() < 1e-4
 
 
-def test_without_a_sign_of_life_a_motion_is_braked(own_time: OwnTime, robot: Robot) -> None:
+def test_without_a_sign_of_life_a_motion_is_braked(device_time: DeviceTime, robot: Robot) -> None:
     with connected(robot.port("rtde")) as wire, connected(robot.port("script")) as script:
         client = RtdeClient(wire)
         client.begin()
@@ -103,7 +103,7 @@ def test_without_a_sign_of_life_a_motion_is_braked(own_time: OwnTime, robot: Rob
         robot.site.faults.set("robot.frozen")
         client.write(1, 1, [*(HOME + 1.0)])
         while (state := client.state())[-2] != 1:
-            own_time.at_s += 0.1
+            device_time.at_s += 0.1
         assert state[-1] == 8
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.time import PlantTime
+from fakes.time import CellTime
 from fakes.truth.robot_motion import Path, RobotMotion
 from hilcell.cell.file import Station, load_cell
 from hilcell.model.plan import Step
@@ -39,7 +39,7 @@ def test_a_robots_motion_takes_what_its_trapezoid_takes(
 ) -> None:
     cell = load_cell("paper", {"robot.speed_percent": str(percent)})
     here_rad, there_rad = np.radians(here_deg), np.radians(there_deg)
-    time = PlantTime()
+    time = CellTime()
     motion = RobotMotion(cell, time, lambda _: lambda: np.zeros(6))
     motion.move(here_rad, 1.0)
     time.advance(1e4)

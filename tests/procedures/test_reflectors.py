@@ -26,7 +26,7 @@ def carried(folder: Path, different: str) -> tuple[Log, list[str]]:
     what was asked.
     """
     simulated, titles = InProcessCell(CELL, 1), list[str]()
-    tracker = simulated.tracker._plant.tracker  # type: ignore[attr-defined] # the simulated one
+    tracker = simulated.tracker._truth.tracker  # type: ignore[attr-defined] # the simulated one
 
     def ask(prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
         titles.append(prompt.title)

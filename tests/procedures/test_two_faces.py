@@ -54,7 +54,7 @@ def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, urad: float
 ) -> None:
     simulated = InProcessCell(CELL, 1)
-    simulated.tracker._plant.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
+    simulated.tracker._truth.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
     monkeypatch.setattr(in_process, "in_process_cell", lambda cell, seed: simulated)
     log = in_process.direct_run(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
     assert log.verdicts["two-face"].holds is not bool(urad)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fakes.truth.arm_truth import ArmTruth, Ripple
-from fakes.truth.machine import machine_of
+from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.position_errors import errors_of
@@ -76,7 +76,7 @@ def test_sweeps_find_the_lines_of_the_machine_s_gears(whole: GoldenRun) -> None:
 def truth_of_ripple(seed: int) -> Ripple:
     cell = load_cell("paper")
     rng = KeyedNoise(seed).generator("arm")
-    return ArmTruth(machine_of(cell), cell.robot.smr_mm, rng).ripple
+    return ArmTruth(cell_machine(cell), cell.robot.smr_mm, rng).ripple
 
 
 def test_events_are_the_journal(whole: GoldenRun) -> None:

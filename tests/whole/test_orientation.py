@@ -13,8 +13,8 @@ import pytest
 from msgspec.structs import replace
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
 from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
@@ -168,7 +168,7 @@ def test_the_tool_really_is_turned_less(golden: GoldenRuns) -> None:
     log = read_log(golden["seats"].folder)
     cell, seed = log.cell, log.inputs.machine_seed
     assert seed is not None
-    arm = Plant(cell, seed, PlantTime(), Faults()).arm
+    arm = CellTruth(cell, seed, CellTime(), Faults()).arm
     T_W_B = Frames(cell, log).base_in_world(cell.station_named("BASE"))
     left_deg = {}
     for how in ("before", "chosen"):
@@ -193,12 +193,12 @@ def test_bounds_in_use_cover_the_true_turns_and_a_measured_one_has_the_noise_of_
     cell, seed, seats = log.cell, log.inputs.machine_seed, seats_of(log)
     assert seed is not None
     assert seats is not None
-    plant, rng = Plant(cell, seed, PlantTime(), Faults()), np.random.default_rng(53)
-    places_mm = np.stack([np.zeros(3), *plant._seats.values()])
-    floor = plant.places_in_world()
+    truth, rng = CellTruth(cell, seed, CellTime(), Faults()), np.random.default_rng(53)
+    places_mm = np.stack([np.zeros(3), *truth._seats.values()])
+    floor = truth.places_in_world()
     nests_mm = np.array([floor[nest.name] for nest in cell.layout.floor])
     T_W_R = (
-        world_from_tracker(cell, nests_mm) @ plant.base_in_world() @ inverse(plant.arm.ideal_base)
+        world_from_tracker(cell, nests_mm) @ truth.base_in_world() @ inverse(truth.arm.ideal_base)
     )
     turned = turned_of(log, log.select("validate", how="chosen"), seats)
     nominal = from_zyx(np.array([point.nominal_deg for point in turned.points]))
@@ -208,8 +208,8 @@ def test_bounds_in_use_cover_the_true_turns_and_a_measured_one_has_the_noise_of_
     assert bounds_deg is not None
     true_rad = []
     for _ in range(50):
-        landed = plant.arm.joint_sigma_rad * rng.standard_normal(joints_rad.shape)
-        tool = T_W_R @ plant.arm.pose(joints_rad, np.ones_like(joints_rad), landed)
+        landed = truth.arm.joint_sigma_rad * rng.standard_normal(joints_rad.shape)
+        tool = T_W_R @ truth.arm.pose(joints_rad, np.ones_like(joints_rad), landed)
         seen_mm = np.stack([apply(each, places_mm) for each in tool])
         true_rad.append(to_rotvec(orientations(seats, seen_mm) @ np.swapaxes(nominal, 1, 2)))
     true_deg = np.degrees(np.linalg.norm(true_rad, axis=-1))

@@ -21,8 +21,8 @@ from drivers.universal_robots.robot_rtde import STOPPED, UrRtdeRobot, script_tex
 from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from fakes.universal_robots.server import UrController, UrServer
 from fakes.wires import Listener
 from hilcell.alarms.catalogue import entry_of
@@ -50,7 +50,7 @@ class Bench:
     controller: UrController
     server: UrServer
     faults: Faults
-    plant: Plant
+    truth: CellTruth
     stop: threading.Event
 
     def robot(self, **options: Any) -> UrRtdeRobot:
@@ -92,12 +92,12 @@ PROVES_NOTHING = {
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    faults, time = Faults(), PlantTime(10.0)
-    plant = Plant(LAB, 1, time, faults)
-    server = UrServer(Site(LAB, plant, faults, time))
+    faults, time = Faults(), CellTime(10.0)
+    truth = CellTruth(LAB, 1, time, faults)
+    server = UrServer(Site(LAB, truth, faults, time))
     with contextlib.closing(server):
         server.start()
-        yield Bench(server.controller, server, faults, plant, threading.Event())
+        yield Bench(server.controller, server, faults, truth, threading.Event())
 
 
 @pytest.fixture
@@ -264,7 +264,7 @@ def moving(bench: Bench, robot: UrRtdeRobot, joints: Any = FAR) -> list[BaseExce
             errors.append(error)
 
     threading.Thread(target=move, daemon=True).start()
-    until(lambda: bench.plant.robot.moving)
+    until(lambda: bench.truth.robot.moving)
     return errors
 
 
@@ -274,7 +274,7 @@ def test_another_script_in_its_place(bench: Bench, robot: UrRtdeRobot) -> None:
     until(lambda: bool(errors))
     assert isinstance(errors[0], DeviceError)
     assert errors[0].code == "HC-B66"
-    until(lambda: not bench.plant.robot.moving)
+    until(lambda: not bench.truth.robot.moving)
 
 
 def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
@@ -283,7 +283,7 @@ def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
     robot.stop()
     until(lambda: bool(errors))
     assert isinstance(errors[0], Stopped)
-    until(lambda: not bench.plant.robot.moving)
+    until(lambda: not bench.truth.robot.moving)
     with pytest.raises(DeviceError) as found:
         robot.move_to(HOME, 100.0)
     assert found.value.code == "HC-B21"
@@ -326,7 +326,7 @@ def test_a_stop_that_the_dashboard_refuses_brakes_by_the_script(
     refuse_stops(bench, monkeypatch)
     moving(bench, robot)
     robot.stop()
-    until(lambda: not bench.plant.robot.moving)
+    until(lambda: not bench.truth.robot.moving)
     assert bench.controller._error == STOPPED
     until(lambda: bench.controller.ask("running").endswith("false"))
 
@@ -335,7 +335,7 @@ def test_a_stop_whose_connection_the_dashboard_has_closed(bench: Bench, robot: U
     moving(bench, robot)
     close_idle_panels(bench)
     robot.stop()
-    until(lambda: not bench.plant.robot.moving)
+    until(lambda: not bench.truth.robot.moving)
     robot.close()
     assert bench.controller.ask("running").endswith("false")
 
@@ -348,7 +348,7 @@ def test_an_idle_dashboard_connection_that_was_closed_is_replaced_before_a_motio
     assert robot.move_to(TARGET, 100.0).still
     moving(bench, robot)
     robot.stop()
-    until(lambda: not bench.plant.robot.moving)
+    until(lambda: not bench.truth.robot.moving)
 
 
 def test_close_returns_when_the_arm_stands(
@@ -356,13 +356,13 @@ def test_close_returns_when_the_arm_stands(
 ) -> None:
     """Also where the program has ended long before, and the arm brakes slowly."""
     robot.move_to(HOME, 100.0)
-    monkeypatch.setattr(bench.plant.robot, "brake", lambda: None)
+    monkeypatch.setattr(bench.truth.robot, "brake", lambda: None)
     errors = moving(bench, robot, HOME + np.radians([6.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     bench.stop.set()
     robot.stop()
     until(lambda: bool(errors))
     robot.close()
-    assert not bench.plant.robot.moving
+    assert not bench.truth.robot.moving
 
 
 def test_close_repeats_a_stop_that_was_not_carried_out(
@@ -397,7 +397,7 @@ def test_another_client_moves_nothing_after_close(
     robot.close()
     bench.controller.write({"input_int_register_27": 0, "input_double_register_30": 1.0})
     bench.controller.write({"input_int_register_25": 1, "input_int_register_24": 77})
-    assert not bench.plant.robot.moving
+    assert not bench.truth.robot.moving
 
 
 def test_a_script_is_ended_where_connect_fails_behind_it(bench: Bench) -> None:
@@ -471,7 +471,7 @@ def test_registers_that_arrive_after_the_script_move_nothing(bench: Bench) -> No
     bench.controller.play = play_first  # type: ignore[method-assign]  # the other order of ports
     robot = bench.robot()
     robot.connect()
-    assert not bench.plant.robot.moving
+    assert not bench.truth.robot.moving
     assert robot.move_to(TARGET, 100.0).still
     robot.close()
 
@@ -515,15 +515,15 @@ def test_the_time_of_a_state_is_that_of_its_joints(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where the controller is held up while it makes the state, as on a busy PC."""
-    now_s, arm = PlantTime.now_s, bench.plant.robot
+    now_s, arm = CellTime.now_s, bench.truth.robot
 
-    def held_up(clock: PlantTime) -> float:
+    def held_up(clock: CellTime) -> float:
         found_s = now_s(clock)
         threading.Event().wait(0.002)
         return found_s
 
     arm.move(FAR, 0.01)
-    monkeypatch.setattr(PlantTime, "now_s", held_up)
+    monkeypatch.setattr(CellTime, "now_s", held_up)
     states = [bench.controller.state() for _ in range(3)]
     assert arm.moving
     for state in states:
@@ -543,7 +543,7 @@ def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> Non
 
     with pytest.raises(Left):
         leave()
-    assert not bench.plant.robot.moving
+    assert not bench.truth.robot.moving
     assert robot.move_to(HOME, 100.0).still
 
 

@@ -113,7 +113,7 @@ class MecaRobot:
         """Return a reading asked for after this call began."""
         self._check_state()
         before, after = self._two_looks()
-        return self._reading(after, still=not self._under_way and _stands(before, after))
+        return self._reading(after, still=not self._under_way and _rest_position(before, after))
 
     def stop(self) -> None:
         """Brake and forget the queue; any thread; waits for no answer.
@@ -222,7 +222,7 @@ class MecaRobot:
             self._check_state()
             before, after = self._two_looks()
             arrived = bool(np.all(np.abs(after.joints_deg - target_deg) <= ARRIVED_DEG))
-            if arrived and _stands(before, after):
+            if arrived and _rest_position(before, after):
                 self._under_way, self._ended_s = False, before.taken_s
                 return self._reading(after, still=True)
             if over:
@@ -271,7 +271,7 @@ class MecaRobot:
             wire.close()
 
 
-def _stands(before: Look, after: Look) -> bool:
+def _rest_position(before: Look, after: Look) -> bool:
     return bool(np.all(np.abs(after.joints_deg - before.joints_deg) <= STILL_DEG))
 
 

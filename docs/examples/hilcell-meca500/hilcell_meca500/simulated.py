@@ -18,9 +18,10 @@ import numpy as np
 
 from fakes.faults import Vanished
 from fakes.site import Site
-from fakes.time import LifeTimer
-from fakes.truth.cell_truth import strike
-from fakes.truth.machine import controller_arm, flicker
+from fakes.time import WatchdogTimer
+from fakes.truth.cell_truth import apply_start_faults
+from fakes.truth.machine import controller_arm
+from fakes.truth.noise import readout_noise
 from fakes.wires import HOST, Listener, Segments
 from hilcell.ports import Array
 
@@ -36,13 +37,13 @@ class MecaController:
 
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
-        self._motion, self._faults, self._time = site.plant.robot, site.faults, site.time
-        self._plant = site.plant
+        self._motion, self._faults, self._time = site.truth.robot, site.faults, site.time
+        self._truth = site.truth
         self._arm = controller_arm(site.cell)
         self._smr_mm = np.array(site.cell.robot.smr_mm)
         self._low_deg = np.array([joint.min_deg for joint in site.cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in site.cell.robot.joint])
-        self._watchdog = LifeTimer(self._connection_lost)
+        self._watchdog = WatchdogTimer(self._connection_lost)
         self._queue = deque[tuple[str, Array]]()
         self._messages = list[str]()  # that nobody has asked for
         self._frames = {"wrf": np.zeros(6), "trf": np.zeros(6)}
@@ -179,10 +180,10 @@ class MecaController:
             self.error = True
             self._halt()
             return
-        struck = strike(self._faults, self._plant, target_deg)
-        self._looks, self._frozen = 0, struck.frozen
-        if not struck.frozen:
-            self._motion.move(np.radians(struck.target_deg), self._share)
+        motion = apply_start_faults(self._faults, self._truth, target_deg)
+        self._looks, self._frozen = 0, motion.frozen
+        if not motion.frozen:
+            self._motion.move(np.radians(motion.target_deg), self._share)
 
     def _halt(self) -> None:
         """Brake, forget the queue and take no motion before it is resumed."""
@@ -198,12 +199,12 @@ class MecaController:
     def _connection_lost(self) -> None:
         """Stop: the client has not spoken in time; called by the watchdog's thread."""
         with self._lock:
-            if self._watchdog.ran_out:
+            if self._watchdog.expired:
                 self._safety_stop()
 
     def _strike(self) -> None:
         """Let the faults of a moving robot happen."""
-        take = partial(self._faults.take, moving=self._motion.seen_moving)
+        take = partial(self._faults.take, moving=self._motion.axes_moving)
         if take("robot.vanish") is not None:
             raise Vanished
         if take("robot.e_stop") is not None:
@@ -220,7 +221,7 @@ class MecaController:
             return joints_deg
         self._looks += 1
         landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
-        return joints_deg + DITHER_DEG * flicker(landed, self._looks, 6)
+        return joints_deg + DITHER_DEG * readout_noise(landed, self._looks, 6)
 
     def _time_us(self) -> float:
         return self._time.now_s() * 1e6

@@ -16,8 +16,8 @@ from hilcell_meca500.simulated import MecaServer, serve
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.time import PlantTime
-from fakes.truth.cell_truth import Plant
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
 from hilcell.calibration.tool_point import tip_of_program
 from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
@@ -47,8 +47,8 @@ def faults() -> Faults:
 
 @pytest.fixture
 def server(faults: Faults) -> Iterator[MecaServer]:
-    time = PlantTime(10.0)
-    found = serve(Site(CELL, Plant(CELL, 1, time, faults), faults, time), 0)
+    time = CellTime(10.0)
+    found = serve(Site(CELL, CellTruth(CELL, 1, time, faults), faults, time), 0)
     with contextlib.closing(found):
         found.start()
         yield found
