@@ -71,7 +71,7 @@ PAGE = """# Training, and faults on demand
 |---|---|
 | a number | injects that fault |
 | Enter | injects a fault without naming it: diagnose it by the screen and the alarm |
-| Enter again | names the fault, its alarm and the steps, and repairs the cell; then resume the run |
+| Enter again | names fault, alarm and steps, and repairs the cell; then resume the run |
 | `m` | lists the faults again |
 | `q`, or ctrl-C | ends the simulated cell |
 
