@@ -46,4 +46,4 @@ def pytest_configure(config: pytest.Config) -> None:
     options_of(config)
     if config.args_source is not config.ArgsSource.ARGS:
         config.args.clear()
-    config.args.append(str(Path(__file__).with_name("kept.py")))
+    config.args.append(str(Path(__file__).with_name("port_tests.py")))
