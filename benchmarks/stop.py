@@ -33,7 +33,7 @@ from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
 from hilcell.journal.log import Log, RunJournal
 from hilcell.journal.runs import JOURNAL, EngineFile
-from hilcell.model.plan import PlanRecord, Step
+from hilcell.model.plan import PlannedStep, PlanRecord
 from hilcell.model.point import PointId
 from hilcell.ports import SimulatedCell
 from hilcell.present.table import Table
@@ -68,8 +68,8 @@ class Phase:
     def __init__(self, phase: str) -> None:
         self.phase = phase
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return Step(self.name, 0, 0.0)
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, 0, 0.0)
 
     def result(self, log: Log) -> dict[str, Any]:
         return {}
@@ -157,7 +157,7 @@ def plan_of(cell: Cell, phase: str) -> PlanRecord:
         simulated=True,
         versions={},
         settings={},
-        steps=[Step(Phase.name, 0, 0.0)],
+        steps=[PlannedStep(Phase.name, 0, 0.0)],
         points=0,
         duration_s=0.0,
     )

@@ -29,7 +29,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import matrix
 from hilcell.journal.log import Log, RunJournal
 from hilcell.journal.runs import JOURNAL
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
@@ -64,8 +64,8 @@ class Month:
     def __init__(self, points: int) -> None:
         self._points = points
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return Step(self.name, self._points, 0.0)
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, self._points, 0.0)
 
     def result(self, log: Log) -> dict[str, Any]:
         return {}

@@ -19,8 +19,8 @@ from hilcell.identification.sweeps import swept_axis
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair
-from hilcell.model.plan import Span, Step
-from hilcell.model.results import ActResult
+from hilcell.model.plan import PlannedStep, Span
+from hilcell.model.results import StepResult
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -34,7 +34,7 @@ TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of 
 STREAM_S = 1.5  # begin and end of a stream
 
 
-class Swept(ActResult, frozen=True, kw_only=True):
+class Swept(StepResult, frozen=True, kw_only=True):
     """An axis's curve: how often a turn its lines repeat, how large they are, what is left of it
     and by how much both sweeps differ.
     """
@@ -59,7 +59,7 @@ class Swept(ActResult, frozen=True, kw_only=True):
         return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
 
 
-class Sweeps(ActResult, frozen=True, kw_only=True):
+class Sweeps(StepResult, frozen=True, kw_only=True):
     """The swept axes, or why there are none."""
 
     left_out: str
@@ -78,10 +78,10 @@ class AxisSweeps:
     measures = "the flange reflector, streaming"
     yields = "the transmission curve of each axis"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""
         if reason := left_out(cell):
-            return Step(self.name, 0, 0.0, note=reason)
+            return PlannedStep(self.name, 0, 0.0, note=reason)
         station, seen_at = cell.reference, 20  # places that must be in the tracker's range
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         cube = cube_joints(cell)
@@ -101,7 +101,9 @@ class AxisSweeps:
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
         count = len(WAYS) * len(axes_of(cell))
-        return plan.step(self.name, 0, [Span("sweep", count, seconds), *plan.closing(cell)])
+        return PlannedStep.of_spans(
+            self.name, 0, [Span("sweep", count, seconds), *plan.closing(cell)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Sweep, and journal each axis's curve as soon as it is known, once."""

@@ -13,19 +13,19 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
 from hilcell.model.frame import Matrix, MeasuredBase
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import PointId
-from hilcell.model.results import ActResult
+from hilcell.model.results import StepResult
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Result
-from procedures.plan import closing, flange_points, step
+from procedures.plan import closing, flange_points
 
 FEWEST_ON_ARC = 5
 
 
-class Arc(ActResult, frozen=True, kw_only=True):
+class Arc(StepResult, frozen=True, kw_only=True):
     """The uncertainties (k = 1) of an axis's circle by the middle of its sweep."""
 
     axis: int
@@ -35,7 +35,7 @@ class Arc(ActResult, frozen=True, kw_only=True):
     axis_u_mrad: float
 
 
-class FramedBase(ActResult, frozen=True, kw_only=True):
+class FramedBase(StepResult, frozen=True, kw_only=True):
     """The base in {W}, its uncertainties (k = 1), and those of shorter arcs."""
 
     T_W_B: Matrix
@@ -55,10 +55,12 @@ class BaseFrame:
     measures = "the flange reflector on two circles"
     yields = "the robot base in {W}"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse sweeps that leave the joint limits or come too near to a volume."""
         check_circles(cell, cell.reference)
-        return step(self.name, 2 * points_on_arc(cell), [sweeps(cell), *closing(cell)])
+        return PlannedStep.of_spans(
+            self.name, 2 * points_on_arc(cell), [sweeps(cell), *closing(cell)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Sweep, fit and frame, once."""

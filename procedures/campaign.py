@@ -17,7 +17,7 @@ from hilcell.fit.methods import FitResult, fit_robot, methods_table
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements
 from hilcell.journal.log import Log, positions_mm
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
@@ -38,7 +38,7 @@ class Campaign:
     measures = "every reflector of every pose"
     yields = "measured targets and the fit of the robot's nominal kinematics to them"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse poses of another robot or outside the joint limits, and reflectors by hand."""
         if cell.layout.by_hand:
             raise HilcellError(
@@ -51,7 +51,9 @@ class Campaign:
         first = [at[0] for _, at in visits_of(rows)]
         more = len(rows) - len(first)  # reflectors, where the robot already stands
         seconds = flange_points(cell, rows.joints_rad[first]).duration_s
-        return Step(self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples))
+        return PlannedStep(
+            self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples)
+        )
 
     @staticmethod
     def _check_robot(cell: Cell, rows: Measurements) -> None:

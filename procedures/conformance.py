@@ -30,7 +30,7 @@ from hilcell.decoding import typed
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, PromiseJudged
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.verdicts import DriverConforms
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.present.table import Table, listed
@@ -187,7 +187,7 @@ class Conformance:
     measures = "three floor nests"
     yields = "a verdict on each promise of each driver"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a real cell that would move fast."""
         if cell.simulation is None:
             wanted = {
@@ -199,7 +199,7 @@ class Conformance:
                     f"real devices are tried slowly: add {' '.join(fast)}", code="HC-C10"
                 )
         trial_s = 120.0  # of one driver, in real time
-        return Step(self.name, 0, len(self._ports(cell)) * trial_s)
+        return PlannedStep(self.name, 0, len(self._ports(cell)) * trial_s)
 
     def perform(self, session: CellSession) -> None:
         """Journal what each promise has found, then a verdict on each driver."""

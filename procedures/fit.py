@@ -25,9 +25,9 @@ from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log, noise_at, run_noise
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId, Sent
-from hilcell.model.results import ActResult
+from hilcell.model.results import StepResult
 from hilcell.model.verdicts import CurvesUsed, Fitted, SignChecked
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
@@ -36,7 +36,7 @@ from hilcell.run.procedure import Result
 from procedures import plan
 
 
-class Choice(ActResult, frozen=True, kw_only=True):
+class Choice(StepResult, frozen=True, kw_only=True):
     """The choice of the error model, as in `Fitted`."""
 
     loocv: dict[str, dict[str, float]]
@@ -56,7 +56,7 @@ class Fit:
     measures = "nothing"
     yields = "the chosen correction"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a grid of one cell: nothing in it could be left out."""
         shape = grid_of(cell).shape
         if max(shape) < 3:
@@ -65,7 +65,7 @@ class Fit:
                 "at least; choose a smaller pitch_mm",
                 code="HC-C10",
             )
-        return Step(self.name, 0, 0.0)
+        return PlannedStep(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:
         """Journal the choice, once all points that wait are measured again."""
@@ -114,7 +114,7 @@ def _orients(cell: Cell, name: str, measured: Measured) -> bool:
 IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
 
 
-class SignErrors(ActResult, frozen=True, kw_only=True):
+class SignErrors(StepResult, frozen=True, kw_only=True):
     """The errors of the target before and corrected, and their ratio."""
 
     before_mm: float
@@ -131,7 +131,7 @@ class SignCheck:
     measures = "the flange reflector at both"
     yields = "whether the correction takes the error away instead of doubling it"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
         there, middles_mm = cell.reference, _middle_mm(grid, np.array(_cells(grid)))
@@ -141,7 +141,7 @@ class SignCheck:
         last = there if cell.plan.quick else plan.stations_in_order(cell)[-1]
         back = plan.leg(cell, last, there)
         both = plan.flange_points(cell, joints_rad[[0] * len(IDS)])
-        return plan.step(self.name, len(IDS), [*back, both, *plan.closing(cell)])
+        return PlannedStep.of_spans(self.name, len(IDS), [*back, both, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""

@@ -25,7 +25,7 @@ from hilcell.compensation.correction import corrected_poses
 from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import ISO, RP_ANGLES
 from hilcell.ports import Array, HilcellError
@@ -50,10 +50,10 @@ class BaseOfTest:
     measures = "the flange reflector on two circles"
     yields = "the robot base in {W}, in which poses are commanded"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse circles that cannot be driven."""
         if cell.iso9283.calibration:
-            return Step(self.name, 0, 0.0, note="the base is the calibration's")
+            return PlannedStep(self.name, 0, 0.0, note="the base is the calibration's")
         return BaseFrame().plan(cell, seed)
 
     def perform(self, session: CellSession) -> None:
@@ -77,7 +77,7 @@ class PoseCycle:
     measures = "the reflectors on the flange at five poses, cycle after cycle"
     yields = "AP, RP, AD and RD of ISO 9283, of positions and, with several reflectors, of angles"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse poses out of reach, and ways of the cycle that are not clear."""
         load_kg, rated_kg = cell.iso9283.load_kg, cell.iso9283.rated_load_kg
         if load_kg is not None and rated_kg is not None and not load_kg <= rated_kg:
@@ -97,7 +97,7 @@ class PoseCycle:
         cycles, points = cell.iso9283.cycles, cell.iso9283.cycles * len(CYCLE) * seats
         cycle_s = float(moves_s.sum()) + len(CYCLE) * at_each_s
         spans = [Span("cycle", points, cycles * cycle_s)]
-        return plan.step(
+        return PlannedStep.of_spans(
             self.name, points, [*spans, *plan.closing(cell, carried=True, points=points)]
         )
 

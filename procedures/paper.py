@@ -48,13 +48,13 @@ from hilcell.geometry.statistics import (
     variance_of_mean,
 )
 from hilcell.journal.log import Log, positions_mm
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.model.results import Calibrated, FramesRepeated, PaperRow, Place, SurveyedRail
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Procedure, Result
+from hilcell.run.procedure import Procedure, Result, Step
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame, FramedBase
 from procedures.fit import Choice, Fit, SignCheck, SignErrors
@@ -579,7 +579,7 @@ ROWS = (
 
 # -- the procedure --------------------------------------------------------------------------------
 
-EXPERIMENTS: tuple[Part, ...] = (
+EXPERIMENTS: tuple[Step, ...] = (
     Home(),
     WorldFrame(),
     RailSurvey(),
@@ -606,14 +606,14 @@ class PaperRows:
     measures = "nothing"
     yields = "the paper's figures beside ours"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a quick plan: the paper's figures are of the paper's own."""
         if cell.plan.quick:
             raise HilcellError(
                 "plan.quick: the paper's rows need every target; leave it out, or run calibrate",
                 code="HC-C10",
             )
-        return Step(self.name, 0, 0.0)
+        return PlannedStep(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:
         """Do nothing: the rows are computed from the journal."""

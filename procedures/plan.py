@@ -8,7 +8,6 @@ are left out: the run's pace shows them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, from_rotvec, from_zyx, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import ReachError
 from hilcell.geometry.kinematics import Bools
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import Span
 from hilcell.ports import Array, HilcellError
 from hilcell.run.collision import below, check_poses, clear_poses, leaves_cube
 
@@ -218,10 +217,6 @@ def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
         return []
     seconds = park_s(cell) + approach_s(cell, here.rail_mm, there)
     return [Span("leg", 0, seconds), *hold_proof(cell)]
-
-
-def step(name: str, points: int, spans: Sequence[Span]) -> Step:
-    return Step(name, points, sum(span.duration_s for span in spans), tuple(spans))
 
 
 def homing_s(cell: Cell) -> float:

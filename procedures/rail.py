@@ -16,16 +16,16 @@ from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, rigid_fit, to_rotvec, unit
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import PointId
-from hilcell.model.results import ActResult, SurveyedRail, WithU
+from hilcell.model.results import StepResult, SurveyedRail, WithU
 from hilcell.model.verdicts import Backlash, StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Result
+from hilcell.run.procedure import Result, Step
 from hilcell.run.prompts import FLANGE
-from procedures.plan import approach_s, closing, first_hold, measure_s, rail_move_s, step
+from procedures.plan import approach_s, closing, first_hold, measure_s, rail_move_s
 
 # -- the survey -----------------------------------------------------------------------------------
 
@@ -41,14 +41,14 @@ class RailSurvey:
     measures = "the flange reflector and the slide nests at every stop"
     yields = "the error both ways, backlash, scale, straightness, yaw, pitch and roll"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         stops = 2 * len(steps_mm(cell))
         points = stops * (1 + len(cell.layout.slide))
         seconds = points * measure_s(cell, cell.nest_samples)
         seconds += rail_move_s(cell, cell.survey.from_mm - cell.rail.travel_min_mm)
         seconds += (stops - 2) * rail_move_s(cell, cell.survey.step_mm) + rail_move_s(cell, 0.0)
         survey = Span("survey", points, seconds)
-        return step(self.name, points, [survey, *closing(cell, points=points)])
+        return PlannedStep.of_spans(self.name, points, [survey, *closing(cell, points=points)])
 
     def perform(self, session: CellSession) -> None:
         """Go forth and back; judge the backlash."""
@@ -166,7 +166,7 @@ APPROACH_MM = 150.0
 HOWS = ("plain", "strip")
 
 
-class HoldStation(Part):
+class HoldStation(Step):
     """Brings the slide to the grid's station by the closed loop of the strip."""
 
     name = "hold-station"
@@ -175,8 +175,8 @@ class HoldStation(Part):
     measures = "the strip, one slide nest"
     yields = "a held station"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return step(self.name, 0, first_hold(cell, cell.reference))
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep.of_spans(self.name, 0, first_hold(cell, cell.reference))
 
     def perform(self, session: CellSession) -> None:
         """Hold the station once; a later act that needs it holds it itself."""
@@ -185,7 +185,7 @@ class HoldStation(Part):
             session.reach("hold_station")
 
 
-class Approaches(ActResult, frozen=True, kw_only=True):
+class Approaches(StepResult, frozen=True, kw_only=True):
     """Range along the rail, RP of ISO 9283, and the mean from above less that from below, mm."""
 
     range_mm: float
@@ -193,14 +193,14 @@ class Approaches(ActResult, frozen=True, kw_only=True):
     backlash_mm: float | None = None
 
 
-class OneSide(ActResult, frozen=True, kw_only=True):
+class OneSide(StepResult, frozen=True, kw_only=True):
     """Approaches from below, by the drive alone and by the strip."""
 
     plain: Approaches
     strip: Approaches
 
 
-class StationRepeated(ActResult, frozen=True, kw_only=True):
+class StationRepeated(StepResult, frozen=True, kw_only=True):
     """Approaches from random sides, ``repeats`` of each kind, and from one side."""
 
     repeats: int
@@ -221,7 +221,7 @@ class StationRepeatability:
     measures = "one slide nest after each approach"
     yields = "range, repeatability and backlash without and with the strip"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         station = cell.reference
         away_s = rail_move_s(cell, APPROACH_MM)
         by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
@@ -230,7 +230,9 @@ class StationRepeatability:
         plain = Span("plain approach", visits, visits * (each_s + away_s))
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
         points = len(HOWS) * visits
-        return step(self.name, points, [plain, by_strip, *closing(cell, points=points)])
+        return PlannedStep.of_spans(
+            self.name, points, [plain, by_strip, *closing(cell, points=points)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Approach, measure, go away, come back."""

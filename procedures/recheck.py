@@ -28,7 +28,7 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.model.frame import Frame
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import Array
@@ -36,7 +36,7 @@ from hilcell.present.table import Column, Table, vector
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
-from procedures.plan import check_reach, closing, drivable, flange_points, step, turned
+from procedures.plan import check_reach, closing, drivable, flange_points, turned
 from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
@@ -55,11 +55,11 @@ class Recheck:
     measures = "the flange reflector at every pose"
     yields = "whether the calibration is still valid, is updated, or is to be made again"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a calibration that is missing, and poses out of reach."""
         joints_rad = commands_rad(cell, calibration_named(cell, TABLE), seed)
         check_poses(cell, cell.reference, joints_rad, "re-check pose")
-        return step(
+        return PlannedStep.of_spans(
             self.name,
             len(joints_rad),
             [flange_points(cell, joints_rad), *closing(cell, carried=True)],

@@ -10,7 +10,7 @@ from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.decoding import typed
 from hilcell.journal.log import Log
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import REFLECTOR, PointId
 from hilcell.model.verdicts import ReflectorsCompared, ReflectorSeen
 from hilcell.ports import HilcellError
@@ -18,7 +18,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.run.prompts import FLANGE
-from procedures.plan import closing, readings, step
+from procedures.plan import closing, readings
 from procedures.world_frame import Home, WorldFrame
 
 
@@ -31,7 +31,7 @@ class Reflectors:
     measures = "every reflector of floor, bars and flange in the first floor nest"
     yields = "which reflector's ball or prism differs from the others'"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a cell of one reflector."""
         if cell.layout.by_hand:
             raise HilcellError(
@@ -40,7 +40,7 @@ class Reflectors:
                 code="HC-C10",
             )
         measured = readings(cell, len(self._places_of(cell)), cell.nest_samples)
-        return step(self.name, 0, [measured, *closing(cell)])
+        return PlannedStep.of_spans(self.name, 0, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Have each reflector carried to the nest, measure it, and judge them all."""

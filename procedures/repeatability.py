@@ -9,13 +9,13 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, from_mean_mm, repeatability_mm, rms
 from hilcell.journal.log import Log, positions_mm, variances_mm2
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import Floor, Repeated
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures.plan import check_targets, closing, flange_points, joints_for, poses_at, step
+from procedures.plan import check_targets, closing, flange_points, joints_for, poses_at
 
 VISITS = 10
 
@@ -29,13 +29,15 @@ class Repeatability:
     measures = "the flange reflector on every visit"
     yields = "the floor: repeatability and tracker noise alone"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse places out of reach."""
         there = cell.reference
         places = poses_at(cell, places_mm(cell))
         places_rad = check_targets(cell, there, places, "repeatability place")
         visits_rad = np.tile(places_rad, (visits_of(cell), 1))
-        return step(self.name, len(visits_rad), [flange_points(cell, visits_rad), *closing(cell)])
+        return PlannedStep.of_spans(
+            self.name, len(visits_rad), [flange_points(cell, visits_rad), *closing(cell)]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Go round the places, so that each visit comes from another one."""

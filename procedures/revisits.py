@@ -28,7 +28,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import VisitedOnceMore
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import Revisited
@@ -36,7 +36,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures.base_frame import points_on_arc, sweep
-from procedures.plan import closing, flange_points, joints_for, leg, stations_in_order, step
+from procedures.plan import closing, flange_points, joints_for, leg, stations_in_order
 from procedures.validate import judge_suspicions
 
 
@@ -61,13 +61,13 @@ class Revisits:
         self._kind, self.name = (CLOSING, "closing") if at_end else (REVISIT, "revisits")
         self._verdict = VERDICTS[self._kind]
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step: the grid's own has refused vertices out of reach."""
         joints_rad = np.array([visit.joints_rad for visit in visits(cell, self._kind)])
         spans = [flange_points(cell, joints_rad), *closing(cell)]
         if self._kind == CLOSING:
             spans = [*leg(cell, stations_in_order(cell)[-1], cell.reference), *spans]
-        return step(self.name, len(joints_rad), spans)
+        return PlannedStep.of_spans(self.name, len(joints_rad), spans)
 
     def perform(self, session: CellSession) -> None:
         """Visit, judge, and pause an attended run where something has changed.

@@ -29,18 +29,18 @@ from hilcell.geometry.statistics import bounds95_mm
 from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.model.events import NoPosesChosen, OutlierMeasuredAgain, PosesChosen
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Result
+from hilcell.run.procedure import Result, Step
 from procedures import plan
 
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
 
 
-class RobotGrid(Part):
+class RobotGrid(Step):
     """Visits the vertices in serpentine order, every axis from below, and records the joints.
 
     An outlier among its neighbours is measured once more; the retake counts.
@@ -52,7 +52,7 @@ class RobotGrid(Part):
     measures = "the reflectors on the flange at every vertex"
     yields = "the position error on the grid, the orientation's with several reflectors"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
         there = cell.reference
@@ -69,7 +69,7 @@ class RobotGrid(Part):
             sent_rad.append(plan.check_targets(cell, there, matrix(R, vertices_mm), what))
         points = len(vertices_mm) * len(sent_rad) * len(cell.robot.seats_mm)
         measured = plan.flange_points(cell, np.concatenate(sent_rad), seats=True)
-        return plan.step(
+        return PlannedStep.of_spans(
             self.name, points, [measured, *plan.closing(cell, carried=True, points=points)]
         )
 
@@ -150,15 +150,15 @@ class ChosenPoses:
     measures = "the reflectors on the flange at every chosen pose"
     yields = "more certain kinematics"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the longest that it may take: which poses, only the grid's errors tell."""
         most = cell.plan.pose_counts[1]
         if not most:
-            return Step(self.name, 0, 0.0)
+            return PlannedStep(self.name, 0, 0.0)
         joints_rad = candidates_rad(cell)[:most]
         measured = plan.flange_points(cell, joints_rad, seats=True)
         points = len(joints_rad) * len(cell.robot.seats_mm)
-        return plan.step(self.name, points, [measured, *plan.closing(cell)])
+        return PlannedStep.of_spans(self.name, points, [measured, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Choose once, then measure."""

@@ -34,7 +34,7 @@ from hilcell.geometry.frames import (
 from hilcell.geometry.statistics import CONFIDENCE, coverage_factor, f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, noise_at, positions_mm, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import FramedStation, FramesRepeated
 from hilcell.ports import Array, DeviceError, HilcellError
@@ -64,10 +64,10 @@ class StationFrames:
         """``validated``: all stations are validated afterwards, on a quick plan framed then."""
         self._validated = validated
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse nests out of the tracker's range at any station."""
         if not cell.has_rail:
-            return Step(self.name, 0, 0.0, note="the robot stands on the floor")
+            return PlannedStep(self.name, 0, 0.0, note="the robot stands on the floor")
         nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
         for station in cell.station:
             world_mm = apply(cell.layout.nominal_base(station.rail_mm), nests_mm)
@@ -78,7 +78,7 @@ class StationFrames:
         for station in stations:
             spans += frame_spans(cell, here, station)
             here = station
-        return plan.step(self.name, len(stations) * nest_points(cell), spans)
+        return PlannedStep.of_spans(self.name, len(stations) * nest_points(cell), spans)
 
     def perform(self, session: CellSession) -> None:
         """Frame the grid's station first: its slide points define {S}."""
@@ -286,7 +286,7 @@ class FrameRepeatability:
     measures = "circles of axes 1 and 6, six slide points at every station"
     yields = "how much better the station frame repeats, with an interval"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a cell with one station: frames are compared between stations."""
         if len(cell.station) < 2:
             raise HilcellError(
@@ -298,7 +298,9 @@ class FrameRepeatability:
             check_circles(cell, station)
             spans += [*plan.leg(cell, here, station), six, sweeps(cell), *plan.closing(cell)]
             here = station
-        return plan.step(self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans)
+        return PlannedStep.of_spans(
+            self.name, len(cell.station) * (2 * points_on_arc(cell) + SIX), spans
+        )
 
     def perform(self, session: CellSession) -> None:
         for station in session.cell.station:

@@ -27,14 +27,14 @@ from hilcell.decoding import typed
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
-from procedures.plan import check_reach, closing, first_hold, flange_points, step
+from procedures.plan import check_reach, closing, first_hold, flange_points
 from procedures.recheck import use
 from procedures.world_frame import Home, WorldFrame
 
@@ -50,7 +50,7 @@ class TargetPass:
     measures = "the flange reflector at every target, and the floor nests at the end"
     yields = "the calibration with the targets' errors folded in by their share"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a missing calibration, and targets outside of its validity or out of reach."""
         names, values = targets_of(cell)
         station = station_of(cell)
@@ -58,7 +58,9 @@ class TargetPass:
         check_poses(cell, station, joints_rad, "target")
         measured = flange_points(cell, joints_rad)
         proofs = closing(cell, carried=True, points=len(names))
-        return step(self.name, len(names), [*first_hold(cell, station), measured, *proofs])
+        return PlannedStep.of_spans(
+            self.name, len(names), [*first_hold(cell, station), measured, *proofs]
+        )
 
     def perform(self, session: CellSession) -> None:
         """Keep calibration and targets, measure, judge."""

@@ -37,8 +37,8 @@ from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry
 from hilcell.model.events import Three
 from hilcell.model.frame import Frame, TouchedBase
-from hilcell.model.plan import Span, Step
-from hilcell.model.results import ActResult
+from hilcell.model.plan import PlannedStep, Span
+from hilcell.model.results import StepResult
 from hilcell.model.suspicion import Suspicion
 from hilcell.model.verdicts import Touched
 from hilcell.ports import DeviceError, HilcellError
@@ -53,7 +53,7 @@ MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
 MOST_LATER = 3.5  # in a later run, which no re-visits close; 80 undisturbed ones pull <= 2.3
 
 
-class TouchFound(ActResult, frozen=True, kw_only=True):
+class TouchFound(StepResult, frozen=True, kw_only=True):
     """The touch poses of a station's last visit, as in `TouchedBase`."""
 
     poses: int
@@ -177,7 +177,7 @@ def touches(log: Log) -> dict[str, TouchFound]:
 TABLE = "touch"
 
 
-class Touching(ActResult, frozen=True, kw_only=True):
+class Touching(StepResult, frozen=True, kw_only=True):
     """The station that was touched, and the run of the calibration that was used."""
 
     station: str
@@ -193,7 +193,7 @@ class TouchStation:
     measures = "the flange reflector at every pose"
     yields = "the station's base frame on this visit, in a calibration of its own"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a station that is not calibrated, and poses out of reach."""
         station = station_of(cell)
         self._entry(calibration_named(cell, TABLE), station)
@@ -204,7 +204,7 @@ class TouchStation:
                 code="HC-C10",
             )
         spans = [*plan.first_hold(cell, station), *touch, *plan.closing(cell, carried=True)]
-        return plan.step(self.name, touch[0].measured, spans)
+        return PlannedStep.of_spans(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""

@@ -39,7 +39,7 @@ from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import Place, SentErrors, TargetBounds
 from hilcell.model.suspicion import Cause
@@ -66,7 +66,7 @@ class Validate:
     measures = "the reflectors on the flange at every target, before and with each correction"
     yields = "mean, p95 and maximum of the position error, and of the orientation's, per station"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse targets out of reach, and limits that nothing could keep."""
         check_limits(cell)
         check_turn_limit(cell)
@@ -95,7 +95,7 @@ class Validate:
                 spans += [*measured, *proofs]
                 points += count
             here = station
-        found = plan.step(self.name, points, spans)
+        found = PlannedStep.of_spans(self.name, points, spans)
         return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:

@@ -17,16 +17,16 @@ from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log, world_key
 from hilcell.model.frame import Matrix
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import BACK, LENGTH, PointId
-from hilcell.model.results import ActResult
+from hilcell.model.results import StepResult
 from hilcell.model.verdicts import FacesCompared, LengthsChecked
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Result
+from hilcell.run.procedure import Result, Step
 from procedures import plan
 
 
-class Home(Part):
+class Home(Step):
     """Park and reference; a resumed run keeps a reference that drive and strip still prove."""
 
     name = "home"
@@ -35,8 +35,8 @@ class Home(Part):
     measures = "nothing"
     yields = "a referenced drive"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return Step(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
@@ -49,7 +49,7 @@ class Home(Part):
         session.home_rail()
 
 
-class SetUps(ActResult, frozen=True, kw_only=True):
+class SetUps(StepResult, frozen=True, kw_only=True):
     """The tracker in {W} at its last set-up and at all of them; how often it moved."""
 
     T_W_L: Matrix
@@ -71,7 +71,7 @@ class WorldFrame:
     measures = "three floor nests, averaged, and the nests of certified lengths"
     yields = "the tracker in {W}"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse nests out of the tracker's range."""
         plan.check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
         bar = cell.layout.bar  # nests on the floor are measured anyway
@@ -81,7 +81,7 @@ class WorldFrame:
         spans = [plan.floor_points(cell)]
         spans += [plan.readings(cell, len(bar), cell.nest_samples)] if bar else []
         spans += plan.closing(cell) if self.proves else []
-        return plan.step(self.name, len(cell.layout.floor), spans)
+        return PlannedStep.of_spans(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
@@ -132,13 +132,13 @@ class TwoFaces:
         self._number, self.name = (1, "two-face-closing") if at_end else (0, "two-face")
         self._verdict = TWO_FACES[self._number]
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step; leave it out where it cannot be, or where time is short."""
         if reason := left_out(cell):
-            return Step(self.name, 0, 0.0, note=reason)
+            return PlannedStep(self.name, 0, 0.0, note=reason)
         count, face_s = len(self._nests(cell)), 4.0  # until it has turned over and looks back
         each_s = 2.0 * face_s + plan.measure_s(cell, SAMPLES)
-        return plan.step(self.name, 0, [Span("second face", count, count * each_s)])
+        return PlannedStep.of_spans(self.name, 0, [Span("second face", count, count * each_s)])
 
     def perform(self, session: CellSession) -> None:
         """Measure and judge, once; an axis that is off pauses an attended run."""

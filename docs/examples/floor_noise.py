@@ -5,17 +5,17 @@ from operator import attrgetter
 from hilcell.cell.file import Cell
 from hilcell.decoding import typed
 from hilcell.journal.log import Log
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
-from hilcell.model.results import ActResult
+from hilcell.model.results import StepResult
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
-from procedures.plan import floor_points, step
+from procedures.plan import floor_points
 from procedures.world_frame import Home, WorldFrame
 
 
-class Noise(ActResult, frozen=True, kw_only=True):
+class Noise(StepResult, frozen=True, kw_only=True):
     """The largest standard deviation of all nests; the fields are the keys of its JSON."""
 
     largest_mm: float
@@ -30,9 +30,9 @@ class FloorNoise:
     measures = "the floor nests"
     yields = "the largest standard deviation"
 
-    def plan(self, cell: Cell, seed: int) -> Step:
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step; raises `HilcellError` for points that cannot be measured."""
-        return step(self.name, len(cell.layout.floor), [floor_points(cell)])
+        return PlannedStep.of_spans(self.name, len(cell.layout.floor), [floor_points(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Measure; the session skips points that the journal holds."""

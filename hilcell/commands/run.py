@@ -179,6 +179,6 @@ def agrees(
 def _moves(log: Log, procedure: Procedure) -> str:
     """Return what moves in the step with which the run goes on."""
     begun = [each.number for each in log.happened(StepBegun)]
-    number = min(begun[-1] if begun else 1, len(procedure.parts))
-    part = procedure.parts[number - 1]
-    return f"step {number} of {len(procedure.parts)}, {part.name}, moves {part.moves}"
+    number = min(begun[-1] if begun else 1, len(procedure.steps))
+    step = procedure.steps[number - 1]
+    return f"step {number} of {len(procedure.steps)}, {step.name}, moves {step.moves}"

@@ -37,7 +37,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.journal.states import WAITING
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
 from hilcell.model.suspicion import suspected_in
@@ -329,11 +329,11 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
         print_json(end | {"result": body})
         return
     columns = (
-        Column[Step]("step", attrgetter("name")),
-        Column[Step]("points", attrgetter("points"), form="d"),
-        Column[Step]("minutes", lambda step: step.duration_s / 60, form=".1f"),
+        Column[PlannedStep]("step", attrgetter("name")),
+        Column[PlannedStep]("points", attrgetter("points"), form="d"),
+        Column[PlannedStep]("minutes", lambda step: step.duration_s / 60, form=".1f"),
     )
-    print_table(Table(columns, [*plan.steps, Step("all", plan.points, plan.duration_s)]))
+    print_table(Table(columns, [*plan.steps, PlannedStep("all", plan.points, plan.duration_s)]))
     for note in plan.notes:
         print_message(note)
     print_warnings(plan)

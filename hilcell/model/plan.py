@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import msgspec
 
@@ -26,15 +28,19 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """One step of a plan: its act, how many points it yields, how long it takes."""
+class PlannedStep:
+    """A step as planned: how many points it yields, how long it takes."""
 
     name: str
     points: int
     duration_s: float
     spans: tuple[Span, ...] = ()  # in their order; for the forecast
-    note: str = ""  # why an act does nothing
+    note: str = ""  # why a step does nothing
     warning: str = ""  # why hardly any result could be accepted
+
+    @classmethod
+    def of_spans(cls, name: str, points: int, spans: Sequence[Span]) -> Self:
+        return cls(name, points, sum(span.duration_s for span in spans), tuple(spans))
 
 
 class FloorBefore(msgspec.Struct, frozen=True):
@@ -82,7 +88,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     simulated: bool
     versions: dict[str, str]
     settings: dict[str, str]
-    steps: list[Step]
+    steps: list[PlannedStep]
     points: int
     duration_s: float
     machine_seed: int | None  # of the simulated machine; None where this run did not start it

@@ -14,14 +14,14 @@ from hilcell.model.point import Sent
 from hilcell.model.suspicion import Suspicion
 
 
-class ActResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class StepResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Figures of an act; those that the run does not have are None, and no keys in JSON."""
 
 
 # -- validation ------------------------------------------------------------------------------------
 
 
-class Turns(ActResult, frozen=True, kw_only=True):
+class Turns(StepResult, frozen=True, kw_only=True):
     """Errors of orientation, deg."""
 
     mean_deg: float
@@ -29,7 +29,7 @@ class Turns(ActResult, frozen=True, kw_only=True):
     max_deg: float
 
 
-class SentErrors(ActResult, frozen=True, kw_only=True):
+class SentErrors(StepResult, frozen=True, kw_only=True):
     """3D errors (mm) of targets that were sent in one way; their mean 95 % bound, and the share of
     them that keeps its own.
     """
@@ -42,14 +42,14 @@ class SentErrors(ActResult, frozen=True, kw_only=True):
     covered: float | None = None
 
 
-class Floor(ActResult, frozen=True, kw_only=True):
+class Floor(StepResult, frozen=True, kw_only=True):
     """The errors (mm) that a perfect correction leaves."""
 
     mean: float
     p95: float
 
 
-class TurnBounds(ActResult, frozen=True, kw_only=True):
+class TurnBounds(StepResult, frozen=True, kw_only=True):
     """95 % bounds of corrected orientations, deg, and the share of targets that keeps them."""
 
     coverage: float
@@ -57,7 +57,7 @@ class TurnBounds(ActResult, frozen=True, kw_only=True):
     max_deg: float
 
 
-class TargetBounds(ActResult, frozen=True, kw_only=True):
+class TargetBounds(StepResult, frozen=True, kw_only=True):
     """95 % bounds of corrected targets, mm, and the share of targets that keeps them."""
 
     coverage: float
@@ -66,7 +66,7 @@ class TargetBounds(ActResult, frozen=True, kw_only=True):
     orientation: TurnBounds | None = None
 
 
-class Decided(ActResult, frozen=True, kw_only=True):
+class Decided(StepResult, frozen=True, kw_only=True):
     """The decision of a quick plan, after how many targets at each station, and its risks."""
 
     outcome: Outcome
@@ -77,7 +77,7 @@ class Decided(ActResult, frozen=True, kw_only=True):
     share_above_max: float
 
 
-class Place(ActResult, frozen=True, kw_only=True):
+class Place(StepResult, frozen=True, kw_only=True):
     """The targets of one station, or of several together: corrected ones, and all by their way of
     sending. A quick plan sends none by the paper's method.
     """
@@ -98,7 +98,7 @@ class Place(ActResult, frozen=True, kw_only=True):
         return {way: errors for way, errors in ways.items() if errors is not None}
 
 
-class Repeated(ActResult, frozen=True, kw_only=True):
+class Repeated(StepResult, frozen=True, kw_only=True):
     """RP of ISO 9283 as measured and of the robot alone, and the mean that both leave, mm."""
 
     rp_mm: float
@@ -106,7 +106,7 @@ class Repeated(ActResult, frozen=True, kw_only=True):
     floor_mm: float
 
 
-class FramedStation(ActResult, frozen=True, kw_only=True):
+class FramedStation(StepResult, frozen=True, kw_only=True):
     """{S} of a station as in `MeasuredStation`."""
 
     strip_mm: float
@@ -117,7 +117,7 @@ class FramedStation(ActResult, frozen=True, kw_only=True):
     left_out: list[str]
 
 
-class Calibrated(ActResult, frozen=True, kw_only=True):
+class Calibrated(StepResult, frozen=True, kw_only=True):
     """The result of a calibration, as far as others read it."""
 
     points: dict[str, int]
@@ -131,14 +131,14 @@ class Calibrated(ActResult, frozen=True, kw_only=True):
 # -- the rail --------------------------------------------------------------------------------------
 
 
-class WithU(ActResult, frozen=True, kw_only=True):
+class WithU(StepResult, frozen=True, kw_only=True):
     """A value and its standard uncertainty (k = 1), in one unit."""
 
     value: float
     u: float
 
 
-class SurveyedRail(ActResult, frozen=True, kw_only=True):
+class SurveyedRail(StepResult, frozen=True, kw_only=True):
     """The rail's error (mm) over its nominal position (mm), ``forth`` and ``back``, and what makes
     it up; straightness is peak to peak, angles (mrad) are those of each stop against the first.
     """
@@ -151,7 +151,7 @@ class SurveyedRail(ActResult, frozen=True, kw_only=True):
     angles_mrad: dict[str, list[float]]
 
 
-class FramesRepeated(ActResult, frozen=True, kw_only=True):
+class FramesRepeated(StepResult, frozen=True, kw_only=True):
     """How far slide points are from their places at the reference, by station, seen in the base
     frame and in the station frame; the ratio of both root mean squares, and its 95 % interval.
     """
@@ -163,7 +163,7 @@ class FramesRepeated(ActResult, frozen=True, kw_only=True):
     ratio_interval: Pair
 
 
-class PaperRow(ActResult, frozen=True, kw_only=True):
+class PaperRow(StepResult, frozen=True, kw_only=True):
     """A figure of the paper beside the run's own. ``fails`` is the mistake that fails it; one that
     the cell file or the simulated machine brings about is ``set``, and cannot fail.
     """

@@ -17,7 +17,7 @@ from hilcell.decoding import typed
 from hilcell.journal.journal import Record
 from hilcell.journal.states import WORKING, RunState
 from hilcell.model.events import StepBegun, StreamRecorded
-from hilcell.model.plan import PlanRecord, Span, Step
+from hilcell.model.plan import PlannedStep, PlanRecord, Span
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import Ended, StateChanged
 
@@ -42,10 +42,10 @@ class UnderWay(NamedTuple):
     of_nests: bool
 
 
-class _Step:
+class _StepProgress:
     """One step of the plan and how far it got."""
 
-    def __init__(self, plan: Step) -> None:
+    def __init__(self, plan: PlannedStep) -> None:
         self.spans = plan.spans or (Span(plan.name, plan.points, plan.duration_s),)
         self.counts_control = bool(plan.spans)
         self.at = 0  # the span under way
@@ -134,7 +134,7 @@ class Forecast:
     CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
     def __init__(self) -> None:
-        self._steps: list[_Step] = []
+        self._steps: list[_StepProgress] = []
         self._number = 0  # of the step under way
         self._pace = _Pace(1.0)
         self._latest: datetime | None = None
@@ -152,7 +152,7 @@ class Forecast:
         self._latest = moment
         match fact:
             case PlanRecord() as plan:
-                self._steps = [_Step(step) for step in plan.steps]
+                self._steps = [_StepProgress(step) for step in plan.steps]
                 if plan.simulated:
                     self._pace = _Pace(1.0 / plan.speed if plan.speed else 0.0)
             case StateChanged(machine="run", to=to):
@@ -207,7 +207,7 @@ class Forecast:
     # -- what happened ------------------------------------------------------------------------
 
     @property
-    def _step(self) -> _Step | None:
+    def _step(self) -> _StepProgress | None:
         return self._steps[self._number - 1] if 0 < self._number <= len(self._steps) else None
 
     def _enter(self, state: RunState) -> None:
@@ -243,7 +243,7 @@ class Forecast:
 
     # -- what is to come ----------------------------------------------------------------------
 
-    def _rest_s(self, step: _Step, passed_s: float) -> float:
+    def _rest_s(self, step: _StepProgress, passed_s: float) -> float:
         """Return the rest of a step; the time since its last measurement counts for the next."""
         left_s, next_s, leading = 0.0, 0.0, True
         for span, count in step.left():

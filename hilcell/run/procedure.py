@@ -1,4 +1,4 @@
-"""A procedure: its words, its plan before anything moves, its acts and its result."""
+"""A procedure: its texts, its plan before anything moves, its steps and its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilcell.cell.file import Cell
 from hilcell.decoding import Json
 from hilcell.journal.log import Log
 from hilcell.model.events import StepBegun
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
@@ -28,7 +28,7 @@ Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or w
 class Plan:
     """The steps of a run. Building it has checked reach, limits and sight of every target."""
 
-    steps: list[Step]
+    steps: list[PlannedStep]
 
     @property
     def points(self) -> int:
@@ -36,22 +36,21 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Return how long the run takes in the cell's time."""
         return sum(step.duration_s for step in self.steps)
 
     @property
     def notes(self) -> list[str]:
-        """Return in words which steps do nothing, and why."""
+        """Return which steps do nothing, and why."""
         return [f"{step.name} does nothing: {step.note}" for step in self.steps if step.note]
 
     @property
     def warnings(self) -> list[str]:
-        """Return in words what the run can hardly end with, and the next act."""
+        """Return which results can hardly be accepted, and what to do."""
         return [f"{step.name}: {step.warning}" for step in self.steps if step.warning]
 
 
-class Part(Protocol):
-    """One act of a procedure: its needs, motions, measurements and yield, and how it is done."""
+class Step(Protocol):
+    """One step of a procedure; its texts state its needs, motions, measurements and yield."""
 
     name: str
     needs: str
@@ -59,31 +58,30 @@ class Part(Protocol):
     measures: str
     yields: str
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        """Return the step; raises `HilcellError` for what cannot be reached or seen."""
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        """Return the planned step; raises `HilcellError` for unreachable or hidden targets."""
 
     def perform(self, session: CellSession) -> None:
-        """Do it. Called again on resume: the session skips what the journal already holds."""
+        """Perform it. Called again on resume: the session skips what the journal already has."""
 
     def result(self, log: Log) -> Result:
-        """Compute this act's share of the result from the log alone, if it has any."""
+        """Compute this step's share of the result from the log alone."""
         return {}
 
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """Acts in their order, found by name through the entry points ``hilcell.procedures``.
+    """Steps in sequence, registered as an entry point of the group ``hilcell.procedures``.
 
-    ``table`` shows the result and ``words`` say it in a sentence, if one can; both decode what they
-    need of it, which may be plain JSON. ``uses`` is the cell's table that names the calibration
-    which the procedure starts from, if it does; ``may_use`` the one that names it if the operator
-    wants one. ``of_rail``: it measures a rail, or what only a rail makes necessary. ``by_hand`` is
-    what somebody does for it, "" for nothing.
+    ``table`` shows the result and ``words`` summarize it in a sentence ("" for none); both decode
+    what they need of it, which may be plain JSON. ``uses`` is the cell's table that names the
+    calibration to start from, "" for none; ``may_use`` the one that names an optional calibration.
+    ``of_rail``: it measures a rail, or an effect of one. ``by_hand``: manual work, "" for none.
     """
 
     name: str
     summary: str
-    parts: tuple[Part, ...]
+    steps: tuple[Step, ...]
     table: Callable[[Result], Table]
     words: Callable[[Result], str] = lambda result: ""
     uses: str = ""
@@ -93,11 +91,11 @@ class Procedure:
 
     def used_in(self, cell: Cell) -> str:
         """Return the cell's table that names the calibration to start from, "" for none."""
-        wanted = self.may_use and getattr(cell, self.may_use).calibration
-        return self.uses or (self.may_use if wanted else "")
+        given = self.may_use and getattr(cell, self.may_use).calibration
+        return self.uses or (self.may_use if given else "")
 
     def check(self, cell: Cell) -> None:
-        """Refuse a cell without the rail that this procedure is about; raises `HilcellError`."""
+        """Raise `HilcellError` where this procedure needs a rail and the cell has none."""
         if self.of_rail and not cell.has_rail:
             raise HilcellError(
                 f"{self.name} refused before anything moves: cell {cell.name} has no rail, its "
@@ -107,26 +105,26 @@ class Procedure:
             )
 
     def plan(self, cell: Cell, seed: int) -> Plan:
-        """Return the plan; raises one `HilcellError` with every refusal of every act."""
+        """Return the plan; raises one `HilcellError` with the refusals of all steps."""
         self.check(cell)
-        steps, refusals = [], []
+        planned, refusals = [], []
         try:
             check_rides(cell)
         except HilcellError as error:
             refusals.append(f"slide: {error}")
-        for part in self.parts:
+        for step in self.steps:
             try:
-                steps.append(part.plan(cell, seed))
+                planned.append(step.plan(cell, seed))
             except HilcellError as error:
-                refusals.append(f"{part.name}: {error}")
+                refusals.append(f"{step.name}: {error}")
         if refusals:
             raise HilcellError(
                 f"{self.name} refused before anything moves\n" + "\n".join(refusals), code="HC-C10"
             )
-        return Plan(steps)
+        return Plan(planned)
 
     def inputs(self, cell: Cell, plan: Plan) -> Json:
-        """Return what every run of a plan freezes; its command adds who ordered it, and how."""
+        """Return the fields of the run's `PlanRecord` that follow from the plan."""
         return {
             "procedure": self.name,
             "cell": msgspec.to_builtins(cell),
@@ -138,36 +136,36 @@ class Procedure:
         }
 
     def perform(self, session: CellSession) -> None:
-        """Perform all acts, and all again where a point is re-measured behind the last one."""
-        self._acts(session)
-        while self._retaken(session):
-            self._acts(session)
+        """Perform all steps; repeat them while points are re-measured after the last one."""
+        self._perform_steps(session)
+        while self._remeasured(session):
+            self._perform_steps(session)
 
-    def _retaken(self, session: CellSession) -> bool:
+    def _remeasured(self, session: CellSession) -> bool:
         waiting = bool(session.log.retakes)
         return not self._performed(session.retake_waiting, session) or waiting
 
-    def _acts(self, session: CellSession) -> None:
-        for number, part in enumerate(self.parts, start=1):
-            session.add(StepBegun(name=part.name, number=number, of=len(self.parts)))
-            while not self._performed(partial(part.perform, session), session):
+    def _perform_steps(self, session: CellSession) -> None:
+        for number, step in enumerate(self.steps, start=1):
+            session.add(StepBegun(name=step.name, number=number, of=len(self.steps)))
+            while not self._performed(partial(step.perform, session), session):
                 pass
 
     def result(self, log: Log) -> Json:
         """Compute the result from the log alone; return it as plain JSON."""
         counts = Counter(point.group for point in log.points.values())
-        found: dict[str, object] = {"points": dict(sorted(counts.items()))}
-        found["simulated"] = log.inputs.simulated
-        for part in self.parts:
-            found |= part.result(log)
-        plain: Json = msgspec.to_builtins(found, enc_hook=lambda value: value.tolist())
+        result: dict[str, object] = {"points": dict(sorted(counts.items()))}
+        result["simulated"] = log.inputs.simulated
+        for step in self.steps:
+            result |= step.result(log)
+        plain: Json = msgspec.to_builtins(result, enc_hook=lambda value: value.tolist())
         return plain
 
     @staticmethod
-    def _performed(act: Callable[[], object], session: CellSession) -> bool:
-        """Perform an act; return whether it came to its end, and what it measured counts."""
+    def _performed(perform: Callable[[], object], session: CellSession) -> bool:
+        """Return whether it ended, rather than having to be performed again."""
         try:
-            act()
+            perform()
         except BlockLost:
             return False
         except StripLost as lost:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fakes.time import CellTime
 from fakes.truth.robot_motion import Path, RobotMotion
 from hilcell.cell.file import Station, load_cell
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from procedures import plan
 from procedures.paper import EXPERIMENTS
 from procedures.plan import first_pass_percent, flange_points, joints_for
@@ -24,7 +24,7 @@ PARTS = {part.name: part for part in EXPERIMENTS}
 
 
 @cache
-def step(name: str) -> Step:
+def step(name: str) -> PlannedStep:
     """Return the planned step of a part: some take long to plan, and many tests ask."""
     return PARTS[name].plan(CELL, 1)
 

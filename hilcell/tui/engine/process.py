@@ -17,7 +17,7 @@ import msgspec
 
 from hilcell.decoding import decoded
 from hilcell.errors import HilcellError
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 
 REASON = "hilcell: "
@@ -117,7 +117,7 @@ class DryRun(msgspec.Struct, frozen=True, kw_only=True):
     cell: str  # its name
     simulated: bool
     rail: bool
-    steps: list[Step]
+    steps: list[PlannedStep]
     points: int
     duration_s: float  # of the cell's time
 

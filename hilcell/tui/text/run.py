@@ -33,7 +33,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.outcome import Outcome
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, HOW, Point, Sent
 from hilcell.model.records import Ended, Intended, StateChanged
 from hilcell.model.verdicts import Verdict
@@ -214,7 +214,7 @@ def _of_step(view: RunView, number: int) -> tuple[int, int]:
     return min(len(view.measured.get(number, ())), planned), planned
 
 
-def sweeps_of(steps: Sequence[Step]) -> int:
+def sweeps_of(steps: Sequence[PlannedStep]) -> int:
     """Return how many axis sweeps the plan has for these steps."""
     spans = [span for step in steps for span in step.spans]
     return sum(span.measured for span in spans if span.kind == "sweep")

@@ -12,7 +12,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import (
     Air,
@@ -160,8 +160,8 @@ class Points:
     def __init__(self, count: int, act: Callable[[CellSession, int], None] | None = None) -> None:
         self.count, self.act = count, act
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return Step(self.name, self.count, 1.0)
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, self.count, 1.0)
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")

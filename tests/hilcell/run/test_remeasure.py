@@ -9,7 +9,7 @@ import pytest
 from hilcell.cell.file import Cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.states import CALIBRATION, retake_refusal, still_refused
@@ -87,8 +87,8 @@ class Flange:
     def __init__(self, count: int, kind: str, act: Any = None) -> None:
         self.count, self.kind, self.act = count, kind, act
 
-    def plan(self, cell: Cell, seed: int) -> Step:
-        return Step(self.name, self.count, 1.0)
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, self.count, 1.0)
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")

@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 from hilcell.tui import keys
 from hilcell.tui.engine import process
@@ -67,7 +67,7 @@ PLAN = process.DryRun(
     simulated=True,
     rail=True,
     points=sum(p for _, p, _ in STEPS),
-    steps=[Step(name=n, points=p, duration_s=d) for n, p, d in STEPS],
+    steps=[PlannedStep(name=n, points=p, duration_s=d) for n, p, d in STEPS],
     duration_s=sum(d for _, _, d in STEPS),
 )
 PROCEDURES = {

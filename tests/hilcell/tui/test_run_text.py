@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.model.plan import Span, Step
+from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import PointId
 from hilcell.model.records import Ended
 from hilcell.run.control import DeviceStatus, Interlock
@@ -61,8 +61,8 @@ def test_ages(seconds: float, wanted: str) -> None:
 
 def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     spans = (Span("sweep", 8, 540.0),)
-    assert run_text.sweeps_of([Step("axis-sweeps", 0, 540.0, spans)]) == 8
-    assert run_text.sweeps_of([Step("home", 0, 0.0)]) == 0
+    assert run_text.sweeps_of([PlannedStep("axis-sweeps", 0, 540.0, spans)]) == 8
+    assert run_text.sweeps_of([PlannedStep("home", 0, 0.0)]) == 0
     view = view_of("running")
     assert view.log.plan is not None
     assert view.step is not None

@@ -12,7 +12,7 @@ from textual.widgets import Input
 
 from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
-from hilcell.model.plan import Step
+from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start as text
@@ -222,7 +222,7 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
 
 
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:
-    step = Step(name="station-frames", points=0, duration_s=0.0, note="on the floor")
+    step = PlannedStep(name="station-frames", points=0, duration_s=0.0, note="on the floor")
     plan = replace(PLAN, steps=[step])
     said = PlanSummary.text(Order(cell="fixed", runs=RUNS), plan).plain
     assert "Station frames: on the floor" in said
