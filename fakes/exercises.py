@@ -92,19 +92,25 @@ count = 1       # number of injections; 0: until it is cleared
 at_rest = false # true: a fault that waits for a motion is injected at rest, too
 ```
 
-Each name, its effect (value), and the occasion of the injection. Values are numbers, or text where
-the name has a *.
+Each name with its effect (value), below the device and occasion of its injection. Values are
+numbers, or text where the name has a *.
 
-| name | effect | occasion |
-|---|---|---|
+| name | effect |
+|---|---|
 {faults}
 """
 
 
 def page() -> str:
     exercises = [f"| {each.title} | {each.alarm} |" for each in EXERCISES]
-    faults = [  # the columns of a text are those of the page
-        f"| `{name}`{' *' if name in TEXTS else ''} | {text} |" for name, text in KNOWN.items()
+    by_occasion: dict[str, list[str]] = {}
+    for name, text in KNOWN.items():
+        effect, _, occasion = text.rpartition(" | ")
+        by_occasion.setdefault(f"{name.partition('.')[0]}: {occasion}", []).append(
+            f"| `{name}`{' *' if name in TEXTS else ''} | {effect} |"
+        )
+    faults = [
+        line for occasion, rows in by_occasion.items() for line in (f"| **{occasion}** | |", *rows)
     ]
     return PAGE.format(exercises="\n".join(exercises), faults="\n".join(faults))
 

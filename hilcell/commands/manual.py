@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from copy import deepcopy
 from importlib.metadata import entry_points
@@ -18,7 +19,7 @@ from typing import Literal, get_args, get_origin
 import shtab
 
 from hilcell.alarms.catalogue import catalogue
-from hilcell.arguments import MISSING, Argument, fields_of
+from hilcell.arguments import MISSING, Argument, Signature, fields_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
 from hilcell.commands import cli
@@ -109,14 +110,19 @@ commands by `make docs`; `hilcell COMMAND --help` prints the same.
 Options stand after their command, in any order. `--help` is an option of each; `hilcell --version`
 prints the version.
 """
+COLUMNS = ("| argument | meaning | default |", "|---|---|---|")
+SHARED = 3  # commands that take an option, from which on it stands in the common table
 STATED = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
 
 
 def page() -> str:
-    parts = [HEAD]
+    parts, shared = [HEAD], _shared_rows()
+    if shared:
+        about = "Commands that take these name them below their own arguments.\n"
+        parts += ["## Common options\n", about, "\n".join([*COLUMNS, *shared.values(), ""])]
     for title, commands in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
-        parts += _sections("hilcell", commands)
+        parts += _sections("hilcell", commands, shared)
     codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(cli.EXITS))
     parts.append(
         f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{cli.AFTER} {cli.SAFETY}\n"
@@ -126,18 +132,41 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def _sections(program: str, commands: cli.Commands) -> Iterator[str]:
+def _shared_rows() -> dict[str, str]:
+    """Return the rows of options that several commands take with the same words, by option."""
+    takes: set[type[Signature]] = set()
+    for commands in cli.GROUPS.values():
+        for each, act in commands.values():
+            takes |= {each} if act else {part for part, _ in cli.PLANT.values()}
+    counts = Counter(
+        (_name(field), row)
+        for each in takes
+        for field in fields_of(each)
+        if not (field.word or field.needed or field.switches)
+        for row in _rows(field)
+    )
+    found: dict[str, str] = {}
+    for (name, row), count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        if count >= SHARED:
+            found.setdefault(name, row)
+    return found
+
+
+def _sections(program: str, commands: cli.Commands, shared: dict[str, str]) -> Iterator[str]:
     for name, (takes, act) in commands.items():
         yield f"### {program} {name}\n\n{takes.__doc__}\n"
         if not act:  # what it does is done by commands of its own
-            yield from _sections(f"{program} {name}", cli.PLANT)
+            yield from _sections(f"{program} {name}", cli.PLANT, shared)
             continue
         fields = list(fields_of(takes))
         words = [_given(each) for each in fields if each.word or each.needed]
         words += ["[OPTIONS]"] * (len(words) < len(fields))
         yield f"```\n{' '.join([program, name, *words])}\n```\n"
-        if rows := [row for field in fields for row in _rows(field)]:
-            yield "\n".join(["| argument | meaning | default |", "|---|---|---|", *rows, ""])
+        rows = [(_name(field), row) for field in fields for row in _rows(field)]
+        if own := [row for given, row in rows if shared.get(given) != row]:
+            yield "\n".join([*COLUMNS, *own, ""])
+        if common := [f"`{given}`" for given, row in rows if shared.get(given) == row]:
+            yield f"Common options: {', '.join(common)}\n"
 
 
 def _given(field: Argument) -> str:
@@ -154,14 +183,18 @@ def _value(field: Argument) -> str:
     return field.metavar or field.name.upper()
 
 
+def _name(field: Argument) -> str:
+    """Return an argument as it is given, with its value."""
+    value = "" if field.kind is bool or field.switches else f" {_value(field)}"
+    return value.strip() if field.word else f"{', '.join(field.names)}{value}"
+
+
 def _rows(field: Argument) -> Iterator[str]:
     """Yield the rows of an argument: one, or one for each switch of a choice."""
     for word, text in field.switches.items():
         yield _row(f"--{word}", text, "one of these")
     if field.switches:
         return
-    value = "" if field.kind is bool else f" {_value(field)}"
-    given = value.strip() if field.word else f"{', '.join(field.names)}{value}"
     meaning, default = field.help, ""
     if field.needed:
         default = "must be given"
@@ -169,7 +202,7 @@ def _rows(field: Argument) -> Iterator[str]:
         meaning, default = STATED.sub("", meaning), stated[0]
     elif field.default not in (MISSING, None, "", False, ()):
         default = str(field.default)
-    yield _row(given, meaning, default)
+    yield _row(_name(field), meaning, default)
 
 
 def _row(given: str, meaning: str, default: str) -> str:
