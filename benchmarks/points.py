@@ -14,8 +14,8 @@ from textual.pilot import Pilot
 from benchmarks.words import parser
 from hilcell.model.point import PointId
 from hilcell.tui.app import RunUpdated
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status
 

@@ -41,15 +41,15 @@ from hilcell.journal.log import Log
 from hilcell.programs.holes import read_holes
 from hilcell.run.control import Status, _Handler
 from hilcell.sanitize import clean
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.layout import Lines
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.run_view import RunView
+from hilcell.tui.screens.pages import record_row
+from hilcell.tui.session import RunUpdate
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import AlarmContext
-from hilcell.tui.text.tables import record_row
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
 from tests.hilcell.tui.sample_runs import fresh, status

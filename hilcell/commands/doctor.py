@@ -35,7 +35,7 @@ from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
 from hilcell.sanitize import harmless_lines
 from hilcell.tui.keys import default_file, load_keys
-from hilcell.tui.terminal.capabilities import has_colours, has_unicode, is_coerced
+from hilcell.tui.terminal import has_colours, has_unicode, is_coerced
 
 PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}

@@ -12,7 +12,7 @@ from hilcell.commands.signatures import Tui
 from hilcell.errors import EXIT_INTERNAL, HilcellError
 from hilcell.journal.runs_folder import command_on
 from hilcell.tui.keys import load_keys
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE, has_colours, has_unicode, is_coerced
+from hilcell.tui.terminal import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
 COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
@@ -33,7 +33,7 @@ def tui(args: Tui) -> int:
     os.environ.update(variables)
     from hilcell.tui.app import HilcellApp
     from hilcell.tui.screens.base import Options
-    from hilcell.tui.terminal.themes import SIXTEEN
+    from hilcell.tui.themes import SIXTEEN
 
     options = Options(
         runs=args.runs,

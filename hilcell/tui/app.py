@@ -30,19 +30,18 @@ from textual.worker import Worker, WorkerState
 from hilcell import __version__
 from hilcell.errors import HilcellError
 from hilcell.sanitize import UNSAFE
-from hilcell.tui.engine.background import GarbageCollector, run_in_thread
+from hilcell.tui.driver import LATE_S, StopDriver, WithoutColours
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
+from hilcell.tui.process import GarbageCollector, run_in_thread
 from hilcell.tui.screens.base import Application, BaseScreen, Options
-from hilcell.tui.terminal.driver import LATE_S, StopDriver, WithoutColours
-from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
+from hilcell.tui.themes import IN_SIXTEEN, NAMES, PALETTES
 from hilcell.tui.widgets import CellScrollBar, Choice, TextPanel
 
 if TYPE_CHECKING:
     from subprocess import Popen
 
-    from hilcell.tui.engine.feed import RunUpdate
-    from hilcell.tui.engine.run_view import RunView
-    from hilcell.tui.engine.session import Session
+    from hilcell.tui.run_view import RunView
+    from hilcell.tui.session import RunUpdate, Session
 
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
@@ -80,7 +79,7 @@ def run_to_open(runs: Path, name: str) -> Path | None:
 
     Loads, in the caller's thread, everything that reads a journal.
     """
-    for module in ("engine.session", "screens.help"):  # help is on every screen, so it has all
+    for module in ("session", "screens.help"):  # help is on every screen, so it has all
         importlib.import_module(f"hilcell.tui.{module}")
     from hilcell.journal.index import find_run
     from hilcell.journal.runs import live_engine, run_folders
@@ -291,7 +290,7 @@ class HilcellApp(Application):
         self.push_screen(RunScreen(point_filter if before is not None else PointFilter()))
 
     def _session(self, folder: Path, process: Popen[bytes] | None) -> Session:
-        from hilcell.tui.engine.session import Session
+        from hilcell.tui.session import Session
 
         session: Session = Session(
             folder,
@@ -310,7 +309,7 @@ class HilcellApp(Application):
             self.post_message(RunUpdated(session))
 
     def on_run_updated(self, message: RunUpdated) -> None:
-        from hilcell.tui.engine.feed import utc_now
+        from hilcell.tui.session import utc_now
 
         session = message.session
         update = session.inbox.take()
@@ -338,7 +337,7 @@ class HilcellApp(Application):
             self.show_notice("the calibration has its file, calibration.json")
 
     def _tick(self) -> None:
-        from hilcell.tui.engine.feed import utc_now
+        from hilcell.tui.session import utc_now
 
         for session in self.open_runs.live:
             session.tick(utc_now())

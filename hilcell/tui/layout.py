@@ -13,7 +13,7 @@ from itertools import chain
 
 from textual.content import Content
 
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.terminal import Glyphs
 
 BLANK = Content("")
 

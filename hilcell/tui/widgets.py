@@ -29,7 +29,7 @@ from textual.widgets import Input, Static
 
 from hilcell.sanitize import UNSAFE, clean
 from hilcell.tui.layout import Lines, look_of
-from hilcell.tui.terminal.capabilities import to_ascii
+from hilcell.tui.terminal import to_ascii
 
 
 def _is_plain(widget: Widget) -> bool:

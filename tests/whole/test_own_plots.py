@@ -8,8 +8,8 @@ import numpy as np
 
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots import Look
+from hilcell.tui.run_view import RunView
 from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_of
 from hilcell.tui.text.points import point_page, row_of
 from hilcell.tui.text.side import side_lines

@@ -20,7 +20,7 @@ from textual.pilot import Pilot
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Options
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from tests.whole.bench import HILCELL, LOOK_S, SMALL, Simulation, hilcell, sets, simulation
 from tests.whole.golden import GoldenRuns
 

@@ -17,21 +17,20 @@ from textual.widget import Widget
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import process
-from hilcell.tui.engine.background import run_in_thread
-from hilcell.tui.engine.open_runs import OpenRuns
+from hilcell.tui import process
 from hilcell.tui.keys import BY_NAME, Keymap, shown
-from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.terminal.themes import NAMES
+from hilcell.tui.process import run_in_thread
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.actions import ELSEWHERE, no_answer_reason, pause_command, refusal
+from hilcell.tui.themes import NAMES
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
     from subprocess import Popen
 
     from hilcell.run.control import Command, Subject
-    from hilcell.tui.engine.run_view import RunView
-    from hilcell.tui.engine.session import Session
+    from hilcell.tui.run_view import RunView
+    from hilcell.tui.session import Session
     from hilcell.tui.text.alarms import AlarmContext
 
 
@@ -50,6 +49,62 @@ class Options:
     settings: tuple[str, ...] = ()
     theme: str = NAMES[0]
     slow: bool = False
+
+
+class OpenRuns:
+    """Holds the sessions; each is closed once it is neither shown nor in the background."""
+
+    def __init__(self) -> None:
+        self.shown: Session | None = None
+        self.background: Session | None = None
+
+    @property
+    def all(self) -> list[Session]:
+        """Return both; the live one first, for a past run may lie on a disk that answers late."""
+        return [each for each in (self.background, self.shown) if each is not None]
+
+    @property
+    def live(self) -> list[Session]:
+        return [each for each in self.all if each.view.live]
+
+    def show(self, session: Session | None) -> None:
+        """Show a run, or none; a live one goes on in the background."""
+        left, visiting = self.shown, self.background is not None
+        self.shown = session
+        if session is self.background:
+            self.background = None
+        if left is None:
+            return
+        again = session is not None and session.folder == left.folder
+        if left.view.live and not visiting and not again:
+            self.background = left
+        else:
+            left.close(leave=True)
+
+    def close_ended(self) -> Session | None:
+        """Close the background run if it has ended; return it then."""
+        ended = self.background
+        if ended is None or ended.view.live:
+            return None
+        self.background = None
+        ended.close(leave=True)
+        return ended
+
+    def stop(self) -> bool:
+        """Stop everything, from any thread; return whether an engine received it."""
+        sent = [each.stop() for each in self.all]  # each of them, not the first alone
+        return any(sent)
+
+    @property
+    def stop_heard(self) -> bool:
+        """Whether the engine of each live run received a stop, which may have ended it since."""
+        return bool(self.live) and all(each.stop_heard for each in self.live)
+
+    def leave(self) -> None:
+        """Detach from every run; live ones go on."""
+        for each in self.all:
+            each.close(leave=True)
+        self.shown = self.background = None
 
 
 class Application(App[int]):

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from hilcell.journal.labels import procedure_words
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS, Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
+from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.pages import HistoryPage, LogPage, PlotPage, TextPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.actions import EVERY_ACTION, PALETTE_KEY, WORDS
 from hilcell.tui.text.run import STATES
 

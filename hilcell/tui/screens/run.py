@@ -12,11 +12,11 @@ from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.alarms import Latched
-from hilcell.tui.engine.background import run_in_thread
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Scale
+from hilcell.tui.process import run_in_thread
+from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_look
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text

@@ -30,14 +30,13 @@ from hilcell.journal.labels import in_words, procedure_words, step_words
 from hilcell.journal.log import Log
 from hilcell.run.order import Attendance, Order
 from hilcell.sanitize import clean, harmless
-from hilcell.tui.engine import process
-from hilcell.tui.engine.background import run_in_thread
-from hilcell.tui.engine.process import DryRun
-from hilcell.tui.engine.run_view import RunView
+from hilcell.tui import process
 from hilcell.tui.keys import BY_NAME, shown
 from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
+from hilcell.tui.process import DryRun, run_in_thread
+from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Confirm
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.actions import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
 from hilcell.tui.text.actions import WORDS as FOOTER_WORDS
 from hilcell.tui.text.run import badge, duration, moves, simulation_block

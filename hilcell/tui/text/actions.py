@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from textual.content import Content
 
 if TYPE_CHECKING:
-    from hilcell.tui.engine.run_view import RunView
+    from hilcell.tui.run_view import RunView
 
 
 POINTS, HISTORY = "only where the points are listed", "only in the history"

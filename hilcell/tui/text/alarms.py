@@ -15,10 +15,10 @@ from hilcell.journal.labels import in_words, local_words
 from hilcell.journal.log import Log
 from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.sanitize import harmless
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text, ends
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.points import deviation_of
 from hilcell.tui.text.run import duration

@@ -13,9 +13,9 @@ from hilcell.journal.labels import in_words, local_words, time_words
 from hilcell.journal.states import WAITING
 from hilcell.model.events import NOT_KNOWN
 from hilcell.run.control import DeviceStatus, Interlock
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Col, Fitting, Grid, Lines, ends
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import Glyphs
 
 
 def end_remark(view: RunView) -> str:

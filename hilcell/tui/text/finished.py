@@ -44,7 +44,6 @@ from hilcell.model.verdicts import (
 )
 from hilcell.present.table import Column, Named, Table
 from hilcell.sanitize import harmless
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
     BLANK,
     Bar,
@@ -61,7 +60,8 @@ from hilcell.tui.layout import (
     large,
     large_rows,
 )
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.plots import places_of
 from hilcell.tui.text.run import SAID, is_simulated, simulation_block
 

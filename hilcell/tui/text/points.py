@@ -19,8 +19,8 @@ from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point, Sent
 from hilcell.ports import HilcellError
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Lines, Stack, facts_grid, figure
+from hilcell.tui.run_view import RunView
 from hilcell.tui.widgets import Column, Row
 
 STATES: dict[Outcome, str] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}

@@ -27,10 +27,10 @@ from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
 from hilcell.sanitize import harmless
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, large
 from hilcell.tui.plots import Canvas, step_at_most
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.widgets import TextPanel, Titled
 

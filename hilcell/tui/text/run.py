@@ -40,7 +40,6 @@ from hilcell.model.verdicts import Verdict
 from hilcell.run.control import DeviceStatus
 from hilcell.run.forecast import Ahead
 from hilcell.sanitize import harmless
-from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import (
     BLANK,
     Bar,
@@ -61,7 +60,8 @@ from hilcell.tui.layout import (
     section,
 )
 from hilcell.tui.plots import step_at_least
-from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.devices import NAMES, locks, short_age
 from hilcell.tui.text.points import Deviation, deviation_of
 

@@ -21,9 +21,9 @@ from hilcell.journal.log import Log
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section
 from hilcell.tui.plots import Ints, Look, Plot, Scale, draw
+from hilcell.tui.run_view import RunView
 from hilcell.tui.text.plots import Errors3D, Measured, mark_of, mean_of, target_plot
 from hilcell.tui.text.points import PointRow
 

@@ -15,8 +15,7 @@ from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
-from hilcell.tui import keys
-from hilcell.tui.engine import process
+from hilcell.tui import keys, process
 from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage

@@ -25,8 +25,6 @@ from textual.worker import WorkerCancelled
 
 from hilcell.run.control import Command, Subject
 from hilcell.tui.app import HilcellApp
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap
 from hilcell.tui.screens.base import BaseScreen, Options
 from hilcell.tui.screens.help import HelpPage
@@ -40,7 +38,8 @@ from hilcell.tui.screens.pages import (
 )
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.session import RunUpdate, Session
+from hilcell.tui.terminal import ASCII, UNICODE
 from tests.hilcell.tui.sample_runs import BEGAN, RUN, fresh, sample_run
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}

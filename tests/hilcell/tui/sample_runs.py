@@ -16,8 +16,8 @@ from hilcell.model.point import PointId
 from hilcell.model.records import Kind
 from hilcell.run.control import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.run.prompts import seat_prompt
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.verdicts import FITTED, plain
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)

@@ -8,13 +8,13 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.keys import ACTIONS
+from hilcell.tui.run_view import EngineState
 from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.screens.pages import DetailPage, HistoryPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.session import RunUpdate
 from hilcell.tui.text.actions import ACTS, VIEWS
 from hilcell.tui.widgets import Table
 from tests.hilcell.tui.all_screens import isolated

@@ -12,7 +12,7 @@ from textual.pilot import Pilot
 from hilcell.alarms import Alarm, Latch, Latched, alarms_of
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.alarms import (
     AlarmContext,
     kept_words,

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from hilcell.tui.engine.background import GarbageCollector, run_in_thread
+from hilcell.tui.process import GarbageCollector, run_in_thread
 
 
 def test_what_is_returned_or_raised_comes_back() -> None:
@@ -73,7 +73,7 @@ def test_work_that_was_given_up_before_it_began_is_done(
         await asyncio.sleep(0)
         task.cancel()
 
-    monkeypatch.setattr("hilcell.tui.engine.background.threading.Thread", Late)
+    monkeypatch.setattr("hilcell.tui.process.threading.Thread", Late)
     asyncio.run(give_up())
     begin.set()
     ended.wait()

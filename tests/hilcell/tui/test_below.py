@@ -14,9 +14,9 @@ from hilcell.model.point import PointId
 from hilcell.model.verdicts import Verdict
 from hilcell.run.control import Interlock
 from hilcell.run.forecast import Ahead, Forecast
-from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import Stack
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text.devices import interlock_page, locks
 from hilcell.tui.text.run import below_lines, event_words, interlock_lines, step_lines

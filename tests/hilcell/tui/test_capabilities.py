@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 from hilcell.commands.tui import textual_environment
-from hilcell.tui.terminal.capabilities import has_colours, has_unicode
+from hilcell.tui.terminal import has_colours, has_unicode
 
 XTERM = {"TERM": "xterm-256color"}
 COERCED = "C.UTF-8"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.recording_app import RUNS, RecordingSession
 from tests.hilcell.tui.sample_runs import FAULT, FAULT_TEXT, SampleRun, measuring
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hilcell.tui.layout import figure, large, large_rows
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.terminal import ASCII, UNICODE
 
 SHEET = """
 █▀█ ▄█  ▀▀█ ▀▀█ █ █ █▀▀ █▀▀ ▀▀█ █▀█ █▀█

@@ -10,8 +10,8 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.color import Color
 
-from hilcell.tui.terminal.driver import StopDriver, WithoutColours, has_escape
-from hilcell.tui.terminal.themes import NAMES, PALETTES, ROLES, Palette
+from hilcell.tui.driver import StopDriver, WithoutColours, has_escape
+from hilcell.tui.themes import NAMES, PALETTES, ROLES, Palette
 from tests.hilcell.tui.terminal_colours import colours_of
 
 

@@ -14,13 +14,7 @@ from hypothesis import strategies as st
 from hilcell.commands.cli import whole_parser
 from hilcell.errors import HilcellError
 from hilcell.sanitize import clean
-from hilcell.tui.engine.process import (
-    EXIT_REASONS,
-    StartedEngine,
-    dry_run,
-    run_command,
-    start_engine,
-)
+from hilcell.tui.process import EXIT_REASONS, StartedEngine, dry_run, run_command, start_engine
 from hilcell.tui.screens.start import Entries
 
 # No terminal types NUL or half a letter; argparse drops a lone --.

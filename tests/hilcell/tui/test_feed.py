@@ -16,9 +16,9 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import CALIBRATION
 from hilcell.model.point import PointId
 from hilcell.run.control import EngineLost, EngineSilent
-from hilcell.tui.engine import feed as feeds
-from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate, utc_now
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui import session as feeds
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import Feed, Inbox, RunUpdate, utc_now
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.engine_peer import Peer
 from tests.hilcell.tui.sample_runs import status

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.finished import BAR, TO_LIMIT, Figure, Head, gravest, is_small
 from tests.hilcell.tui.views import view_of
 

@@ -10,7 +10,7 @@ from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import ACTIONS, shown
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.help import SCREENS, help_lines, keys_of
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.actions import ACTS, VIEWS, WORDS
 from hilcell.tui.text.plots import MOST_TABS
 from hilcell.tui.widgets import Choice, Table, TextField

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.journal import index
-from hilcell.tui.engine import process
+from hilcell.tui import process
 from hilcell.tui.screens.run import RunScreen
 from tests.hilcell.tui.recording_app import RecordingApp, options, settle
 

@@ -11,8 +11,8 @@ import pytest
 
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots import Look
+from hilcell.tui.run_view import RunView
 from hilcell.tui.text.points import PointRows
 from hilcell.tui.text.side import MAP_ROWS, NO_POINT, Grades, Volume, side_lines
 from tests.hilcell.tui.sample_runs import SampleRun, begun, measuring, validated

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.model.point import PointId
-from hilcell.tui.engine.run_view import EngineState, RunView
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.points import Deviation
 from hilcell.tui.text.run import FULL_ROWS, SMALL_ROWS, STALE_S, Shown
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
 from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, settle, text_of
 from tests.hilcell.tui.sample_runs import status

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hilcell.tui.engine.feed import RunUpdate, utc_now
-from hilcell.tui.engine.open_runs import OpenRuns
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.screens.base import OpenRuns
+from hilcell.tui.session import RunUpdate, utc_now
 from tests.hilcell.tui.recording_app import RecordingSession
 
 

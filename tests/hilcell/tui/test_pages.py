@@ -19,7 +19,7 @@ from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.pages import HistoryPage, InterlockPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
-from hilcell.tui.terminal.themes import NAMES
+from hilcell.tui.themes import NAMES
 from hilcell.tui.widgets import Table
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (

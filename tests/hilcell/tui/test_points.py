@@ -16,7 +16,7 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import read_log
 from hilcell.model.point import Point, PointId
-from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.run_view import RunView
 from hilcell.tui.text.points import (
     PointRows,
     columns_for,

@@ -8,8 +8,8 @@ from textual.pilot import Pilot
 
 from hilcell.model.records import StateChanged
 from hilcell.run.control import DeviceStatus, PromptStatus
-from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.prompt import PromptText
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, text_of
 from tests.hilcell.tui.sample_runs import PROMPT

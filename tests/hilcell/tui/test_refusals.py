@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.engine.session import Session
+from hilcell.tui.run_view import RunView
+from hilcell.tui.session import Session
 from hilcell.tui.text.actions import AT_REST, ONE_AT_A_TIME, pause_command, refusal
 from tests.hilcell.tui.recording_app import RUNS
 from tests.hilcell.tui.sample_runs import LIVE, fresh, measuring, sample_run, sample_runs

@@ -14,11 +14,11 @@ from textual.screen import Screen
 
 from hilcell.journal.log import Log
 from hilcell.tui.app import HilcellApp
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui.run_view import EngineState
 from hilcell.tui.screens import pages, run
 from hilcell.tui.screens.pages import Pace
 from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.session import RunUpdate
 from hilcell.tui.text import finished, points
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of

@@ -13,10 +13,10 @@ import pytest
 
 from hilcell.calibration.recheck import CheckedPose, ChiSquare, ChiSquares, RecheckResult
 from hilcell.present.table import Column, Table
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import large_rows
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.session import RunUpdate
+from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.finished import Result, result_of, sheet_lines
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of

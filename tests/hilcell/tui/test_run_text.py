@@ -19,8 +19,8 @@ from hilcell.model.point import PointId
 from hilcell.model.records import Ended
 from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.run.forecast import UnderWay
-from hilcell.tui.engine.run_view import EngineState, RunView
-from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
+from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.terminal import UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.devices import end_remark

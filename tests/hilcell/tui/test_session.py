@@ -9,10 +9,9 @@ from typing import Any, cast
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.tui.engine import session as sessions
-from hilcell.tui.engine.feed import RunUpdate, utc_now
-from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import PATIENCE_S, Session
+from hilcell.tui import session as sessions
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import PATIENCE_S, RunUpdate, Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer
 from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine

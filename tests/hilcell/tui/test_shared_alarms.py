@@ -13,9 +13,8 @@ from textual.pilot import Pilot
 from hilcell.journal.journal import Record
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import Control
-from hilcell.tui.engine.feed import RunUpdate, utc_now
-from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import Session
+from hilcell.tui.run_view import EngineState
+from hilcell.tui.session import RunUpdate, Session, utc_now
 from tests.hilcell.run import bed as beds
 from tests.hilcell.run.bed import Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure

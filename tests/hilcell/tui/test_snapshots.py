@@ -16,7 +16,7 @@ import pytest
 from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
 
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
     RUNS,

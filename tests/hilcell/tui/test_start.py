@@ -14,10 +14,10 @@ from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
 from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
-from hilcell.tui.engine import process
+from hilcell.tui import process
 from hilcell.tui.screens import start as text
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (
     RUNS,

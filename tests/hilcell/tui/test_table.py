@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
 
-from hilcell.tui.terminal.themes import PALETTES
+from hilcell.tui.themes import PALETTES
 from hilcell.tui.widgets import Column, Row, Table
 
 pytestmark = pytest.mark.waits

@@ -14,8 +14,15 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
-from hilcell.tui.screens.pages import Compared, ComparePage
-from hilcell.tui.text.tables import columns_for, history_row, log_columns, record_row, record_words
+from hilcell.tui.screens.pages import (
+    Compared,
+    ComparePage,
+    columns_for,
+    history_row,
+    log_columns,
+    record_row,
+    record_words,
+)
 from tests.hilcell.identification.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS
 from tests.hilcell.tui.sample_runs import measuring, sample_runs

@@ -15,10 +15,10 @@ from rich.segment import Segment
 
 from hilcell.commands.cli import whole_parser
 from hilcell.ports import Array
-from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE, Glyphs, to_ascii
-from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES, ROLES, Palette
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import ASCII, UNICODE, Glyphs, to_ascii
 from hilcell.tui.text.run import STATES
+from hilcell.tui.themes import IN_SIXTEEN, NAMES, PALETTES, ROLES, Palette
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
 from tests.hilcell.tui.sample_runs import sample_runs

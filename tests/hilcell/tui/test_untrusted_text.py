@@ -15,12 +15,12 @@ from textual.widgets import Input
 from hilcell.decoding import typed
 from hilcell.errors import HilcellError
 from hilcell.run.order import Order
-from hilcell.tui.engine import process
-from hilcell.tui.engine.feed import RunUpdate
-from hilcell.tui.engine.run_view import EngineState
+from hilcell.tui import process
+from hilcell.tui.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import fresh, status

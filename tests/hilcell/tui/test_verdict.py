@@ -13,9 +13,9 @@ from hilcell.journal.journal import Record
 from hilcell.model.outcome import Outcome
 from hilcell.model.records import Ended
 from hilcell.model.verdicts import Judged
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import large_rows
-from hilcell.tui.terminal.capabilities import ASCII, UNICODE
+from hilcell.tui.run_view import RunView
+from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.finished import verdict_of
 from hilcell.tui.text.run import banner
 from tests.hilcell.tui.sample_runs import sample_runs

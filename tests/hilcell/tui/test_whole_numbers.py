@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.tui.plots import Look
 from hilcell.tui.screens.start import Checked
-from hilcell.tui.terminal.capabilities import UNICODE
+from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.points import WIDE, PointRows, columns_for
 from hilcell.tui.text.side import side_lines
 from tests.hilcell.tui.views import view_of

@@ -9,7 +9,7 @@ import msgspec
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.run.control import Status
-from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.sample_runs import PROMPT, fresh
 
 MARK = "PWNED"  # in every payload, to be searched for behind what must not be before it

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Lines
+from hilcell.tui.run_view import RunView
 from tests.hilcell.tui.recording_app import RecordingSession
 from tests.hilcell.tui.sample_runs import fresh, sample_run
 

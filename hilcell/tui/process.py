@@ -1,17 +1,25 @@
-"""Starts engines: processes of their own, which outlive the screen that started them."""
+"""Work apart from the screen's thread: engines, commands, threads, full garbage collections.
+
+An engine is a process of its own and outlives the screen that started it. Threads are daemons:
+asyncio joins its own when a program ends, so one that waits for an engine would keep a closed
+screen's process alive.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import gc
 import subprocess
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from signal import SIGTERM
-from typing import BinaryIO
+from typing import BinaryIO, ParamSpec, TypeVar
 
 import msgspec
 
@@ -126,3 +134,58 @@ async def dry_run(order: Order) -> DryRun:
     """Return the plan of an order; raises `HilcellError` with every refusal."""
     text = await run_command("run", *order.replace(dry_run=True, json=True).words())
     return decoded(text.splitlines()[0], DryRun)
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+async def run_in_thread(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
+    """Return what a function returns, or raise what it raises.
+
+    The work is done also where it was given up before its thread ran: it may be a stop.
+    """
+    future: Future[T] = Future()
+
+    def run() -> None:
+        awaited = future.set_running_or_notify_cancel()
+        try:
+            result = work(*args, **facts)
+        except Exception as error:  # noqa: BLE001 - raised where it is awaited
+            if awaited:
+                future.set_exception(error)
+        else:
+            if awaited:
+                future.set_result(result)
+
+    threading.Thread(target=run, name="run_in_thread", daemon=True).start()
+    return await asyncio.wrap_future(future)
+
+
+class GarbageCollector:
+    """Takes whole collections over from the interpreter until `end`."""
+
+    PERIOD_S = 30.0
+    NEVER = 1_000_000_000
+
+    def __init__(self, now_s: float) -> None:
+        self._whole_s = now_s
+        self._rested = False  # at the tick before
+        self._before = gc.get_threshold()
+        gc.set_threshold(self._before[0], self._before[1], self.NEVER)
+        gc.freeze()  # what was loaded stays
+
+    def tick(self, *, at_rest: bool, now_s: float) -> None:
+        """Collect everything, where that may be done now and was not done lately.
+
+        Not at the first tick of a rest: why nothing moves, such as a run's end, is painted first.
+        """
+        if at_rest and self._rested and now_s - self._whole_s >= self.PERIOD_S:
+            self._whole_s = now_s
+            gc.collect()
+        self._rested = at_rest
+
+    def end(self) -> None:
+        """Give the collection back."""
+        gc.unfreeze()
+        gc.set_threshold(*self._before)

@@ -27,7 +27,7 @@ from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
 from textual.filter import LineFilter
 
-from hilcell.tui.terminal.themes import IN_SIXTEEN, PALETTES, ROLES
+from hilcell.tui.themes import IN_SIXTEEN, PALETTES, ROLES
 
 TICK_S = 0.05
 LATE_S = 2.0

@@ -1,1 +1,0 @@
-"""The screen and its engine: starting one, following one, and what is known of it."""

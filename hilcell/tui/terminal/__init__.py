@@ -1,1 +1,0 @@
-"""The terminal: its capabilities, its driver, the themes."""
