@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
 from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, header_of, numbers
-from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.kinematics import Arm, Array, forward
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
 LABELS = 2
@@ -61,6 +61,11 @@ class Robot:
             for (a_mm, alpha_deg, d_mm, offset_deg), each in zip(dh.tolist(), signs, strict=True)
         ]
         return cls(name, arm_from_joints(joints, np.eye(4)))
+
+    def poses(self, joints_rad: ArrayLike) -> Array:
+        """Return the tool's frames (N, 4, 4) in the root frame, mm, at nominal joints (N, 6)."""
+        arm = replace(self.arm, tool=self.tool)
+        return self.base @ forward(arm, np.asarray(joints_rad, dtype=float))
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
