@@ -11,10 +11,10 @@ HEAD = """# Alarms
 All alarms by code, generated from the catalogues of hilcell, its drivers and its procedures
 (`python -m hilcell.alarms.page`). `hilcell explain CODE` prints one entry.
 
-- **Fault**, where the row names no severity: the run has stopped, the devices are stopped, the
-  measured points are kept. ***Warning***: the run waits for an answer, or its result is in doubt;
+- **Fault**, if the row names no severity: the run has stopped, the devices are stopped, the
+  measured points are kept. *Warning*: the run waits for an answer, or its result is in doubt;
   an unattended run suspends until the cause is gone, for at most `plan.unattended_wait_s`, then
-  ends with a fault. ***Notice***: for information, as is a warning that a retry cleared.
+  ends with a fault. *Notice*: for information, as is a warning that a retry cleared.
 - An alarm stays on the screen until its cause is gone **and** it is acknowledged (**k**).
 - After the last step continue with **space** or `hilcell resume RUN`. *New run*: this run cannot
   continue, start another one with `hilcell run`. *No action*: the run needs nothing to continue.
@@ -24,7 +24,7 @@ All alarms by code, generated from the catalogues of hilcell, its drivers and it
   that end in 99 the first step is the advice of the operation that failed.
 - A stop on the screen is a software stop. It is not the E-stop.
 """
-COLUMNS = "| code | meaning | steps |\n|---|---|---|"
+COLUMNS = "| code | alarm | meaning | steps |\n|---|---|---|---|"
 MARKS = {"you": "", "controller": " ✓"}
 ENDS = {"resume": "", "new run": " *New run.*", "nothing": " *No action.*"}
 
@@ -54,11 +54,12 @@ def _chapter(title: str, entries: list[Entry]) -> str:
 
 
 def _row(entry: Entry) -> str:
-    severity = "" if entry.severity == "fault" else f" *{entry.severity.capitalize()}.*"
-    pairs = zip(entry.do, entry.checked_by, strict=True)
-    steps = [f"{number}. {step}{MARKS[by]}" for number, (step, by) in enumerate(pairs, start=1)]
-    means, end = f"**{entry.title}.**{severity} {entry.means}", ENDS[entry.then]
-    cells = (entry.code, means, f"{' '.join(steps)}{end}")
+    severity = "" if entry.severity == "fault" else f" (*{entry.severity}*)"
+    steps = [step + MARKS[by] for step, by in zip(entry.do, entry.checked_by, strict=True)]
+    if len(steps) > 1:
+        steps = [f"{number}. {step}" for number, step in enumerate(steps, start=1)]
+    last = f"{' '.join(steps)}{ENDS[entry.then]}"
+    cells = (entry.code, f"{entry.title}{severity}", entry.means, last)
     return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
 
 
