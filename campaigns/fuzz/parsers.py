@@ -50,7 +50,7 @@ from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import AlarmContext
-from tests.drivers.program_krl.samples import DAT, SRC
+from tests.drivers.kuka.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison

@@ -27,7 +27,7 @@ from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import HilcellError
 from tests.clocks import DrivenClock
-from tests.drivers.program_urscript.samples import SCRIPT
+from tests.drivers.universal_robots.program_urscript.samples import SCRIPT
 
 ASKED = -7
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")

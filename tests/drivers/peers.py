@@ -12,7 +12,7 @@ from typing import TypeVar
 import pytest
 
 from hilcell.clock import WallClock
-from hilcell.ports import Stopped
+from hilcell.ports import DeviceError, Stopped
 from tests.clocks import DrivenClock
 from tests.fakes.wires import exactly
 
@@ -171,3 +171,24 @@ def in_thread(act: Callable[[], object], *errors: type[Exception]) -> Iterator[l
     thread.start()
     yield raised
     thread.join()
+
+
+def refusal(act: Callable[[], object]) -> DeviceError:
+    """Return the error that an act raises."""
+    with pytest.raises(DeviceError) as caught:
+        act()
+    return caught.value
+
+
+def figure(error: DeviceError, field: str) -> float:
+    """Return a number of an error's fields."""
+    value = error.fields[field]
+    assert isinstance(value, float)
+    return value
+
+
+def soon(holds: Callable[[], bool]) -> bool:
+    """Wait until something holds; the pytest time limit bounds that."""
+    while not holds():
+        threading.Event().wait(0.002)
+    return True

@@ -11,7 +11,7 @@ import pytest
 from drivers.canopen.cia import NodeState
 from drivers.canopen.rail import CanopenRail
 from hilcell.run.stopping import close_all
-from tests.drivers.rail_bed import soon
+from tests.drivers.peers import soon
 from tests.whole.bench import simulation
 from tests.whole.sweeper import Engine
 

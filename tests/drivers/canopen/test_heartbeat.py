@@ -1,0 +1,174 @@
+"""The heartbeat of a busy PC, and of one whose worker hangs; measured on the wire."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import sys
+import threading
+import time as real_time
+from collections.abc import Callable, Iterator
+from itertools import count, pairwise
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.canopen import can_link
+from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
+from drivers.canopen.nodes import PC_HEARTBEAT_LIMIT_MS
+from hilcell.run.engine import SWITCH_S
+from tests.clocks import DrivenClock
+from tests.drivers.canopen.can_peer import CanPeer
+from tests.drivers.canopen.rail_bed import RailTime, connected, peer, rail_for, time
+from tests.drivers.peers import figure, in_thread, refusal, soon, wall_clock
+
+__all__ = ["peer", "time"]
+
+BUSY_S = 0.6
+BEAT = 0x77F
+
+
+def hold_the_interpreter() -> None:
+    """Call C as `numpy` or a parser does, without giving the interpreter away."""
+    ctypes.PyDLL(None).usleep(round(BUSY_S * 1e6))
+
+
+def spin() -> None:
+    end_s = real_time.monotonic() + BUSY_S
+    while real_time.monotonic() < end_s:
+        pass
+
+
+@pytest.fixture
+def switching() -> Iterator[None]:
+    """Let threads change as in the engine's process."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    yield
+    sys.setswitchinterval(before_s)
+
+
+@pytest.mark.wall
+@pytest.mark.usefixtures("switching")
+@pytest.mark.parametrize("load", [[hold_the_interpreter], [spin] * 4])
+def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
+    peer: CanPeer, load: list[Callable[[], None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moves, let_go, original = threading.Event(), threading.Event(), peer._frame
+    beats_s: list[float] = []
+
+    def note(cob_id: int, data: bytes) -> None:
+        if cob_id == BEAT:
+            beats_s.append(real_time.monotonic())
+        original(cob_id, data)
+
+    def hold() -> None:
+        """Let the slide stand in the middle of a motion until it is let go."""
+        peer.axis.frozen = bool(peer.axis.steps) and not let_go.is_set()
+        if peer.axis.frozen:
+            moves.set()
+
+    def work() -> None:
+        moves.wait()
+        threads = [threading.Thread(target=each) for each in load]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        let_go.set()
+
+    monkeypatch.setattr(peer, "_frame", note)
+    peer.on_sync = hold
+    rail = rail_for(peer, wall_clock())
+    rail.connect()
+    beats_s.append(real_time.monotonic())
+    with in_thread(work):
+        rail.move_to(509.0)  # three polls apart, a slide goes no further
+    assert rail.read().position_mm == 509.0
+    gaps_s = [after - before for before, after in pairwise([*beats_s, real_time.monotonic()])]
+    assert max(gaps_s) < PC_HEARTBEAT_LIMIT_MS / 1000
+    rail.close()
+
+
+def test_a_worker_that_hangs_in_motion_is_named_and_the_slide_stopped(
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait = time.wait
+
+    def hang(duration_s: float) -> None:
+        wait(duration_s)
+        if peer.axis.steps:
+            time.pc_at_s += 0.9
+
+    monkeypatch.setattr(time, "wait", hang)
+    with connected(peer, time) as rail:
+        found = refusal(lambda: rail.move_to(1100.0))
+        assert (found.code, found.fields["limit_s"]) == ("HC-R39", 0.8)
+        assert 0.9 <= figure(found, "gap_s") < 1.0
+        peer.quick_stopped.wait()
+
+
+def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) -> None:
+    asked, attended = count(), threading.Event()
+
+    def attends() -> bool:
+        next(asked)
+        return attended.is_set()
+
+    link = CanLink(open_bus("slcan", peer.channel, 500_000), DrivenClock())
+    link.start_heartbeat(127, attends, can_link.heartbeat_period_s(1_000_000))
+    soon(lambda: next(asked) > 10)  # its own looks count, too
+    assert len(peer.frames(BEAT)) <= 1
+    attended.set()
+    soon(lambda: len(peer.frames(BEAT)) > 3)
+    link.close()
+
+
+def test_nothing_is_started_by_a_reading_that_is_old(peer: CanPeer, time: RailTime) -> None:
+    with connected(peer, time) as rail:
+        image = rail._image
+        assert image is not None
+        image.refresh(lambda: None)
+        time.pc_at_s += 0.6
+        sent = len(peer.frames(0x205))
+        found = refusal(lambda: image.control(0x000F))
+        assert (found.code, found.fields["limit_s"]) == ("HC-R39", 0.5)
+        assert found.fields["age_s"] == pytest.approx(0.6)
+        assert len(peer.frames(0x205)) == sent
+        image.control(0x0000)  # a word that takes the power away always goes out
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "period_s"), [(10_000, 0.25), (20_000, 0.125), (50_000, 0.05), (1_000_000, 0.05)]
+)
+def test_heartbeats_leave_a_slow_bus_its_time(bitrate: int, period_s: float) -> None:
+    assert heartbeat_period_s(bitrate) == period_s
+    assert 3 * period_s < PC_HEARTBEAT_LIMIT_MS / 1000
+
+
+@pytest.mark.parametrize(("pause_s", "code"), [(2.0, "HC-R44"), (0.0, "HC-R25")])
+def test_a_pause_of_the_pc_is_named_before_what_the_drive_reports_of_it(
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, pause_s: float, code: str
+) -> None:
+    """A heartbeat that was lost on the wire is the drive's word."""
+    monkeypatch.setattr(CanLink, "pause_s", pause_s)
+    with connected(peer, time) as rail:
+        peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
+        assert refusal(lambda: soon(lambda: not rail.read().still)).code == code
+
+
+def test_a_pause_is_remembered_for_a_while_only(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = DrivenClock()
+    monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
+    link = CanLink(open_bus("slcan", peer.channel, 500_000), now)
+    for pause_s in (0.05, 2.0, 0.05):
+        now.at_s += pause_s
+        link._send_beat(BEAT)
+    assert link.pause_s == pytest.approx(2.0)
+    now.at_s += CanLink.RECENT_S
+    link._send_beat(BEAT)
+    now.at_s += 0.1
+    assert link.pause_s == pytest.approx(CanLink.RECENT_S)
+    link.close()

@@ -1,0 +1,171 @@
+"""`compensate` as a command, in this process, on KRL programs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.kuka.program_krl.files import load_program
+from hilcell.cell.file import load_cell
+from hilcell.geometry.frames import apply, inverse
+from tests.drivers.kuka.program_krl.samples import DAT, SRC
+from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.commands import workplace
+from tests.hilcell.compensation.models import level
+from tests.hilcell.lists import write_targets
+
+
+class Workplace(workplace.Workplace):
+    """A folder with a calibration and a KRL program, and the command over them."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, "drill.src", "out.src")
+        self.program()
+
+    def program(self, src: str = SRC, dat: str = DAT) -> None:
+        self.source.write_text(src, "latin-1")
+        self.source.with_suffix(".dat").write_text(dat, "latin-1")
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Workplace:
+    return Workplace(tmp_path)
+
+
+def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
+    desk: Workplace,
+) -> None:
+    """Command + error at the command = target, to the rounding of three decimals."""
+    done = desk.run()
+    assert (done.returncode, done.stdout) == (0, "")
+    assert "XP3" in done.stderr, "it is not used by a motion"
+    nominal, command = load_program(desk.source), load_program(desk.out)
+    in_base = apply(inverse(T_W_B), command.values()[:, :3])
+    arrived = in_base + calibration().error_model().predict(level(in_base)).error_mm
+    wanted = apply(inverse(T_W_B), nominal.values()[:, :3])
+    assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
+    np.testing.assert_allclose(arrived, wanted, atol=2e-3)
+    np.testing.assert_array_equal(command.values()[:, 3:], nominal.values()[:, 3:])
+    targets, out = desk.folder / "targets.csv", desk.folder / "out.csv"
+    write_targets(targets, [f"H{n}" for n in range(5)], nominal.values())
+    assert desk.compensate(source=targets, out=out) == 0
+    _, listed, _ = workplace.read_corrected(out)
+    np.testing.assert_allclose(command.values()[:, :3], listed[:, :3], atol=6e-4)
+    said = desk.refused(source=desk.out, out=desk.folder / "again.src")
+    assert (
+        "out.src was corrected before (hilcell: corrected by 20261101-120000-calibrate-abcd" in said
+    )
+
+
+@pytest.mark.parametrize(
+    ("src", "dat", "token"),
+    [
+        (SRC.replace("lin xp2", "LIN_REL {Z 1}"), DAT, "drill.src line 32"),
+        (SRC, DAT.replace("Z +1000.5", "Z 9000"), "XP1 (drill.dat line 8)"),
+        (SRC, DAT.replace("50.0,Z 1200.0,A 0.0,B 75.0", "50.0,Z 1200.0,A 0.0,B 85.0"), "9.90 deg"),
+        (SRC, DAT.replace("Z +1000.5", "Z 1E308"), "1 target "),
+    ],
+)
+def test_refused_and_nothing_written(desk: Workplace, src: str, dat: str, token: str) -> None:
+    desk.program(src, dat)
+    assert token in desk.refused()
+    desk.out.write_text("old")
+    assert token in desk.refused()
+
+
+@pytest.mark.parametrize("out", ["drill.src", "drill", "link.src"])
+def test_neither_program_nor_calibration_is_replaced(desk: Workplace, out: str) -> None:
+    (desk.folder / "link.src").symlink_to(desk.folder / "calibration.json")
+    desk.refused(out=desk.folder / out)
+
+
+@pytest.mark.parametrize(
+    ("tool", "code"),
+    [
+        ("$TOOL=TOOL_DATA[2]", 2),
+        ("BAS (#TOOL,3 )", 2),
+        ("FDAT_ACT=FP1", 2),
+        ("BAS (#TOOL,1 )", 0),
+        ("$TOOL={X 98.0,Y 0.0,Z 127.0,A 0.0,B 0.0,C 0.0}", 0),
+        ("$TOOL={X 98.0,Y 0.0,Z 227.0,A 0.0,B 0.0,C 0.0}", 2),
+    ],
+)
+def test_a_tool_that_is_not_the_calibrated_one(desk: Workplace, tool: str, code: int) -> None:
+    """Refused with the cell; without it a note names the tool."""
+    dat = "DECL FDAT FP1={TOOL_NO 4,BASE_NO 2,IPO_FRAME #BASE}\n" + DAT
+    point = "LIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}"
+    desk.program(f"DEF drill( )\n{tool}\n{point}\nEND\n", dat.replace("FP1={TOOL_NO 1", "FP0={"))
+    desk.calibrate(digest=load_cell("paper").digest)
+    assert desk.compensate("--cell", "paper") == code
+    noted = desk.run(out=desk.folder / "noted.src")
+    assert noted.returncode == 0
+    assert "its tool" in noted.stderr
+
+
+def test_a_module_that_has_another_name_than_its_file(desk: Workplace) -> None:
+    desk.program("DEF drill( )\nLIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}\nEND\n", "")
+    (desk.folder / "new").mkdir()
+    for out, noted in (("other.src", True), ("new/Drill.src", False)):
+        done = desk.run(out=desk.folder / out)
+        assert done.returncode == 0
+        assert ("DEF" in done.stderr) is noted
+
+
+def near_zero(posture: str) -> str:
+    """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
+    x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]
+    return f"DECL E6POS XP1={{X {x:.4f},Y {y:.4f},Z {z:.4f},A 0,B 75,C 0{posture}}}"
+
+
+@pytest.mark.parametrize(
+    ("motion", "posture", "code"),
+    [
+        ("PTP", ",S 6,T 19", 2),
+        ("PTP", ",S 'B110',T 'B10011'", 2),
+        ("LIN", ",S 6,T 19", 0),
+        ("PTP", ",S 6", 0),
+    ],
+)
+def test_turns_that_the_correction_changes(
+    desk: Workplace, motion: str, posture: str, code: int
+) -> None:
+    """Without the cell they are not checked, and a note says so."""
+    desk.calibrate(digest=load_cell("paper").digest)
+    desk.program(f"{motion} XP1", near_zero(posture))
+    done = desk.run("--cell", "paper")
+    assert done.returncode == code
+    assert ("XP1 (drill.dat line 1): A1" in done.stderr) == (code == 2)
+    assert desk.out.exists() == (code == 0)
+    unchecked = desk.run(out=desk.folder / "unchecked.src")
+    assert unchecked.returncode == 0
+    assert ("turns (T)" in unchecked.stderr) == (code == 2)
+
+
+@pytest.mark.parametrize(("status", "code"), [(6, 0), (22, 0), (2, 2), (7, 2)])
+def test_points_in_another_posture_than_the_calibrated_are_refused(
+    desk: Workplace, status: int, code: int
+) -> None:
+    """Errors are those of joints: by another elbow or wrist the robot errs by millimetres more.
+
+    Bit 4 says that the robot has absolute accuracy, which is no posture.
+    """
+    desk.calibrate(digest=load_cell("paper").digest)
+    desk.program("PTP XP1", f"DECL E6POS XP1={{X 0.0,Y 0.0,Z 1200.0,A 0,B 75,C 0,S {status}}}")
+    done = desk.run("--cell", "paper")
+    assert done.returncode == code, done.stderr
+    assert ("another posture than the calibrated one, S 6" in done.stderr) == (code == 2)
+    unchecked = desk.run(out=desk.folder / "unchecked.src")
+    assert "postures (S) were not checked" in unchecked.stderr
+
+
+@pytest.mark.parametrize(("e1_mm", "code"), [(1100.0, 0), (1101.5, 0), (300.0, 2)])
+def test_a_program_that_drives_the_slide_to_another_station_is_refused(
+    desk: Workplace, e1_mm: float, code: int
+) -> None:
+    rides = ("--set", "rail.driver=kuka-e1")
+    cell = load_cell("paper", {"rail.driver": "kuka-e1"})
+    desk.calibrate(digest=cell.digest)
+    desk.program("LIN XP1", f"DECL E6POS XP1={{X 0,Y 0,Z 1200,A 0,B 75,C 0,E1 {e1_mm}}}")
+    done = desk.run("--cell", "paper", *rides)
+    assert done.returncode == code, done.stderr
+    assert ("moves the slide to 300 mm, expected 1100 mm" in done.stderr) == (code == 2)

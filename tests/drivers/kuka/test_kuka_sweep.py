@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.kuka.robot import KukaSweep
+from drivers.kuka.robot_c3 import KukaC3Robot
+from hilcell.ports import DeviceError, JointSample, NoReading, Stopped, Sweep, Sweeps
+from tests.drivers.kuka.kuka_bed import peer, robot, robot_for, time
+from tests.drivers.kuka.kuka_peer import KukaPeer
+from tests.drivers.peers import WireTime, refusal
+
+__all__ = ["peer", "robot", "time"]
+
+END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 deg/s
+
+
+def sweep(
+    robot: Sweeps, meanwhile: Callable[[], object] = lambda: None
+) -> tuple[Sweep, list[JointSample]]:
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
+        flyer.kickoff()
+        samples = [flyer.collect()]
+        meanwhile()
+        while not flyer.ended:
+            samples.append(flyer.collect())
+        assert flyer.complete().still
+    return flyer, samples
+
+
+def override(peer: KukaPeer) -> tuple[str, str]:
+    return peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]
+
+
+def writes(peer: KukaPeer) -> list[str]:
+    """Return what was written; signs of life come by the PC's clock, not by the sweep."""
+    names = [name.split()[1] for name in peer.requests if name.startswith("write")]
+    return [name for name in names if "TIMER" not in name]
+
+
+def lose_beam() -> None:
+    raise NoReading("HC-T10", "Tracker", "stream", "the beam broke")
+
+
+def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    seen: list[tuple[str, ...]] = []
+    peer.moved = lambda: seen.append((*override(peer), peer.variables["HC_VEL"]))
+    assert isinstance(robot, Sweeps)
+    flyer, samples = sweep(robot)
+    assert set(seen) == {("10", "100", "1")}
+    assert flyer.speed_rad_s == pytest.approx(SLOW_RAD_S)
+    assert override(peer) == ("100", "0")
+    assert samples[-1].joints_rad[0] > samples[0].joints_rad[0]
+    assert np.all(samples[0].joints_rad[1:] == np.radians([-90.0, 90.0, 0.0, 0.0, 0.0]))
+    assert all(sample.before_s <= sample.after_s for sample in samples)
+    order = ["HC_OV_SET", "HC_OV_OLD", "$OV_PRO", "HC_TGT", "HC_VEL", "HC_CMD"]
+    order += ["HC_LIFE", "HC_SEQ"]
+    assert writes(peer) == [*order, "$OV_PRO", "HC_OV_OLD"]
+    assert robot.read().joints_rad[0] == pytest.approx(END_RAD)
+
+
+def test_measured_axes_are_read_where_there_are_any(peer: KukaPeer, time: WireTime) -> None:
+    peer.measures, peer.slip_deg = True, 0.004
+    robot = robot_for(peer, time)
+    robot.connect()
+    _, samples = sweep(robot)
+    assert min(float(np.degrees(each.joints_rad[3])) for each in samples) == pytest.approx(0.004)
+    robot.close()
+
+
+def test_a_sweep_that_needs_no_lower_override_leaves_it(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    with robot.sweep(0, END_RAD, float(np.radians(5.0))) as flyer:
+        flyer.kickoff()
+        flyer.complete()
+    assert "$OV_PRO" not in writes(peer)
+
+
+def test_the_operators_override_is_never_raised(peer: KukaPeer, time: WireTime) -> None:
+    peer.variables["$OV_PRO"] = "7"
+    robot = robot_for(peer, time)
+    robot.connect()
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
+        assert np.degrees(flyer.speed_rad_s) == pytest.approx(0.1)  # 2 % of 5 %
+        assert override(peer) == ("5", "7")
+    assert override(peer) == ("7", "0")
+    robot.close()
+
+
+def test_left_early_the_robot_is_braked_and_works_again(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    with pytest.raises(NoReading):
+        sweep(robot, lose_beam)
+    assert writes(peer)[-4:] == ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]
+    assert override(peer) == ("100", "0")
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert robot.move_to(np.zeros(6), 30.0).still
+
+
+def test_a_stop_brakes_and_gives_back_but_stays(
+    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
+) -> None:
+    with pytest.raises(Stopped):
+        sweep(robot, time.stop.set)
+    assert override(peer) == ("100", "0")
+    assert peer.variables["HC_STOP"] == "TRUE"
+    time.stop.clear()
+    time.pc_at_s += 60.0
+    robot.connect()  # is not late for this motion
+    assert peer.variables["HC_STOP"] == "FALSE"
+
+
+def test_a_stop_while_a_failed_sweep_is_given_back_does_not_hide_the_failure(
+    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
+) -> None:
+    def fail_and_stop() -> None:
+        time.stop.set()
+        lose_beam()
+
+    with pytest.raises(NoReading):
+        sweep(robot, fail_and_stop)
+    assert override(peer) == ("100", "0")
+
+
+def test_a_stop_before_the_kickoff_gives_back(
+    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
+) -> None:
+    def prepare() -> None:
+        with robot.sweep(0, END_RAD, SLOW_RAD_S):
+            assert override(peer) == ("10", "100")
+            time.stop.set()
+            robot.read()
+
+    with pytest.raises(Stopped):
+        prepare()
+    assert override(peer) == ("100", "0")
+    assert not peer.stopped.is_set()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "code"), [("$ALARM_STOP", "FALSE", "HC-B10"), ("$OV_PRO", "60", "HC-B40")]
+)
+def test_what_goes_wrong_in_a_sweep_ends_it(
+    peer: KukaPeer, robot: KukaC3Robot, name: str, value: str, code: str
+) -> None:
+    peer.frozen = True
+    found = refusal(lambda: sweep(robot, lambda: peer.variables.update({name: value})))
+    assert found.code == code
+    assert override(peer) == ("60" if name == "$OV_PRO" else "100", "0")
+
+
+def test_a_robot_that_does_not_come_to_rest_keeps_its_override_low(
+    peer: KukaPeer, robot: KukaC3Robot, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = peer._write
+    deaf = "HC_STOP"  # of a controller that takes no stop
+    monkeypatch.setattr(
+        peer, "_write", lambda name, text: "TRUE" if name == deaf else write(name, text)
+    )
+    time.silence()
+    with pytest.raises(NoReading) as caught:
+        sweep(robot, lose_beam)
+    assert override(peer) == ("10", "100")
+    assert len(caught.value.__notes__) == 1
+
+
+@pytest.mark.parametrize("step_deg", [0.5, -0.5])
+def test_the_override_comes_back_only_once_no_axis_moves(
+    peer: KukaPeer, robot: KukaC3Robot, monkeypatch: pytest.MonkeyPatch, step_deg: float
+) -> None:
+    read, write, left, early = peer._read, peer._write, [4], list[int]()
+
+    def braking(name: str) -> str | None:
+        if name == "$AXIS_ACT" and peer.stopped.is_set() and left[0]:
+            left[0] -= 1
+            peer.axes[0] += step_deg
+        return read(name)
+
+    def watched(name: str, value: bytes) -> str:
+        if name == "$OV_PRO" and peer.stopped.is_set():
+            early.append(left[0])
+        return write(name, value)
+
+    monkeypatch.setattr(peer, "_read", braking)
+    monkeypatch.setattr(peer, "_write", watched)
+    with pytest.raises(NoReading):
+        sweep(robot, lose_beam)
+    assert early == [0]
+
+
+@pytest.mark.parametrize(
+    ("left", "found", "after"),
+    [
+        ({"$OV_PRO": "10", "HC_OV_SET": "10", "HC_OV_OLD": "80", "HC_SEQ": "8"}, ("80", "0"),
+         ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]),
+        ({"$OV_PRO": "30", "HC_OV_SET": "10", "HC_OV_OLD": "80"}, ("30", "0"), ["HC_OV_OLD"]),
+    ],
+)  # fmt: skip
+def test_connect_gives_back_what_a_dead_engine_left_but_for_what_was_changed_since(
+    peer: KukaPeer, time: WireTime, left: dict[str, str], found: tuple[str, str], after: list[str]
+) -> None:
+    peer.variables |= left
+    robot = robot_for(peer, time)
+    robot.connect()
+    assert override(peer) == found
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert writes(peer) == after
+    robot.close()
+
+
+@pytest.mark.parametrize(
+    ("axis", "end_rad", "speed_deg_s"),
+    [(6, 0.0, 1.0), (-1, 0.0, 1.0), (0, np.nan, 1.0), (0, 0.0, 0.0), (0, 0.0, 101.0),
+     (0, 0.0, np.nan), (0, 0.0, 0.009)],
+)  # fmt: skip
+def test_an_impossible_sweep_is_refused(
+    robot: KukaC3Robot, axis: int, end_rad: float, speed_deg_s: float
+) -> None:
+    with pytest.raises(DeviceError):
+        robot.sweep(axis, end_rad, float(np.radians(speed_deg_s)))
+
+
+@given(share=st.floats(1e-4, 1.0), found=st.integers(1, 100))
+def test_the_speed_is_the_next_from_below(share: float, found: int) -> None:
+    velocity, lowered = KukaSweep.split_speed(share, found)
+    assert 1 <= velocity <= 100
+    assert 1 <= lowered <= found
+    possible = (v * o for v in range(1, 101) for o in range(1, found + 1))
+    assert velocity * lowered == max(p for p in possible if p <= share * 1e4 * (1 + 1e-9))

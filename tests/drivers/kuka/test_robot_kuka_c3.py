@@ -1,0 +1,437 @@
+from __future__ import annotations
+
+import threading
+from itertools import cycle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.kuka import controller, robot_c3
+from drivers.kuka import robot as kuka_robot
+from drivers.kuka.robot_c3 import KukaC3Robot
+from hilcell.cell.settings import SettingsError, convert
+from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
+from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, peer, robot, robot_for, time
+from tests.drivers.kuka.kuka_peer import VARIABLES, KukaPeer
+from tests.drivers.peers import WireTime, figure, in_thread, refusal, soon
+
+pytestmark = pytest.mark.waits
+
+__all__ = ["peer", "robot", "time"]
+
+
+def test_identity(peer: KukaPeer, robot: KukaC3Robot) -> None:
+    port: Robot = robot
+    (identity,) = port.connect()
+    assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
+    assert (identity.kind, identity.maker) == ("robot", "KUKA")
+    assert "write HC_SEQ" not in peer.requests
+
+
+def test_a_name_may_be_padded_and_says_whether_the_robot_is_simulated(
+    peer: KukaPeer, time: WireTime
+) -> None:
+    for name, simulated in (('"#KR210 FLR   "\0', False), ("#KR210 SIMULATED", True)):
+        peer.variables["$TRAFONAME[]"] = name
+        robot = robot_for(peer, time)
+        (identity,) = robot.connect()
+        robot.close()
+        assert identity.model == name.strip('\0"').strip()
+        assert identity.simulated is simulated
+
+
+def exchanges(peer: KukaPeer) -> int:
+    """Return how many there were; signs of life come by the clock, not by the motion."""
+    return len([name for name in peer.requests if "TIMER" not in name])
+
+
+def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    before = exchanges(peer)
+    reading = robot.move_to(TARGET_RAD, 30.0)
+    np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
+    assert reading.still
+    assert [peer.variables[f"HC_{name}"] for name in ("VEL", "CMD", "SEQ")] == ["30", "1", "8"]
+    assert "A3 95.500000," in peer.variables["HC_TGT"]
+    assert exchanges(peer) - before <= 20
+
+
+def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    """Every point is approached from below: two motions; three looks each until acknowledged."""
+    robot.move_to(TARGET_RAD, 30.0)
+    began = exchanges(peer)
+    robot.read()
+    assert exchanges(peer) - began <= 3
+    began = exchanges(peer)
+    robot.move_to(TARGET_RAD - 0.01, 30.0)
+    robot.move_to(TARGET_RAD, 30.0)
+    assert exchanges(peer) - began <= 34
+
+
+def test_all_that_is_watched_is_seen_within_eight_polls(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kuka_robot, "STALL_S", 1.0)
+    peer.frozen = True
+    began = len(peer.requests)
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B23"
+    polls = " ".join(peer.requests[began:]).split("read HC_ACK")[1:]
+    assert len(polls) > 24
+    for name in (*controller.HEALTH, "$OV_PRO", "$AXIS_ACT"):
+        seen = [number for number, poll in enumerate(polls) if f"{name} " in poll]
+        assert seen[0] < 8
+        assert max(np.diff(seen)) <= 8
+
+
+def test_a_number_is_no_state_that_is_true(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.variables["$USER_SAF"] = "1"
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B11"
+
+
+@pytest.mark.parametrize("override", ["100", "5"])
+def test_an_arm_that_creeps_for_ever_is_stopped_and_a_low_override_given_its_time(
+    robot: KukaC3Robot,
+    peer: KukaPeer,
+    time: WireTime,
+    monkeypatch: pytest.MonkeyPatch,
+    override: str,
+) -> None:
+    peer.frozen = True
+    peer.variables["$OV_PRO"] = override
+    original = peer._read
+
+    def read(name: str) -> str | None:
+        peer.axes[0] += 0.05 * (name == "$AXIS_ACT" and not peer.stopped.is_set())
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
+    monkeypatch.setattr(kuka_robot, "STALL_S", 0.0)
+    monkeypatch.setattr(kuka_robot, "POLL_S", 0.9)
+    began_s = time.now_s()
+    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert found.code == "HC-B29"
+    assert 26.0 < figure(found, "spent_s") < 30.0
+    assert time.now_s() - began_s > 26.0 * 100 / int(override)
+    robot.close()
+    peer.stopped.wait()
+
+
+def test_a_pc_that_does_not_look_while_it_moves_stops(
+    robot: KukaC3Robot, peer: KukaPeer, time: WireTime
+) -> None:
+    def late() -> None:
+        time.pc_at_s += 2.0
+
+    peer.moved = late
+    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert found.code == "HC-B27"
+    assert found.fields["gap_s"] == pytest.approx(2.0, abs=0.1)
+    robot.close()
+    peer.stopped.wait()
+
+
+def test_a_pc_that_was_late_at_rest_goes_on(
+    robot: KukaC3Robot, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_c3, "REPLY_S", 30.0)  # the controller answers
+    time.silence(2.0)
+    assert robot.read().still
+
+
+def test_a_robot_that_flickers_while_it_holds_stands(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, sign = peer._read, cycle((1e-4, -1e-4, 0.0))
+
+    def read(name: str) -> str | None:
+        off = next(sign)
+        if name == "$POS_ACT":
+            return peer.pose.replace("1620.5", f"{1620.5 + 10 * off:.6f}")
+        if name == "$AXIS_ACT":
+            axes = ", ".join(f"A{n} {v + off:.6f}" for n, v in enumerate(peer.axes, 1))
+            return f"{{E6AXIS: {axes}, E1 0.0}}"
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
+    assert robot.move_to(TARGET_RAD, 30.0).still
+    assert robot.read().still
+
+
+def test_a_reading_has_the_joints_where_they_were_sent(robot: KukaC3Robot) -> None:
+    robot.move_to(TARGET_RAD, 30.0)
+    np.testing.assert_allclose(robot.read().joints_rad, TARGET_RAD, atol=1e-9)
+
+
+def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
+    pose = robot.read().pose
+    expected = (
+        Rotation.from_rotvec([0, 0, np.radians(30)])
+        * Rotation.from_rotvec([0, np.radians(45), 0])
+        * Rotation.from_rotvec([np.radians(-60), 0, 0])
+    )
+    np.testing.assert_allclose(pose[:3, :3], expected.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(pose[:3, 3], [1620.5, 0.0, 1910.0])
+    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found"),
+    [
+        ("$TRAFONAME[]", '"#KR16"', "#KR16"),
+        ("HC_VER", "5", "HC_VER is 5"),
+        ("$MODE_OP", "#T1", "#T1"),
+        ("$PERI_RDY", "FALSE", ""),
+        ("$ALARM_STOP", "FALSE", ""),
+        ("$USER_SAF", "FALSE", ""),
+        ("$STOPMESS", "TRUE", ""),
+        ("$PRO_STATE1", "#P_STOP", ""),
+        ("$OV_PRO", "0", "is 0"),
+        ("$ACT_TOOL", "3", "is 3"),
+        ("$ACT_BASE", "2", "is 2"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("127.0", "127.002"), "Z 127.002"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("127.0", "126.998"), "Z 126.998"),
+        ("$TOOL", VARIABLES["$TOOL"].replace("B 0.0", "B 90.0"), "B 90.000"),
+        ("$BASE", VARIABLES["$BASE"].replace("X 0.0", "X 0.5"), "X 0.500"),
+        ("HC_ACK", "6", "HC_ACK 6"),
+    ],
+)
+def test_a_wrong_robot_is_refused(
+    peer: KukaPeer, time: WireTime, name: str, value: str, found: str
+) -> None:
+    peer.variables[name] = value
+    robot = robot_for(peer, time)
+    refused = refusal(robot.connect)
+    assert (type(refused), refused.code) == (DeviceRefused, ALARMS[name])
+    assert found in refused.found
+    with pytest.raises(DeviceError):
+        robot.read()
+
+
+@pytest.mark.parametrize("value", ["1,234", "NaN", "{X 1.0}", "100.5", ""])
+def test_unreadable_answers_are_errors(peer: KukaPeer, time: WireTime, value: str) -> None:
+    peer.variables["$OV_PRO"] = value
+    with pytest.raises(DeviceError, match=r"\$OV_PRO"):
+        robot_for(peer, time).connect()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("$ALARM_STOP", "FALSE"),
+        ("$MODE_OP", "#T1"),
+        ("$OV_PRO", "0"),
+        ("$PRO_STATE1", "#P_RESET"),
+        ("$ACT_TOOL", "2"),
+        ("$STOPMESS", "TRUE"),
+    ],
+)
+def test_a_fault_in_motion_is_named(
+    robot: KukaC3Robot, peer: KukaPeer, name: str, value: str
+) -> None:
+    peer.frozen = True
+    peer.started = lambda: peer.variables.update({name: value})
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+    robot.close()
+    peer.stopped.wait()
+
+
+@pytest.mark.parametrize(("name", "value"), [("$MODE_OP", "#T1"), ("$USER_SAF", "FALSE")])
+def test_no_motion_is_ordered_where_somebody_may_be_near(
+    robot: KukaC3Robot, peer: KukaPeer, name: str, value: str
+) -> None:
+    peer.variables[name] = value
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+    assert "write HC_SEQ" not in peer.requests
+    robot.close()
+    assert not peer.stopped.is_set()
+
+
+def test_a_speed_that_somebody_has_changed_is_written_again(
+    robot: KukaC3Robot, peer: KukaPeer
+) -> None:
+    robot.move_to(TARGET_RAD - 0.01, 30.0)
+    peer.variables["HC_VEL"] = "100"
+    robot.move_to(TARGET_RAD, 30.0)
+    assert peer.variables["HC_VEL"] == "30"
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+@pytest.mark.parametrize("stopped", [False, True])
+def test_close_sees_the_arm_stand_and_repeats_a_stop_that_was_lost(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, lost: int, stopped: bool
+) -> None:
+    in_motion(robot, peer, monkeypatch)
+    peer.deaf = lost
+    if stopped:
+        robot.stop()
+    robot.close()
+    assert peer.variables["HC_STOP"] == "TRUE"
+    assert peer.deaf == 0
+
+
+def test_an_arm_that_does_not_come_to_rest_is_named(
+    robot: KukaC3Robot, peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_motion(robot, peer, monkeypatch)
+    original = peer._read
+
+    def sinks(name: str) -> str | None:
+        peer.axes[1] += 0.01 * (name == "$AXIS_ACT")
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", sinks)
+    time.silence(0.5)
+    found = refusal(robot.close)
+    assert (found.code, found.operation) == ("HC-B41", "close")
+
+
+def in_motion(robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave a motion that has not ended."""
+    monkeypatch.setattr(kuka_robot, "STALL_S", 0.0)
+    peer.frozen = True
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B23"
+
+
+def test_joints_are_the_measured_ones(peer: KukaPeer, time: WireTime) -> None:
+    """The ordered ones stand while a brake slips."""
+    peer.measures, peer.slip_deg = True, 0.3
+    robot = robot_for(peer, time)
+    robot.connect()
+    assert np.degrees(robot.read().joints_rad[0]) == pytest.approx(0.3)
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B24"
+    robot.close()
+
+
+@pytest.mark.parametrize("name", ["$ACT_TOOL", "$ACT_BASE"])
+def test_a_frame_changed_in_motion_spoils_the_reading(
+    robot: KukaC3Robot, peer: KukaPeer, name: str
+) -> None:
+    peer.moved = lambda: peer.variables.update({name: "5"})
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+
+
+def test_the_cause_is_reported_before_its_consequence(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.frozen = True
+    wrong = {"$PRO_STATE1": "#P_STOP", "$PERI_RDY": "FALSE", "$ALARM_STOP": "FALSE"}
+    peer.started = lambda: peer.variables.update(wrong)
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS["$ALARM_STOP"]
+
+
+@pytest.mark.parametrize("error", [1, 2])
+def test_the_programs_errors_are_reported(robot: KukaC3Robot, peer: KukaPeer, error: int) -> None:
+    peer.error = str(error)
+    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert (found.code, found.fields) == ("HC-B20", {"error": error})
+
+
+@pytest.mark.parametrize("short_deg", [-0.006, 0.006])
+def test_stopping_beside_the_target_is_noticed(
+    robot: KukaC3Robot, peer: KukaPeer, short_deg: float
+) -> None:
+    peer.short_deg = short_deg
+    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert found.code == "HC-B24"
+    assert f"A1 {10.0 + short_deg:.3f}" in found.found
+
+
+@pytest.mark.parametrize("steps", [range(1000), range(999, -1, -1)], ids=["up", "down"])
+def test_a_moving_pose_is_not_rest(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, steps: range
+) -> None:
+    number = iter(steps)
+    original = peer._read
+
+    def read(name: str) -> str | None:
+        if name == "$POS_ACT":
+            return peer.pose.replace("1620.5", f"1{next(number):03}.5")
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B24"
+
+
+@pytest.mark.parametrize(
+    ("joints", "speed"),
+    [(TARGET_RAD[:5], 30.0), (TARGET_RAD * np.nan, 30.0), (TARGET_RAD, 0.0), (TARGET_RAD, 101.0),
+     (TARGET_RAD, np.nan)],
+)  # fmt: skip
+def test_bad_targets_and_speeds_never_leave(
+    robot: KukaC3Robot, peer: KukaPeer, joints: Array, speed: float
+) -> None:
+    with pytest.raises(DeviceError):
+        robot.move_to(joints, speed)
+    assert "write HC_TGT" not in peer.requests
+
+
+def test_a_stop_gets_through_while_a_call_hangs(
+    robot: KukaC3Robot, peer: KukaPeer, time: WireTime
+) -> None:
+    asked = threading.Event()
+
+    def hang(name: str, reply: bytes) -> list[bytes]:
+        if name == "$AXIS_ACT":
+            asked.set()
+        return [] if name == "$AXIS_ACT" else [reply]
+
+    peer.mangle = hang
+    with in_thread(robot.read, DeviceError) as failures:
+        asked.wait()
+        robot.stop()
+        peer.stopped.wait()
+        time.silence(0.1)
+    assert [getattr(each, "code", "") for each in failures] == ["HC-B02"]
+    with pytest.raises(DeviceError):
+        robot.move_to(TARGET_RAD, 30.0)
+
+
+def test_the_runs_stop_ends_a_motion(robot: KukaC3Robot, peer: KukaPeer, time: WireTime) -> None:
+    peer.moved = time.stop.set
+    with pytest.raises(Stopped):
+        robot.move_to(TARGET_RAD, 30.0)
+    robot.close()
+    peer.stopped.wait()
+
+
+def test_only_a_new_connect_takes_a_stop_back(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.moved = robot.stop
+    with pytest.raises(DeviceError):
+        robot.move_to(TARGET_RAD, 30.0)
+    peer.stopped.wait()
+    peer.moved = lambda: None
+    assert peer.variables["HC_STOP"] == "TRUE"
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B21"
+    robot.connect()
+    assert peer.variables["HC_STOP"] == "FALSE"
+    assert robot.move_to(TARGET_RAD, 30.0).still
+
+
+def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, time: WireTime) -> None:
+    peer.variables["HC_SEQ"] = "8"
+    peer._steps = 3
+    robot = robot_for(peer, time)
+    robot.connect()
+    assert peer.variables["HC_ACK"] == "8"
+    robot.close()
+
+
+def test_idle_connections_are_kept_and_a_loss_is_reported(
+    peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
+    robot = robot_for(peer, time)
+    robot.connect()
+    soon(lambda: peer.requests.count("read $MODE_OP") >= 5)
+    assert peer.connections == 2  # only now: a connection is made before it is accepted
+    peer.server.drop()
+    keeper = robot.wire()._keeper
+    keeper._thread.join()
+    assert refusal(robot.read).code == "HC-B02"
+    robot.close()
+
+
+def test_options_are_strict() -> None:
+    options = {"host": "x", "smr_mm": [1.0, 2.0, 3.0], "joint": [], "prt": 1, "tool": 0}
+    with pytest.raises(SettingsError) as caught:
+        convert(options, KukaC3Robot.Options, "")
+    assert len(caught.value.problems) == 2

@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.kuka import controller, robot_eki
+from drivers.kuka.robot_eki import KukaEkiRobot
+from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
+from tests.drivers.kuka.eki_peer import EkiPeer
+from tests.drivers.kuka.kuka_bed import ALARMS, JOINTS, TARGET_RAD, time
+from tests.drivers.peers import WireTime, in_thread, refusal
+
+__all__ = ["time"]
+
+HEALTHY = {
+    "$ALARM_STOP": "FALSE", "$USER_SAF": "FALSE", "$MODE_OP": "#T1", "$PERI_RDY": "FALSE",
+    "$STOPMESS": "TRUE", "$PRO_STATE1": "#P_FREE", "$OV_PRO": "0", "$ACT_TOOL": "3",
+}  # fmt: skip
+
+
+@pytest.fixture
+def peer() -> Iterator[EkiPeer]:
+    with EkiPeer() as peer:
+        yield peer
+
+
+def robot_for(peer: EkiPeer, time: WireTime, **options: Any) -> KukaEkiRobot:
+    values: dict[str, Any] = {
+        "host": "127.0.0.1",
+        "port": peer.server.port,
+        "stop_port": peer.stop_server.port,
+        "smr_mm": (98.0, 0.0, 127.0),
+        "joint": JOINTS,
+    }
+    return KukaEkiRobot(KukaEkiRobot.Options(**(values | options)), time)
+
+
+@pytest.fixture
+def robot(peer: EkiPeer, time: WireTime) -> Iterator[KukaEkiRobot]:
+    robot = robot_for(peer, time)
+    robot.connect()
+    yield robot
+    robot.close()
+
+
+def test_identity(peer: EkiPeer, time: WireTime) -> None:
+    robot = robot_for(peer, time)
+    port: Robot = robot
+    assert isinstance(port, Sweeps)
+    (identity,) = robot.connect()
+    robot.close()
+    assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
+    assert identity.address == f"127.0.0.1:{peer.server.port}"
+    assert identity.firmware == "hilcell.src 4"
+    assert {command["Type"] for command in peer.commands} == {str(robot_eki.Kind.ASK)}
+
+
+def test_a_move_is_one_document_that_only_its_finished_id_confirms(
+    robot: KukaEkiRobot, peer: EkiPeer
+) -> None:
+    began = len(peer.commands)
+    reading = robot.move_to(TARGET_RAD, 30.0)
+    np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
+    assert reading.still
+    look, motion, *others = peer.commands[began:]
+    assert look["Type"] == str(robot_eki.Kind.ASK)
+    assert (motion["Id"], motion["Type"], motion["Percent"]) == (
+        "8",
+        str(robot_eki.Kind.MOVE),
+        "30",
+    )
+    assert (motion["A3"], motion["Life"]) == ("95.500000", "1500")
+    assert all(int(other["Id"]) < 0 for other in others)
+    assert len(others) <= 6
+
+
+@pytest.mark.parametrize(("name", "value"), HEALTHY.items())
+def test_a_wrong_state_refuses_to_connect_and_ends_a_motion(
+    peer: EkiPeer, time: WireTime, name: str, value: str
+) -> None:
+    good, peer.variables[name] = peer.variables[name], value
+    found = refusal(robot_for(peer, time).connect)
+    assert (type(found), found.code) == (DeviceRefused, ALARMS[name])
+    peer.variables[name] = good
+    robot = robot_for(peer, time)
+    robot.connect()
+    peer.variables[name] = value
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+    assert peer.variables["HC_SEQ"] == "7", "no motion was ordered"
+    peer.variables[name], peer.frozen = good, True
+    peer.started = lambda: peer.variables.update({name: value})
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+    robot.close()
+    peer.stopped.wait()
+
+
+def test_other_documents_are_refused(peer: EkiPeer, time: WireTime) -> None:
+    peer.variables["HE_VER"] = "2"
+    found = refusal(robot_for(peer, time).connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-B17")
+
+
+def test_answers_in_pieces_and_twice_in_a_packet(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+    former: list[bytes] = [b""]
+
+    def glue(_number: int, answer: bytes) -> list[bytes]:
+        before, former[0] = former[0], answer
+        whole = before + answer
+        return [whole[:700], whole[700:]]
+
+    peer.spoil = glue
+    assert robot.move_to(TARGET_RAD, 30.0).still
+
+
+BOMB = (
+    b'<!DOCTYPE RobotState [<!ENTITY a "1"><!ENTITY b "&a;&a;">]>'
+    b'<RobotState><Command Id="&b;"/></RobotState>'
+)
+
+
+@pytest.mark.parametrize(
+    ("answers", "code"),
+    [
+        ([BOMB], "HC-B49"),
+        ([b"<RobotState>" + b"0" * 9000], "HC-B49"),
+        ([b"\0" * 40 + b"</RobotState>"], "HC-B49"),
+        ([b"<RobotState><Command"], "HC-B02"),
+        ([], "HC-B02"),
+    ],
+)
+def test_bad_answers_by_policy(
+    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime, answers: list[bytes], code: str
+) -> None:
+    peer.spoil = lambda _number, _answer: answers
+    if code == "HC-B02":
+        time.silence(0.1)
+    assert refusal(robot.read).code == code
+
+
+def test_an_answer_with_another_id_is_never_used(
+    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
+) -> None:
+    peer.spoil = lambda number, answer: [answer.replace(f'"{number}"'.encode(), b'"-12"')]
+    time.silence(0.1)
+    assert refusal(robot.read).code == "HC-B02"
+
+
+def test_not_a_number_is_an_error(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+    peer.pose = peer.pose.replace("1620.5", "NaN")
+    assert refusal(robot.read).code == "HC-B26"
+
+
+def test_a_stop_gets_through_while_a_call_hangs(
+    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
+) -> None:
+    asked = threading.Event()
+
+    def hang(_number: int, _answer: bytes) -> list[bytes]:
+        asked.set()
+        return []
+
+    peer.spoil = hang
+    with in_thread(robot.read, DeviceError) as failures:
+        asked.wait()
+        robot.stop()
+        peer.stopped.wait()
+        time.silence(0.1)
+    assert [getattr(each, "code", "") for each in failures] == ["HC-B02"]
+
+
+def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
+    peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
+    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
+    monkeypatch.setattr(controller, "time", time)
+    robot = robot_for(peer, time)
+    robot.connect()
+    peer.stop_server.drop()
+    time.wait(1.0)
+    robot.wire()._keeper._thread.join()
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B02"
+    robot.close()
+
+
+def test_a_sweep_lowers_the_override_and_gives_it_back(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+    seen: set[tuple[str, str]] = set()
+    peer.moved = lambda: seen.add((peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]))
+    with robot.sweep(0, 0.1, float(np.radians(0.1))) as flyer:
+        flyer.kickoff()
+        sample = flyer.collect()
+        assert flyer.complete().still
+    assert sample.before_s <= sample.after_s
+    assert seen == {("10", "100")}
+    assert (peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]) == ("100", "0")
+
+
+def test_a_stop_in_a_sweep_gives_the_override_back_over_the_same_channel(
+    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
+) -> None:
+    """The controller serves one client a channel: there is no second connection."""
+
+    def swept() -> None:
+        with robot.sweep(0, 0.1, float(np.radians(0.1))) as flyer:
+            flyer.kickoff()
+            time.stop.set()
+            flyer.collect()
+
+    with pytest.raises(Stopped):
+        swept()
+    assert (peer.variables["$OV_PRO"], peer.variables["HC_STOP"]) == ("100", "TRUE")
+
+
+def test_a_channel_that_is_not_yet_open_again_is_tried_for_a_while(
+    peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_eki, "OPEN_S", 60.0)
+    tries = iter([[b"x" * 9000 + b"</RobotState>"]] * 2)
+    peer.spoil = lambda _number, answer: next(tries, [answer])
+    robot = robot_for(peer, time)
+    robot.connect()
+    robot.close()
+
+
+def test_signs_come_from_the_watched_motion_only(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+    """A connect that waits for a dead engine's motion must not keep it alive."""
+    assert {command["Life"] for command in peer.commands} == {"0"}
+    began = len(peer.commands)
+    robot.move_to(TARGET_RAD, 30.0)
+    look, motion, *others = [command["Life"] for command in peer.commands[began:]]
+    assert (look, motion) == ("0", "1500")
+    assert others[:2] == ["1500", "1500"]
+    assert set(others[-2:]) == {"0"}
+    robot.read()
+    assert peer.commands[-1]["Life"] == "0"

@@ -1,0 +1,690 @@
+"""A total station at its peer; lines of GeoCOM as geocompy sends and captures them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import supervision
+from drivers.device_errors import Garbled
+from drivers.leica import tracker_geocom as geocom
+from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
+from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
+from tests.drivers.leica.geocom_peer import GeocomPeer
+from tests.drivers.peers import WireTime, in_thread, refusal, wire_time
+
+pytestmark = pytest.mark.waits
+
+POINT = np.array([4000.0, -3000.0, 0.0])  # 5 m from the instrument, right of its Hz zero
+SMR = "SMR 1.5in"
+SETTINGS = [108, 2029, 2023, 2021, 2014, 2007, 18006]  # in the order in which they are read
+
+
+class Quick(LeicaGeocomTracker):
+    REPLY_S = 0.3
+    MOVE_S = 0.3
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
+    return wire_time(monkeypatch, supervision)
+
+
+def tracker_at(channel: str, time: WireTime, **options: Any) -> Quick:
+    values: dict[str, Any] = {
+        "channel": channel,
+        "reflector": SMR,
+        "max_std_mm": 1.0,
+        "find_radius_mm": 5.0,
+        "reading_s": 0.1,
+    }
+    return Quick(Quick.Options(**(values | options)), time)
+
+
+@pytest.fixture
+def peer() -> Iterator[GeocomPeer]:
+    with GeocomPeer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def tracker(peer: GeocomPeer, time: WireTime) -> Iterator[Quick]:
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    yield tracker
+    tracker.close()
+
+
+def measuring(tracker: Quick, samples: int = 1) -> DeviceError:
+    """Return the error of a measurement."""
+    return refusal(lambda: tracker.measure(POINT, SMR, samples))
+
+
+@pytest.mark.parametrize("serial", [False, True])
+def test_it_is_a_tracker_that_does_not_stream_on_either_wire(time: WireTime, serial: bool) -> None:
+    with GeocomPeer(serial=serial) as peer:
+        tracker = tracker_at(peer.channel, time)
+        tracker.connect()
+        port: Tracker = tracker
+        assert not isinstance(port, Streams)
+        time.wait(1.0)
+        reading = port.measure(POINT, SMR, 1)
+        np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-6)
+        assert (reading.samples, reading.reflector, reading.air) == (1, SMR, None)
+        assert reading.taken_s == time.pc_s()
+        tracker.close()
+
+
+def test_connecting_sets_everything_and_states_who_answered(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    tracker = tracker_at(
+        peer.channel,
+        time,
+        serial="884321",
+        prism_constant_mm=-16.9,
+        temperature_c=23.5,
+        wet_bulb_c=17.0,
+        pressure_mbar=1002.0,
+    )
+    (identity,) = tracker.connect()
+    tracker.close()
+    assert (identity.model, identity.serial) == ("Leica TS60, R1000", "884321")
+    assert (identity.firmware, identity.kind, identity.maker) == ("8.50.0", "tracker", "Leica")
+    assert peer.settings == {
+        108: "15",
+        2007: "1",
+        2014: "1,1,1,1",
+        2021: "2",
+        2023: "-0.0169",
+        2029: "0.000000658,1002.0,23.5,17.0",
+        18006: "1",
+    }
+
+
+def test_a_setting_that_is_right_is_left_alone(peer: GeocomPeer, time: WireTime) -> None:
+    peer.settings[2023] = "0.0000"
+    peer.answers[2024] = lambda _: "5"  # newer instruments take it at their keyboard only
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    tracker.close()
+    assert not peer.asked(2024)
+
+
+@pytest.mark.parametrize("answer", ["0", "5"])
+def test_a_setting_that_does_not_read_back_is_refused(
+    peer: GeocomPeer, time: WireTime, answer: str
+) -> None:
+    peer.answers[2024] = lambda _: answer
+    found = refusal(tracker_at(peer.channel, time).connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T06")
+    assert "prism constant" in str(found)
+
+
+def test_a_command_that_the_instrument_does_not_have_is_named(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    peer.reply = lambda number, answer: (
+        f"%R1P,{3081 if answer == 'none' else 0},{number}:{0 if answer == 'none' else answer}\r\n"
+    ).encode()
+    peer.answers[18006] = lambda _: "none"
+    found = refusal(tracker_at(peer.channel, time).connect)
+    assert (found.code, found.fields["status"]) == ("HC-T23", 3081)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_settings_that_are_no_numbers_are_refused(
+    peer: GeocomPeer, time: WireTime, value: str
+) -> None:
+    peer.answers[2029] = lambda _: f"0,{value},1013.25,20.0,20.0"
+    with pytest.raises(DeviceRefused):
+        tracker_at(peer.channel, time).connect()
+
+
+def test_one_measurement(tracker: Quick, peer: GeocomPeer) -> None:
+    peer.requests.clear()
+    tracker.measure(POINT, SMR, 1)
+    procedures = [int(line.split(",")[1]) for line in peer.requests]
+    assert procedures == [*SETTINGS, 9027, 9037, 2008, 2008, 2108]
+    assert peer.asked(9027) == ["0.643501108793,1.570796326795,0,0,0"]  # to the right: clockwise
+    assert peer.asked(9037) == ["0.002,0.002,0"]
+    assert peer.asked(2008) == ["3,1", "1,1"]  # the last distance is cleared first
+    numbers = [int(line.split(":")[0].split(",")[2]) for line in peer.requests]
+    assert numbers == list(range(numbers[0], numbers[0] + len(SETTINGS) + 5))
+
+
+def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, time: WireTime) -> None:
+    tracker = tracker_at(peer.channel, time, distance_mm=0.6, distance_ppm=1.0, angle_arcsec=1.0)
+    tracker.connect()
+    reading = tracker.measure(POINT, SMR, 1)
+    tracker.close()
+    along, across = 0.605, 5000 * np.pi / 648_000
+    wanted = [np.hypot(0.8 * along, 0.6 * across), np.hypot(0.6 * along, 0.8 * across), across]
+    np.testing.assert_allclose(reading.std_mm, wanted, rtol=1e-6)
+
+
+def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick, peer: GeocomPeer) -> None:
+    distances = iter([5.0, 5.0002, 4.9998])
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    reading = tracker.measure(POINT, SMR, 3)
+    assert len(peer.asked(9037)) == 3
+    np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-6)
+    np.testing.assert_allclose(reading.std_mm, [0.16, 0.12, 0.0], atol=1e-6)
+
+
+def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: GeocomPeer) -> None:
+    distances = iter([5.0, 5.003])
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    found = measuring(tracker, 2)
+    assert (type(found), found.code) == (NoReading, "HC-T15")
+
+
+@pytest.mark.parametrize(
+    ("rpc", "code", "alarm", "kind"),
+    [
+        (2108, 1283, "HC-T50", NoReading),
+        (2108, 1284, "HC-T51", NoReading),
+        (2108, 1285, "HC-T52", NoReading),
+        (2108, 1292, "HC-T52", NoReading),
+        (2108, 769, "HC-T53", NoReading),
+        (2108, 776, "HC-T53", NoReading),
+        (2108, 778, "HC-T53", DeviceError),
+        (2108, 22, "HC-T20", DeviceError),
+        (2108, 31999, "HC-T24", NoReading),
+        (9027, 8704, "HC-T54", NoReading),
+        (9027, 8707, "HC-T54", DeviceError),
+        (9037, 8710, "HC-T11", NoReading),
+        (9037, 8711, "HC-T56", NoReading),
+        (9037, 8714, "HC-T23", DeviceError),
+        (9037, 27, "HC-T23", DeviceError),
+        (2008, 18, "HC-T55", DeviceError),
+    ],
+)
+def test_return_codes_have_their_alarms(
+    tracker: Quick, peer: GeocomPeer, rpc: int, code: int, alarm: str, kind: type
+) -> None:
+    # With the values of a good reading: a code is never passed over for them.
+    peer.answers[rpc] = lambda _: f"{code},0.643501108793,1.570796326795,5.0"
+    found = measuring(tracker)
+    assert (type(found), found.code, found.fields) == (kind, alarm, {"status": code})
+
+
+@pytest.mark.parametrize("code", [1283, 1284])
+def test_readings_without_full_correction_are_taken_where_the_file_says_so(
+    peer: GeocomPeer, time: WireTime, code: int
+) -> None:
+    tracker = tracker_at(peer.channel, time, accept_uncorrected=True)
+    (identity,) = tracker.connect()
+    assert "accepted" in identity.model
+    peer.answers[2108] = lambda _: f"{code},{peer.pointing},5.000000000000000"
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+    peer.answers[2108] = lambda _: f"1285,{peer.pointing},5.000000000000000"
+    assert measuring(tracker).code == "HC-T52"
+    tracker.close()
+
+
+@pytest.mark.parametrize("rpc", [2008, 9027, 9037])
+def test_without_full_correction_nothing_else_is_done(
+    peer: GeocomPeer, time: WireTime, rpc: int
+) -> None:
+    tracker = tracker_at(peer.channel, time, accept_uncorrected=True)
+    tracker.connect()
+    peer.answers[rpc] = lambda _: "1283"
+    assert measuring(tracker).code == "HC-T50"
+    tracker.close()
+
+
+@pytest.mark.parametrize("code", [13, 786, 1293])
+def test_a_busy_instrument_is_asked_again(tracker: Quick, peer: GeocomPeer, code: int) -> None:
+    codes = iter([code, code, 0])
+    peer.answers[9037] = lambda _: str(next(codes))
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+    assert len(peer.asked(9037)) == 3
+    peer.answers[9037] = lambda _: str(code)
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T21")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, "nan"), (1, "inf"), (2, "NaN"), (2, "-inf"), (2, "0.0"), (2, "-5.0")]
+)
+def test_a_result_that_is_no_position_is_no_reading(
+    tracker: Quick, peer: GeocomPeer, value: str, place: int
+) -> None:
+    values = ["0.6435011", "1.5707963", "5.0"]
+    values[place] = value
+    peer.answers[2108] = lambda _: ",".join(["0", *values])
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+
+
+@pytest.mark.parametrize("damaged", [
+    "0.63501108793284,1.570796326794897,5.000000000000000",
+    "0.643501108793284,1.57079632,5.000000000000000",
+    "0.643501108793284,1.570796326794897,5",
+    "0.643501108793284,1.570796326794897,5000000000000000",
+    "0.643501108793284,1.570796326794897,5.00000000000000",
+])  # fmt: skip
+def test_a_reading_that_has_lost_characters_is_measured_again(
+    peer: GeocomPeer, time: WireTime, damaged: str
+) -> None:
+    tracker = tracker_at(peer.channel, time, find_radius_mm=100.0)
+    tracker.connect()
+    good, first = peer.answers[2108], iter([True])
+    peer.answers[2108] = lambda text: f"0,{damaged}" if next(first, False) else good(text)
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+    assert peer.asked(2008) == ["3,1", "3,1", "1,1", "3,1", "1,1"], "a new distance, too"
+    others = itertools.cycle([damaged, "0.64501108793284,1.5707963267948,5.00000000000000"])
+    peer.answers[2108] = lambda _: f"0,{next(others)}"
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+    assert damaged in found.found
+    tracker.close()
+
+
+def test_two_readings_that_agree_have_lost_zeros_alone(tracker: Quick, peer: GeocomPeer) -> None:
+    """Some instruments leave the zeros at the end of a number out."""
+    peer.answers[2108] = lambda _: f"0,{peer.pointing.split(',')[0]},1.5707963267949,5.0"
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+
+
+def test_an_instrument_without_a_switch_for_its_corrections_is_taken(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    peer.answers[2014] = lambda _: "5"
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+    assert peer.asked(2016) == []
+    tracker.close()
+
+
+@pytest.mark.parametrize("value", ["1" + "0" * 308, "1" + "0" * 400, "-1" + "0" * 308])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_figures_beyond_all_reach_are_no_reading(
+    tracker: Quick, peer: GeocomPeer, place: int, value: str
+) -> None:
+    values = ["0.643501108793284", "1.570796326794897", "5.000000000000000"]
+    values[place] = f"{value}.000000000000000"
+    peer.answers[2108] = lambda _: ",".join(["0", *values])
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+
+
+def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    tracker = tracker_at(peer.channel, time, max_std_mm=3.0, find_radius_mm=20.0)
+    tracker.connect()
+    distances = iter([5.0003, 4.995, 5.0, 4.9998])
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    found = measuring(tracker, 4)
+    assert (type(found), found.code) == (NoReading, "HC-T15")
+    assert "repeat 2 of 4" in found.found
+    tracker.close()
+
+
+@pytest.mark.parametrize(
+    ("rpc", "value"),
+    [
+        (108, "4"),
+        (2029, "0.000000658,1013.25,55.0,12.0"),
+        (2023, "0.0344"),
+        (2021, "3"),
+        (2014, "1,1,0,1"),
+        (2007, "0"),
+        (18006, "0"),
+    ],
+)
+def test_a_setting_that_is_changed_at_the_keyboard_is_refused_until_it_is_set_again(
+    tracker: Quick, peer: GeocomPeer, rpc: int, value: str
+) -> None:
+    tracker.measure(POINT, SMR, 1)
+    peer.settings[rpc] = value
+    found = measuring(tracker)
+    assert (found.code, type(found)) == ("HC-T06", DeviceError)
+    assert not peer.asked(9027)[1:], "it is not even aimed"
+    tracker.connect()
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+
+
+def test_a_setting_that_has_lost_a_character_is_asked_again(
+    tracker: Quick, peer: GeocomPeer
+) -> None:
+    once = iter(["0,0.00000658,101.25,20.0,20.0"])
+    peer.answers[2029] = lambda _: next(once, f"0,{peer.settings[2029]}")
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+
+
+def test_a_serial_number_that_has_lost_a_character_is_asked_again(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    once = iter(["0,88432"])
+    peer.answers[5003] = lambda _: next(once, "0,884321")
+    tracker = tracker_at(peer.channel, time, serial="884321")
+    (identity,) = tracker.connect()
+    tracker.close()
+    assert identity.serial == "884321"
+
+
+def test_an_instrument_that_never_answers_the_same_twice_is_lost(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    serials = itertools.count(884321)
+    peer.answers[5003] = lambda _: f"0,{next(serials)}"
+    assert refusal(tracker_at(peer.channel, time).connect).code == "HC-T02"
+
+
+@pytest.mark.parametrize("answer", ["0", "5"])
+def test_angles_that_are_not_corrected_are_refused_as_one_face_is_measured(
+    peer: GeocomPeer, time: WireTime, answer: str
+) -> None:
+    peer.answers[2016] = lambda _: answer
+    found = refusal(tracker_at(peer.channel, time).connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T06")
+    assert "angle corrections" in str(found)
+
+
+@pytest.mark.parametrize("wet_bulb_c", [20.1, float("nan")])
+def test_a_wet_bulb_above_the_air_is_refused(time: WireTime, wet_bulb_c: float) -> None:
+    with pytest.raises(ValueError, match="wet bulb"):
+        tracker_at("socket://127.0.0.1:1", time, temperature_c=20.0, wet_bulb_c=wet_bulb_c)
+
+
+@pytest.mark.parametrize("empty", ["0", "0,", "0,,,"])
+def test_a_result_without_values_is_no_reading_and_the_next_is_good(
+    tracker: Quick, peer: GeocomPeer, empty: str
+) -> None:
+    good, asked = peer.answers[2108], iter([True])
+    peer.answers[2108] = lambda text: empty if next(asked, False) else good(text)
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T13")
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+
+
+@pytest.mark.parametrize("rpc", [108, 2029, 5003, 5004, 5034])
+def test_a_question_whose_answer_has_no_values_is_asked_again(
+    peer: GeocomPeer, time: WireTime, rpc: int
+) -> None:
+    good, asked = peer.answers.get(rpc, lambda _: f"0,{peer.settings[rpc]}"), iter([True])
+    peer.answers[rpc] = lambda text: "0" if next(asked, False) else good(text)
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    tracker.close()
+    peer.answers[rpc] = lambda _: "0"
+    assert refusal(tracker.connect).code == "HC-T02"
+
+
+@pytest.mark.parametrize("serial", ["nan", "inf"])
+def test_a_serial_number_that_is_none_is_no_identity(
+    peer: GeocomPeer, time: WireTime, serial: str
+) -> None:
+    peer.answers[5003] = lambda _: f"0,{serial}"
+    assert refusal(tracker_at(peer.channel, time).connect).code == "HC-T02"
+
+
+@pytest.mark.parametrize(
+    "name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"', '"Leica TS16 A 1" R500"']
+)
+def test_an_instrument_whose_name_has_the_mark_of_an_arcsecond_connects(
+    peer: GeocomPeer, time: WireTime, name: str
+) -> None:
+    peer.answers[5004] = lambda _: f"0,{name}"
+    tracker = tracker_at(peer.channel, time)
+    (identity,) = tracker.connect()
+    tracker.close()
+    assert identity.model == 'Leica TS16 A 1" R500'
+
+
+def test_another_reflector_than_the_expected_one_is_no_reading(
+    tracker: Quick, peer: GeocomPeer
+) -> None:
+    peer.distance_m = 5.0051
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T16")
+
+
+# -- the wire -----------------------------------------------------------------------------------
+
+
+def lost(tracker: Quick) -> None:
+    assert measuring(tracker).code == "HC-T02"
+    assert measuring(tracker).code == "HC-T34"
+
+
+def test_an_answer_to_no_request_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
+    right = peer.reply
+    peer.reply = lambda number, answer: right(number + 1, answer)
+    lost(tracker)
+
+
+def test_a_code_of_the_communication_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
+    peer.reply = lambda number, answer: f"%R1P,3077,{number}:0\r\n".encode()
+    lost(tracker)
+
+
+@pytest.mark.parametrize(
+    "reply", [b"\xfe\x80\xf8\x06\r\n", b"hello\r\n", b"%R1P,0,1\r\n", b"x" * 5000]
+)
+def test_bytes_that_are_no_reply_end_the_connection(
+    tracker: Quick, peer: GeocomPeer, reply: bytes
+) -> None:
+    peer.reply = lambda number, answer: reply
+    lost(tracker)
+
+
+def test_a_wrong_baud_rate_shows_when_connecting(peer: GeocomPeer, time: WireTime) -> None:
+    peer.reply = lambda number, answer: b"\x00\xf8\x80\r\n"
+    assert "baud rate" in str(refusal(tracker_at(peer.channel, time).connect))
+
+
+def test_a_result_of_the_wrong_form_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
+    peer.answers[2108] = lambda _: "0,0.1,0.2"
+    lost(tracker)
+
+
+def test_a_late_result_is_not_the_next_points(
+    tracker: Quick, peer: GeocomPeer, time: WireTime
+) -> None:
+    held: list[bytes] = []
+    right = peer.reply
+    peer.answers[2108] = lambda _: time.silence(0.1)
+    peer.answers[0] = lambda _: time.behind("0", 0.0)  # it lives
+    peer.distance_m = 5.001
+
+    def holding(number: int, answer: str) -> bytes:
+        data = b"".join([*held, right(number, answer)])
+        held.clear()
+        return data
+
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T13")
+    late = next(line for line in reversed(peer.requests) if ",2108," in line)
+    held.append(
+        right(int(late.split(":")[0].split(",")[2]), f"0,{peer.pointing},5.001000000000000")
+    )
+    peer.reply = holding
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},5.000000000000000"
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+    assert not held
+
+
+def test_a_silent_instrument_is_lost(tracker: Quick, peer: GeocomPeer, time: WireTime) -> None:
+    peer.answers = dict.fromkeys(range(20_000), lambda _: None)
+    time.silence(0.1)
+    lost(tracker)
+
+
+@pytest.mark.parametrize("serial", [False, True])
+def test_a_silent_line_is_asked_about_its_baud_rate_or_port(time: WireTime, serial: bool) -> None:
+    with GeocomPeer(serial=serial) as peer:
+        peer.answers = dict.fromkeys(range(20_000), lambda _: None)
+        channel = f"{peer.channel}@9600" if serial else peer.channel
+        time.silence(0.1)
+        assert ("9600" if serial else "port") in str(refusal(tracker_at(channel, time).connect))
+
+
+def test_answers_to_a_program_that_ran_before_are_passed_over(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    right = peer.reply
+    greeting = [right(4711, "0,1.0,1.0,5.0") + b"?\r\n"]
+    peer.reply = lambda number, answer: (
+        (greeting.pop() if greeting else b"") + right(number, answer)
+    )
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+    tracker.close()
+
+
+def test_a_line_that_dies_in_mid_byte_is_lost(time: WireTime) -> None:
+    with GeocomPeer(serial=True) as peer:
+        tracker = tracker_at(peer.channel, time)
+        tracker.connect()
+        peer.answers[2108] = lambda _: peer.pull_out()
+        assert measuring(tracker).code == "HC-T02"
+        assert refusal(tracker.connect).code == "HC-T01"
+
+
+def test_a_line_that_was_renamed_is_found_by_its_new_name_only(
+    tmp_path: Path, time: WireTime
+) -> None:
+    with GeocomPeer(serial=True) as peer:
+        name = tmp_path / "usb-leica"
+        assert refusal(tracker_at(str(name), time).connect).code == "HC-T01"
+        name.symlink_to(peer.channel)
+        tracker = tracker_at(f"{name}@115200", time)
+        assert tracker.connect()[0].address == str(name)
+        tracker.close()
+        assert os.path.lexists(name)
+
+
+@pytest.mark.parametrize("channel", ["", "http://x:1", "socket://x", "COM3@fast"])
+def test_wrong_channels_are_refused_with_the_options(channel: str) -> None:
+    values = {"channel": channel, "reflector": SMR, "max_std_mm": 1.0, "find_radius_mm": 5.0}
+    with pytest.raises(msgspec.ValidationError, match="channel"):
+        msgspec.convert(values, Quick.Options)
+
+
+def test_a_stop_ends_a_wait_and_the_motion(
+    tracker: Quick, peer: GeocomPeer, time: WireTime
+) -> None:
+    turning = threading.Event()
+    peer.answers[9027] = lambda _: turning.set()
+    with in_thread(lambda: tracker.measure(POINT, SMR, 1), Stopped) as errors:
+        turning.wait()
+        time.stop.set()
+        tracker.stop()
+    assert len(errors) == 1
+    peer.aborted.wait()
+    tracker.close()
+    tracker.close()
+    tracker.stop()
+
+
+@pytest.mark.parametrize(
+    ("line", "rpc", "number", "parameters"),
+    [
+        ("%R1Q,0,0:", Rpc.NULL, 0, ()),
+        ("%R1Q,2008,7:1,1", Rpc.DO_MEASURE, 7, (1, 1)),
+        ("%R1Q,2108,10:5000,1", Rpc.GET_MEASUREMENT, 10, (5000, 1)),
+        ("%R1Q,9037,9:0.1,0.1,0", Rpc.FINE_ADJUST, 9, (0.1, 0.1, 0)),
+        ("%R1Q,2028,3:0.000000658,1013.0,20.5,20.5", 2028, 3, (658e-9, 1013.0, 20.5, 20.5)),
+    ],
+)
+def test_requests(line: str, rpc: int, number: int, parameters: tuple[float, ...]) -> None:
+    assert geocom.request(rpc, number, *parameters) == line
+
+
+def test_replies() -> None:
+    assert geocom.parse("%R1P,0,0:0") == Reply(0, 0, 0)
+    assert geocom.parse("%R1P,0,9:8710") == Reply(0, 9, 8710)
+    assert geocom.parse("%R1P,3077,9:0") == Reply(3077, 9, 0)
+    found = geocom.parse("%R1P,0,8:0,1100.2503,-2.5001,0.1252,12345,1100.2503,-2.5001,0.1252,12345")
+    assert geocom.numbers(found.values, 8)[:4] == (1100.2503, -2.5001, 0.1252, 12345.0)
+    assert geocom.parse('%R1P,0,2:0,"TS60, R1000",""').values == ("TS60, R1000", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        (r'"TS16 A 1\" R500"', ('TS16 A 1" R500',)),
+        ('"TS16 A 1" R500"', ('TS16 A 1" R500',)),
+        (r'"TS60 0.5\""', ('TS60 0.5"',)),
+        ('"TS60 0.5""', ('TS60 0.5"',)),
+        (r'"TS16 1\", R500",3', ('TS16 1", R500', "3")),
+        (r'"a\\b","c"', (r"a\b", "c")),
+        ('"TS16 1", R500"', ("TS16 1", ' R500"')),
+    ],
+)
+def test_a_name_may_have_the_mark_of_an_arcsecond_in_it(text: str, values: tuple[str, ...]) -> None:
+    assert geocom.parse(f"%R1P,0,2:0,{text}").values == values
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["", "?", "%R1P,0,1", "%R1P,0:0", "%R1P,0,-1:0", "%R1P,a,1:0", "%R1Q,0,1:", '%R1P,0,1:0,"a"b'],
+)
+def test_other_lines_are_no_replies(line: str) -> None:
+    with pytest.raises(Garbled):
+        geocom.parse(line)
+
+
+@pytest.mark.parametrize("values", [(), ("1", "2"), ("1", "2", "three"), ("1", "2", "")])
+def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -> None:
+    with pytest.raises(Garbled, match="3"):
+        geocom.numbers(values, 3)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_reply_or_an_error(text: str) -> None:
+    try:
+        geocom.parse(text)
+    except Garbled:
+        return
+    assert text.startswith("%R1P,")
+
+
+def test_hz_turns_clockwise_in_a_right_handed_frame() -> None:
+    quarter = math.pi / 2
+    np.testing.assert_allclose(geocom.position_mm(0.0, quarter, 2.0), [2000, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(geocom.position_mm(quarter, quarter, 2.0), [0, -2000, 0], atol=1e-9)
+    np.testing.assert_allclose(geocom.position_mm(1.0, 0.0, 2.0), [0, 0, 2000], atol=1e-9)
+
+
+@given(
+    st.floats(-1e4, 1e4).filter(lambda x: abs(x) > 1), st.floats(-1e4, 1e4), st.floats(-3e3, 3e3)
+)
+def test_angles_lead_back_to_their_place(x: float, y: float, z: float) -> None:
+    at_mm = np.array([x, y, z])
+    hz, v = geocom.LeicaGeocomTracker.angles_to(at_mm)
+    assert 0 <= hz <= math.tau
+    assert 0 <= v <= math.pi
+    distance_m = float(np.linalg.norm(at_mm)) / 1000
+    np.testing.assert_allclose(geocom.position_mm(hz, v, distance_m), at_mm, atol=1e-6)
+
+
+def test_the_class_of_accuracy_is_a_length_along_and_an_angle_across() -> None:
+    options = Quick.Options(
+        channel="socket://127.0.0.1:1",
+        reflector="r",
+        max_std_mm=1.0,
+        find_radius_mm=50.0,
+        angle_arcsec=1.0,
+        distance_mm=0.5,
+        distance_ppm=10.0,
+    )
+    std_mm = options.std_mm(np.array([10_000.0, 0.0, 0.0]))
+    np.testing.assert_allclose(std_mm, [0.6, 0.0485, 0.0485], atol=1e-4)

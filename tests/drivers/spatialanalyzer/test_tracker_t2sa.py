@@ -1,0 +1,542 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import supervision
+from drivers.device_errors import Garbled
+from drivers.spatialanalyzer import tracker_t2sa
+from drivers.spatialanalyzer import tracker_t2sa as t2sa
+from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
+from drivers.tracker_readings import form_at
+from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
+from tests.drivers.peers import WireTime, in_thread, refusal, wire_time
+from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
+
+PLACE = np.array([4010.0, -2990.0, 5.0])
+SMR = "SMR 1.5in"
+Make = Callable[..., T2saTracker]
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
+    monkeypatch.setattr(tracker_t2sa, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
+    monkeypatch.setattr(tracker_t2sa, "MEASURE_S", 0.3)
+    return wire_time(monkeypatch, supervision)
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    rows = (",".join([name, *map(str, at_mm)]) for name, at_mm in POINTS.items())
+    path.write_text("\n".join(rows), "ascii")
+    return path
+
+
+@pytest.fixture
+def peer() -> Iterator[T2saPeer]:
+    with T2saPeer() as peer:
+        yield peer
+
+
+@pytest.fixture
+def make(peer: T2saPeer, points: Path, time: WireTime) -> Iterator[Make]:
+    made: list[T2saTracker] = []
+
+    def build(**options: Any) -> T2saTracker:
+        values = {
+            "host": "127.0.0.1",
+            "port": peer.port,
+            "reflector": SMR,
+            "max_std_mm": 0.05,
+            "find_radius_mm": 5.0,
+            "points": str(points),
+        }
+        kept = msgspec.convert(values | options, T2saTracker.Options)
+        made.append(T2saTracker(kept, time))
+        return made[-1]
+
+    yield build
+    for tracker in made:
+        tracker.close()
+
+
+@pytest.fixture
+def tracker(make: Make) -> T2saTracker:
+    tracker = make()
+    tracker.connect()
+    return tracker
+
+
+def measuring(tracker: T2saTracker) -> DeviceError:
+    """Return the error of a measurement."""
+    return refusal(lambda: tracker.measure(PLACE, SMR, 1))
+
+
+def test_it_is_a_tracker_that_does_not_stream(tracker: T2saTracker, time: WireTime) -> None:
+    time.wait(1.0)
+    port: Tracker = tracker
+    assert not isinstance(port, Streams)
+    reading = port.measure(PLACE, SMR, 3)
+    np.testing.assert_allclose(reading.xyz_mm, PLACE, atol=1e-3)
+    assert (reading.samples, reading.reflector, reading.air) == (3, SMR, None)
+    assert reading.taken_s == time.pc_s()
+
+
+def test_connecting_sets_the_bridge_and_compares_points(peer: T2saPeer, make: Make) -> None:
+    stated = {"instrument": "API T3", "plate": "T3-1234", "working_frame": "TRACKER"}
+    stated |= {"profile": "Single Pt. To SA"}
+    (identity,) = make(power_lock=False, **stated).connect()
+    assert peer.requests == [
+        "?STAT",
+        "!SET_SIM:0",
+        "?LSTA",
+        "!SET_STATION_LOCK:1",
+        "SET_POWER_LOCK:0",
+        "!SINGLE_POINT_MEAS_PROFILE:Single Pt. To SA",
+        "!SET_WORKING_FRAME:TRACKER",
+        *(f"?POINT_POS:A;HILCELL;P{n}" for n in (1, 2, 3, 4)),
+    ]
+    assert (identity.model, identity.serial) == ("API T3, by SpatialAnalyzer", "T3-1234")
+    assert (identity.kind, identity.simulated) == ("tracker", False)
+
+
+def test_a_bridge_that_says_so_is_simulated(peer: T2saPeer, make: Make) -> None:
+    peer.answers["?STAT"] = lambda _: "ACK-300 READY (simulated);01/05/2026 8:00:00"
+    assert make().connect()[0].simulated
+
+
+def test_an_instrument_that_stays_simulated_is_refused(peer: T2saPeer, make: Make) -> None:
+    peer.answers["!SET_SIM"] = lambda _: "ERR-337 Failed to set simulation"
+    found = refusal(make().connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T71")
+
+
+def test_a_result_that_is_the_nominal_point_was_not_measured(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    peer.at_mm = np.array(POINTS["P1"]) + 0.3
+    found = refusal(lambda: tracker.measure(peer.at_mm, SMR, 1))  # the reflector is expected there
+    assert (type(found), found.code) == (DeviceRefused, "HC-T71")
+
+
+def test_a_cold_laser_is_switched_on_and_awaited(peer: T2saPeer, make: Make) -> None:
+    states = iter(["LOFF", "WARM, 2.00 seconds", "WARM, 1.00 seconds", "LON"])
+    peer.answers["?LSTA"] = lambda _: f"ACK-300 {next(states)}"
+    make().connect()
+    assert peer.asked("!LST") == ["1"]
+    assert len(peer.asked("?LSTA")) == 4
+
+
+@pytest.mark.parametrize(("state", "code"), [("LNC", "HC-T70"), ("WARM, 9.00 seconds", "HC-T19")])
+def test_a_laser_that_does_not_come_is_named(
+    peer: T2saPeer, make: Make, monkeypatch: pytest.MonkeyPatch, state: str, code: str
+) -> None:
+    monkeypatch.setattr(tracker_t2sa.T2saTracker, "WARM_S", 0.05)
+    peer.laser = state
+    found = refusal(make().connect)
+    assert (type(found), found.code) == (DeviceError, code)
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [("!SET_STATION_LOCK", 331), ("SET_POWER_LOCK", 317), ("!SINGLE_POINT_MEAS_PROFILE", 307),
+     ("!SET_WORKING_FRAME", 314)],
+)  # fmt: skip
+def test_a_setting_that_is_refused_is_named(
+    peer: T2saPeer, make: Make, command: str, code: int
+) -> None:
+    peer.answers[command] = lambda _: f"ERR-{code} Failed."
+    found = refusal(make(profile="x", working_frame="y").connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T06")
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "words"),
+    [(1 / 25.4, 0.0, "inches"), (1.0, 0.02, "4000.020"), (np.nan, 0.0, "nan")],
+)
+def test_a_job_with_other_points_is_refused(
+    peer: T2saPeer, make: Make, scale: float, shift: float, words: str
+) -> None:
+    def position(path: str) -> str:
+        x, y, z = scale * np.array(POINTS[path[-2:]])
+        return f"ACK-300 Measured single pt {path} result: X:{x + shift};Y:{y};Z:{z};today"
+
+    peer.answers["?POINT_POS"] = position
+    found = refusal(make().connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T73")
+    assert words in found.found
+
+
+def test_a_point_that_the_job_lacks_is_named(peer: T2saPeer, make: Make) -> None:
+    peer.answers["?POINT_POS"] = lambda _: "ERR-306 Did not find or set point group."
+    assert refusal(make().connect).code == "HC-T72"
+
+
+@pytest.mark.parametrize("name", ["", "/nowhere/points.csv"])
+def test_a_list_that_is_missing_is_named_before_anything_is_sent(
+    peer: T2saPeer, make: Make, name: str
+) -> None:
+    found = refusal(make(points=name).connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T75")
+    assert not peer.requests
+
+
+def test_a_busy_bridge_is_awaited_and_not_for_ever(peer: T2saPeer, make: Make) -> None:
+    states = iter(["ERR-201 busy", "ACK-300 EMP", "ACK-300 Instrument is connected"])
+    peer.answers["?STAT"] = lambda _: next(states)
+    make().connect()
+    for line, alarm in (("ACK-300 2FACE", "T21"), ("ERR-201 busy", "T21"), ("ERR-341 -", "T70")):
+        peer.answers["?STAT"] = partial(str.format, line)
+        found = refusal(make().connect)
+        assert (type(found), found.code) == (DeviceError, f"HC-{alarm}")
+    assert not peer.halted.is_set()  # another program's measurement is not ended
+
+
+# -- measuring ----------------------------------------------------------------------------------
+
+
+def test_one_reading_is_of_two_measurements_with_their_spread(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    places = iter([PLACE, PLACE + [0.02, 0.0, 0.0]])
+
+    def measure(path: str) -> str:
+        x, y, z = next(places)
+        return f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
+
+    peer.answers["!MEAS_SINGLE_POINT"] = measure
+    reading = tracker.measure(PLACE, SMR, 1)
+    assert reading.samples == 2
+    np.testing.assert_allclose(reading.xyz_mm, PLACE + [0.01, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(reading.std_mm, [0.02 / np.sqrt(2), 0, 0], atol=1e-9)
+    assert peer.asked("!MEAS_SINGLE_POINT") == ["A;HILCELL;P1"] * 2
+
+
+def test_repeats_that_spread_are_no_reading(tracker: T2saTracker, peer: T2saPeer) -> None:
+    offs = iter([0.0, 0.2])
+
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        f"ACK-300 Single Point Measurement {path} result {4010 + next(offs)},-2990,5 today"
+    )
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T15")
+
+
+def test_a_place_beside_every_point_is_refused_before_anything_is_sent(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    peer.requests.clear()
+    found = refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))
+    assert (type(found), found.code) == (DeviceError, "HC-T74")
+    assert not peer.requests
+
+
+def test_another_reflector_is_looked_past_from_other_points(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    honest = peer.answers["!MEAS_SINGLE_POINT"]
+
+    def measure(path: str) -> str | None:
+        if path.endswith("P3"):
+            return honest(path)
+        return f"ACK-300 Single Point Measurement {path} result 4100,-2990,5 today"
+
+    peer.answers["!MEAS_SINGLE_POINT"] = measure
+    assert tracker.measure(PLACE, SMR, 1).samples == 2
+    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3, 3)]
+
+
+def test_another_reflector_from_everywhere_is_no_reading(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    peer.at_mm = PLACE + [0.0, 5.1, 0.0]
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T16")
+    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
+
+
+def test_the_former_result_again_is_no_measurement(tracker: T2saTracker, peer: T2saPeer) -> None:
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        f"ACK-300 Single Point Measurement {path} result 4010.1,-2990.1,5.1 today"
+    )
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T76")
+
+
+@pytest.mark.parametrize(
+    "values", [PLACE / 25.4, PLACE / 1000, PLACE - POINTS["P1"]], ids=["in", "m", "off"]
+)
+def test_results_in_another_form_are_named(
+    tracker: T2saTracker, peer: T2saPeer, values: Any
+) -> None:
+    x, y, z = values
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
+    )
+    found = measuring(tracker)
+    assert (type(found), found.code) == (DeviceError, "HC-T77")
+
+
+@pytest.mark.parametrize("value", ["NaN", "1,5", "1e308"])
+def test_a_result_that_is_no_number_is_no_reading(
+    tracker: T2saTracker, peer: T2saPeer, value: str
+) -> None:
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        f"ACK-300 Measured single pt {path} result: X:4010.0;Y:{value};Z:5.0;today"
+    )
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+
+
+@pytest.mark.parametrize(
+    ("code", "alarm", "kind"),
+    [
+        (200, "HC-T23", DeviceError),
+        (305, "HC-T11", NoReading),
+        (306, "HC-T72", DeviceError),
+        (323, "HC-T70", DeviceError),
+        (330, "HC-T13", NoReading),
+        (338, "HC-T70", DeviceError),
+        (340, "HC-T11", NoReading),
+        (341, "HC-T70", DeviceError),
+        (346, "HC-T72", DeviceError),
+        (399, "HC-T24", DeviceError),
+    ],
+)
+def test_codes_have_their_alarms(
+    tracker: T2saTracker, peer: T2saPeer, code: int, alarm: str, kind: type
+) -> None:
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: f"ERR-{code} Failed."
+    found = measuring(tracker)
+    assert (type(found), found.code, found.fields) == (kind, alarm, {"status": code})
+
+
+def test_a_busy_bridge_is_asked_again(tracker: T2saTracker, peer: T2saPeer) -> None:
+    honest, busy = peer.answers["!MEAS_SINGLE_POINT"], iter([True, True, False, False])
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: "ERR-201 busy" if next(busy) else honest(path)
+    tracker.measure(PLACE, SMR, 1)
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: "ERR-201 busy"
+    assert isinstance(measuring(tracker), NoReading)
+
+
+@pytest.mark.parametrize("group", ["", "A;B", "A\r\n!LST:2", "A:B"])
+def test_a_group_that_is_no_name_is_refused_with_the_options(make: Make, group: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match="group"):
+        make(group=group)
+
+
+# -- the wire -----------------------------------------------------------------------------------
+
+
+def test_letters_of_any_alphabet_in_a_date_are_read_over(
+    tracker: T2saTracker, peer: T2saPeer
+) -> None:
+    honest = peer.answers["!MEAS_SINGLE_POINT"]
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: f"{honest(path)} 2026/1/5 \xcf\xc2\xce\xe7"
+    assert tracker.measure(PLACE, SMR, 1).samples == 2
+
+
+def lost(tracker: T2saTracker) -> None:
+    assert measuring(tracker).code == "HC-T02"
+    assert measuring(tracker).code == "HC-T34"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "hello",
+        "ACK-300 READY",
+        "ACK-300 Single Point Measurement A;HILCELL;P4 result 1,2,3 today",
+        "x" * 5000,
+    ],
+)
+def test_a_line_that_is_no_answer_ends_the_connection(
+    tracker: T2saTracker, peer: T2saPeer, line: str
+) -> None:
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: line
+    lost(tracker)
+
+
+def keeps_silent(peer: T2saPeer, time: WireTime) -> Answer:
+    """Have no measurement answered until it is halted; return how they were answered."""
+    honest, halt = peer.answers["!MEAS_SINGLE_POINT"], peer.answers["!HALT"]
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: time.silence(0.1)
+    peer.answers["!HALT"] = lambda text: time.behind(halt(text), 0.0)
+    return honest
+
+
+def test_a_measurement_without_a_reply_is_halted(
+    tracker: T2saTracker, peer: T2saPeer, time: WireTime
+) -> None:
+    honest = keeps_silent(peer, time)
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T13")
+    assert peer.requests[-2:] == ["!HALT", "?LSTA"]
+    peer.answers["!MEAS_SINGLE_POINT"] = honest
+    tracker.measure(PLACE, SMR, 1)
+
+
+@pytest.mark.parametrize("asked", ["!HALT", "?LSTA"])
+@pytest.mark.parametrize(
+    "late",
+    [
+        "ERR-330 Error executing measure plan",
+        "ACK-300 Single Point Measurement A;HILCELL;P1 result 4011.0,-2990.0,5.0 today",
+    ],
+)
+def test_the_reply_of_a_halted_measurement_is_not_the_next_ones(
+    tracker: T2saTracker, peer: T2saPeer, time: WireTime, late: str, asked: str
+) -> None:
+    honest = keeps_silent(peer, time)
+    right = peer.answers[asked]
+    peer.answers[asked] = lambda text: f"{late}\r\n{right(text)}"
+    assert isinstance(measuring(tracker), NoReading)
+    peer.answers["!MEAS_SINGLE_POINT"] = honest
+    np.testing.assert_allclose(tracker.measure(PLACE, SMR, 1).xyz_mm, PLACE, atol=1e-3)
+
+
+@pytest.mark.parametrize("silent", ["!HALT", "?LSTA"])
+def test_a_halt_that_is_not_confirmed_ends_the_connection(
+    tracker: T2saTracker, peer: T2saPeer, time: WireTime, silent: str
+) -> None:
+    keeps_silent(peer, time)
+    peer.answers[silent] = lambda _: time.silence(0.1)
+    lost(tracker)
+
+
+def test_a_result_of_a_program_that_ran_before_is_passed_over(peer: T2saPeer, make: Make) -> None:
+    old = "ACK-300 Single Point Measurement A;HILCELL;P1 result 1.0,2.0,3.0 today"
+    peer.answers["?STAT"] = lambda _: f"{old}\r\nACK-300 Instrument is connected"
+    tracker = make()
+    tracker.connect()
+    assert tracker.measure(PLACE, SMR, 1).samples == 2
+
+
+def test_a_connection_that_breaks_is_lost(tracker: T2saTracker, peer: T2saPeer) -> None:
+    peer.drop()
+    lost(tracker)
+
+
+def test_a_list_that_vanished_is_kept_and_compared(
+    peer: T2saPeer, make: Make, points: Path
+) -> None:
+    tracker = make()
+    tracker.connect()
+    points.unlink()
+    peer.requests.clear()
+    tracker.connect()
+    assert len(peer.asked("?POINT_POS")) == len(POINTS)
+
+
+def test_a_stop_ends_a_wait_and_halts_the_measurement(
+    tracker: T2saTracker, peer: T2saPeer, time: WireTime
+) -> None:
+    begun = threading.Event()
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: begun.set()
+    with in_thread(lambda: tracker.measure(PLACE, SMR, 1), Stopped) as errors:
+        begun.wait()
+        time.stop.set()
+        tracker.stop()
+    assert len(errors) == 1
+    peer.halted.wait()
+    time.stop.clear()
+    assert measuring(tracker).code == "HC-T34"
+
+
+@pytest.mark.parametrize(
+    ("line", "reply"),
+    [
+        ("ACK-300 Instrument is connected", Reply(True, 300, "Instrument is connected")),
+        ("ACK-300 READY;07/27/2021 11:31:06", Reply(True, 300, "READY;07/27/2021 11:31:06")),
+        (
+            "ERR-201 Command rejected. SA is busy.",
+            Reply(False, 201, "Command rejected. SA is busy."),
+        ),
+        (" ERR-306: Did not find it.", Reply(False, 306, "Did not find it.")),
+        ("ACK-300", Reply(True, 300, "")),
+    ],
+)
+def test_replies(line: str, reply: Reply) -> None:
+    assert t2sa.parse(line) == reply
+
+
+@pytest.mark.parametrize("line", ["", "READY", "ACK-30 x", "ACK-3000 x", "NAK-300 x", "ERR-30A x"])
+def test_other_lines_are_no_replies(line: str) -> None:
+    with pytest.raises(Garbled):
+        t2sa.parse(line)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_reply_or_an_error(text: str) -> None:
+    try:
+        t2sa.parse(text)
+    except Garbled:
+        return
+    assert text.strip().startswith(("ACK-", "ERR-"))
+
+
+@pytest.mark.parametrize(
+    ("body", "xyz_mm"),
+    [
+        (
+            "Single Point Measurement A;M2;M2_P1 result -529.16349,319.1,285.1 8/19/2022 2:45 PM",
+            (-529.16349, 319.1, 285.1),
+        ),
+        ("Single Point Measurement M2_P1 result 1,-2.5,3e2 19.08.2022 14:45 True", (1, -2.5, 300)),
+        (
+            "Measured single pt M2_P1 result: X:-529.16349;Y:319.1;Z:285.1;07/27/2021 17:02 True",
+            (-529.16349, 319.1, 285.1),
+        ),
+        ("Measured single pt M2_P1 result: X:1.0;Y:2.0;Z:3.0", (1, 2, 3)),
+    ],
+)
+def test_positions(body: str, xyz_mm: tuple[float, ...]) -> None:
+    reply = t2sa.parse(f"ACK-300 {body}")
+    assert reply.is_result
+    np.testing.assert_array_equal(t2sa.position_of(reply, "M2_P1"), xyz_mm)
+
+
+@pytest.mark.parametrize("x", ["nan", "NaN", "inf", "-INF", "1_0", "", "0x1", "1e9999"])
+def test_values_that_are_no_numbers_are_not_finite(x: str) -> None:
+    reply = t2sa.parse(f"ACK-300 Measured single pt P1 result: X:{x};Y:2.0;Z:3.0;today")
+    assert not np.isfinite(t2sa.position_of(reply, "P1")[0])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "READY",
+        "Single Point Measurement P1 result 1,5,2,5,3,5 today",
+        "Single Point Measurement P1 result 1.0,2.0 today",
+        "Single Point Measurement A;G;P10 result 1,2,3 today",
+        "Measured single pt P2 result: X:1;Y:2;Z:3;today",
+    ],
+)
+def test_texts_without_the_points_position_are_refused(body: str) -> None:
+    with pytest.raises(Garbled):
+        t2sa.position_of(t2sa.parse(f"ACK-300 {body}"), "P1")
+
+
+@pytest.mark.parametrize(
+    ("xyz", "form"),
+    [
+        ([100.0, 0.0, 0.0], "in inches"),
+        ([2.54, 0.0, 0.0], "in metres"),
+        ([40.0, 0.0, 0.0], "as a deviation from the named point"),
+        ([7.0, 0.0, 0.0], ""),
+    ],
+)
+def test_forms_of_a_result(xyz: list[float], form: str) -> None:
+    named_mm, near_mm = np.array([2500.0, 0, 0]), np.array([2540.0, 0, 0])
+    forms = t2sa.other_forms(np.array(xyz), named_mm)
+    assert form_at(near_mm, 1.0, forms) == form

@@ -1,0 +1,77 @@
+"""What a driver makes of dashboard servers that are older than its questions, or are not there."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from drivers.universal_robots.robot_rtde import UrRtdeRobot
+from hilcell.cell.file import load_cell
+from hilcell.clock import WallClock
+from hilcell.ports import DeviceRefused
+from tests.drivers.peers import Server, refusal
+
+OLD = {
+    "PolyscopeVersion": "URSoftware 5.4.2.76197 (Jul 2019)",
+    "is in remote control": "true",
+}
+MODEL, SERIAL = {"get robot model": "UR10"}, {"get serial number": "2019350001"}
+
+
+@contextlib.contextmanager
+def panel(answers: dict[str, str]) -> Iterator[int]:
+    """Serve a dashboard that knows only some questions; return its port."""
+
+    def serve(wire: socket.socket) -> None:
+        wire.sendall(b"Connected: Universal Robots Dashboard Server\n")
+        with wire.makefile("rb") as lines:
+            for line in lines:
+                asked = line.decode().strip()
+                answer = answers.get(asked, f"could not understand: '{asked}'")
+                wire.sendall(f"{answer}\n".encode())
+
+    with Server(serve) as server:
+        yield server.port
+
+
+def robot_at(port: int, **options: Any) -> UrRtdeRobot:
+    return UrRtdeRobot(
+        UrRtdeRobot.Options(
+            host="127.0.0.1",
+            smr_mm=(0.0, 0.0, 0.0),
+            joint=load_cell("lab").robot.joint,
+            dashboard_port=port,
+            rtde_port=port,
+            **options,
+        ),
+        WallClock(threading.Event()),
+    )
+
+
+@pytest.mark.parametrize(
+    ("answers", "untold"),
+    [(OLD, "model"), (OLD | SERIAL, "model"), (OLD | MODEL, "serial number"), (SERIAL, "model")],
+)
+@pytest.mark.parametrize("model", ["UR10", "understand"])
+def test_a_polyscope_that_does_not_have_the_questions_is_too_old(
+    answers: dict[str, str], untold: str, model: str
+) -> None:
+    with panel(answers) as port:
+        found = refusal(robot_at(port, model=model, serial="2019350001").connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-B69")
+    assert f"does not tell its {untold}" in found.found
+    assert answers.get("PolyscopeVersion", "unknown") in found.found
+    assert {"3.12", "5.6"} <= set(found.wanted.replace(",", "").split())
+
+
+def test_a_robot_whose_dashboard_refuses_connections_may_have_polyscope_x() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    found = refusal(robot_at(port).connect)
+    assert found.code == "HC-B01"
+    assert "PolyScope X, which has no dashboard server" in found.act
