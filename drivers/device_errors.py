@@ -30,12 +30,14 @@ class Errors(Generic[Error]):
         operation: str,
         found: str,
         *,
-        wanted: str = "",
+        expected: str = "",
         act: str = "",
         **fields: object,
     ) -> Error:
         values = {**self.fields, **fields}
-        return self.kind(code, self.device, operation, found, wanted=wanted, act=act, fields=values)
+        return self.kind(
+            code, self.device, operation, found, expected=expected, act=act, fields=values
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,34 +60,34 @@ class MotionLimits:
         real = self._at_least.over()
         return real and not self._stands and not self.spent_s <= self.limit_s
 
-    def stall_error(self, where: str, wanted: str, axes_deg: Array) -> DeviceError:
+    def stall_error(self, where: str, expected: str, axes_deg: Array) -> DeviceError:
         """Return the error of a motion that gets no further; ``where`` tells its axes."""
         waited_s = self._stall_s
         found = f"no axis moved for {waited_s:.0f} s {where}"
         return ROBOT.failed(
-            "HC-B23", "move", found, wanted=wanted, waited_s=waited_s, axes_deg=axes_deg
+            "HC-B23", "move", found, expected=expected, waited_s=waited_s, axes_deg=axes_deg
         )
 
-    def time_error(self, where: str, wanted: str, axes_deg: Array) -> DeviceError:
+    def time_error(self, where: str, expected: str, axes_deg: Array) -> DeviceError:
         """Return the error of a motion that takes far longer than was planned."""
         return ROBOT.failed(
             "HC-B29",
             "move",
             f"still under way after {self.spent_s:.0f} s at full speed, {where}",
-            wanted=f"{wanted} within {self.limit_s:.0f} s",
+            expected=f"{expected} within {self.limit_s:.0f} s",
             spent_s=self.spent_s,
             limit_s=self.limit_s,
             axes_deg=axes_deg,
         )
 
 
-def stopped_short(at: str, wanted: str, axes_deg: Array, target_deg: Array) -> DeviceError:
+def stopped_short(at: str, expected: str, axes_deg: Array, target_deg: Array) -> DeviceError:
     """Return the error of an arm that does not stand at its target after its acknowledgement."""
     return ROBOT.failed(
         "HC-B24",
         "move",
         f"stands or creeps at {at}",
-        wanted=f"{wanted} deg, at rest",
+        expected=f"{expected} deg, at rest",
         axes_deg=axes_deg,
         target_deg=target_deg,
     )
@@ -100,23 +100,23 @@ def checked_target(joints_rad: Array, speed_percent: float) -> Array:
         deg = np.degrees(target_rad)
     if deg.shape != (6,) or not bool(np.all(np.isfinite(deg))):
         raise ROBOT.failed(
-            "HC-B28", "move", f"target {deg} deg", wanted="six finite angles", target_deg=deg
+            "HC-B28", "move", f"target {deg} deg", expected="six finite angles", target_deg=deg
         )
     if not 1.0 <= speed_percent <= 100.0:
         raise ROBOT.failed(
             "HC-B28",
             "move",
             f"speed {speed_percent} %",
-            wanted="1 to 100 %",
+            expected="1 to 100 %",
             speed_percent=speed_percent,
         )
     return target_rad
 
 
-def unwell(code: str, variable: str, found: str, wanted: str, *, moving: bool) -> DeviceError:
+def unwell(code: str, variable: str, found: str, expected: str, *, moving: bool) -> DeviceError:
     """Return the error of a state that forbids to go on; ``moving`` makes it a fault."""
     error, operation = (ROBOT.failed, "move") if moving else (ROBOT.refused, "check")
-    return error(code, operation, f"{variable} is {found}", wanted=wanted, variable=variable)
+    return error(code, operation, f"{variable} is {found}", expected=expected, variable=variable)
 
 
 def joints_text(joints_deg: Array) -> str:
@@ -125,17 +125,19 @@ def joints_text(joints_deg: Array) -> str:
     return f"{joints} deg" + "".join(f", E1 {slide_mm:.3f} mm" for slide_mm in joints_deg[6:])
 
 
-def check_identity(model: str, fits_in: str, serial: str, wanted: str) -> None:
-    """Refuse a robot without ``fits_in`` in its model, or of another serial number than wanted.
+def check_identity(model: str, fits_in: str, serial: str, expected: str) -> None:
+    """Refuse a robot without ``fits_in`` in its model, or of another serial number than expected.
 
-    Raises `DeviceRefused`. A ``wanted`` of "" is any.
+    Raises `DeviceRefused`. A ``expected`` of "" is any.
     """
     if fits_in not in model:
         raise ROBOT.refused(
-            "HC-B05", "connect", f"model {model!r}", wanted=f"{fits_in!r} in it", model=model
+            "HC-B05", "connect", f"model {model!r}", expected=f"{fits_in!r} in it", model=model
         )
-    if wanted not in ("", serial):
-        raise ROBOT.refused("HC-B05", "connect", f"serial {serial}", wanted=wanted, serial=serial)
+    if expected not in ("", serial):
+        raise ROBOT.refused(
+            "HC-B05", "connect", f"serial {serial}", expected=expected, serial=serial
+        )
 
 
 def planned_s(distance_deg: Array, speed_deg_s: Array, speed_percent: float) -> float:

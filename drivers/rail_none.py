@@ -32,7 +32,7 @@ class NoRail:
                 "Rail",
                 "move",
                 f"target {position_mm:.3f} mm",
-                wanted="0 mm: this cell has no rail",
+                expected="0 mm: this cell has no rail",
                 act="choose a procedure of robot and tracker alone",
                 fields={"target_mm": position_mm, "lowest_mm": 0.0, "highest_mm": 0.0},
             )

@@ -70,7 +70,7 @@ class ScaleGuard:
             operation,
             f"the slide went {drive_mm:.1f} mm by the drive and {strip_mm:.1f} mm by "
             f"the strip: a ratio of {ratio:.4g}",
-            wanted=f"one way within {self.SHARE:.0%}",
+            expected=f"one way within {self.SHARE:.0%}",
             act=act,
             drive_mm=drive_mm,
             strip_mm=strip_mm,

@@ -267,7 +267,7 @@ class Standing(Generic[P]):
             "HC-S06",
             "settle",
             f"strip {strip_mm:.2f} mm, speed {speed_mm_s:.3f} mm/s",
-            wanted=f"{READINGS} readings within +-1 count, the drive's within "
+            expected=f"{READINGS} readings within +-1 count, the drive's within "
             f"{windows.spread / self._units_per_mm:.3f} mm, <= "
             f"{windows.speed / self._units_per_mm:.3f} mm/s, over {windows.dwell_s:.2f} s, "
             f"within {limit_s:.0f} s",
@@ -289,7 +289,7 @@ def check_travel(position_mm: float, lowest_mm: float, highest_mm: float) -> Non
             "HC-R36",
             "move",
             f"target {position_mm:.3f} mm",
-            wanted=f"{lowest_mm:.1f} .. {highest_mm:.1f} mm",
+            expected=f"{lowest_mm:.1f} .. {highest_mm:.1f} mm",
             target_mm=position_mm,
             lowest_mm=lowest_mm,
             highest_mm=highest_mm,

@@ -138,7 +138,7 @@ class SerialStrip:
                 "HC-R08",
                 "connect",
                 f"strip sensor {serial}",
-                wanted=f"{self._options.serial}",
+                expected=f"{self._options.serial}",
                 serial=serial,
             )
         simulated = says_simulated(model)
@@ -185,19 +185,19 @@ class StripNode(Node):
 
     def _check_step(self) -> None:
         """Refuse a strip whose step, where it tells one, is not that of the cell file."""
-        wanted_nm = cia.step_nm(self._counts_per_mm)
+        expected_nm = cia.step_nm(self._counts_per_mm)
         for found_nm, where in (
             (self._step(), "6005h"),
             (self.sdo.read_if_present(Object.POSITION_STEP), "6501h"),
         ):
-            if found_nm is not None and found_nm != wanted_nm:
+            if found_nm is not None and found_nm != expected_nm:
                 raise STRIP.refused(
                     "HC-S07",
                     "connect",
                     f"strip step ({where}) is {found_nm} nm",
-                    wanted=f"{wanted_nm} nm",
+                    expected=f"{expected_nm} nm",
                     step_nm=found_nm,
-                    wanted_nm=wanted_nm,
+                    wanted_nm=expected_nm,
                 )
 
     def _step(self) -> int | None:

@@ -111,7 +111,7 @@ class Supervision:
                 self._code,
                 "move",
                 f"PC late: {gap_s:.2f} s without a look at the motion",
-                wanted=f"<= {self._late_s:.2f} s",
+                expected=f"<= {self._late_s:.2f} s",
                 gap_s=gap_s,
                 limit_s=self._late_s,
             )

@@ -25,10 +25,12 @@ BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 Positive = Annotated[float, Meta(gt=0)]
 
 
-def check_serial(serial: str, wanted: str) -> None:
+def check_serial(serial: str, expected: str) -> None:
     """Refuse a tracker whose serial number is not that of the cell file; "" there is any."""
-    if wanted not in ("", serial):
-        raise TRACKER.refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, serial=serial)
+    if expected not in ("", serial):
+        raise TRACKER.refused(
+            "HC-T03", "connect", f"serial {serial}", expected=expected, serial=serial
+        )
 
 
 def leica_identity(name: str, besides: str, serial: str, address: str, firmware: str) -> Identity:
@@ -44,17 +46,17 @@ def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") 
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
         found = f"{samples} samples at {near_mm} mm"
-        wanted = ">= 1 sample at three finite coordinates"
-        raise TRACKER.failed("HC-T35", operation, found, wanted=wanted)
+        expected = ">= 1 sample at three finite coordinates"
+        raise TRACKER.failed("HC-T35", operation, found, expected=expected)
     return near_mm
 
 
 def check_reflector(reflector: str, known: list[str], found: str) -> None:
     """Refuse a reflector whose constant the tracker has not; ``found`` says which it has."""
     if reflector not in known:
-        operation, wanted = "choose reflector", repr(reflector)
+        operation, expected = "choose reflector", repr(reflector)
         raise TRACKER.refused(
-            "HC-T07", operation, found, wanted=wanted, reflector=reflector, known=known
+            "HC-T07", operation, found, expected=expected, reflector=reflector, known=known
         )
 
 
@@ -66,7 +68,7 @@ def not_kept(
         "HC-T06",
         f"set {setting}",
         f"reads back as {read}{why}",
-        wanted=f"{written}",
+        expected=f"{written}",
         act=act,
         setting=setting,
         read=read,
@@ -77,7 +79,7 @@ def not_kept(
 def changed(setting: str, found: str, kept: str, act: str = "") -> DeviceError:
     """Return the error of a setting that is another one than before."""
     operation = f"read {setting} again"
-    return TRACKER.failed("HC-T06", operation, found, wanted=kept, act=act, setting=setting)
+    return TRACKER.failed("HC-T06", operation, found, expected=kept, act=act, setting=setting)
 
 
 def form_at(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:
@@ -94,7 +96,7 @@ def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> No
         "HC-T16",
         operation,
         f"the reflector is {off_mm:.2f} mm from its expected place",
-        wanted=f"<= {radius_mm:.2f} mm",
+        expected=f"<= {radius_mm:.2f} mm",
         act="another reflector was caught, a late result came, or units differ; clear the view",
         off_mm=off_mm,
         limit_mm=radius_mm,
@@ -103,8 +105,8 @@ def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> No
 
 def unsteady(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
     """Return the error of a result that scatters; ``figures`` are the values behind ``found``."""
-    wanted, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
-    return TRACKER.no_reading("HC-T15", "measure", found, wanted=wanted, act=act, **figures)
+    expected, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
+    return TRACKER.no_reading("HC-T15", "measure", found, expected=expected, act=act, **figures)
 
 
 def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:

@@ -93,7 +93,7 @@ class Stopped(HilcellError):
 
 
 class DeviceError(HilcellError):
-    """A device failed: its code, the device, the operation, found and wanted value, next act.
+    """A device failed: its code, the device, the operation, found and expected value, next act.
 
     ``fields`` are the values behind the words, for programs: plain, with units in their names.
     ``causes`` are the errors of several devices that failed together.
@@ -108,21 +108,21 @@ class DeviceError(HilcellError):
         operation: str,
         found: str,
         *,
-        wanted: str = "",
+        expected: str = "",
         act: str = "",
         causes: Mapping[str, HilcellError] | None = None,
         fields: Mapping[str, object] | None = None,
     ) -> None:
         self.device, self.operation, self.found = device, operation, found
-        self.wanted, self.act = wanted, act
+        self.expected, self.act = expected, act
         self.causes, self.fields = dict(causes or {}), dict(fields or {})
         super().__init__(code=code)
 
     @property
     def summary(self) -> str:
         """Return the message without the act, for callers that advise better."""
-        wanted = f", wanted {self.wanted}" if self.wanted else ""
-        return f"{self.device}: {self.operation}: {self.found}{wanted}"
+        expected = f", expected {self.expected}" if self.expected else ""
+        return f"{self.device}: {self.operation}: {self.found}{expected}"
 
     def __str__(self) -> str:
         tree = "".join(f"\n  {name}\n    {error}" for name, error in self.causes.items())
@@ -134,7 +134,7 @@ class DeviceError(HilcellError):
             "device": self.device,
             "operation": self.operation,
             "found": self.found,
-            "wanted": self.wanted,
+            "wanted": self.expected,
             "act": self.act,
             "fields": {name: _plain(value) for name, value in self.fields.items()},
             "causes": [cause.facts() for cause in self.causes.values()],
@@ -157,7 +157,7 @@ class NoReading(DeviceError):
             self.device,
             f"{self.operation} {key}",
             self.found,
-            wanted=self.wanted,
+            expected=self.expected,
             act=self.act,
             fields=self.fields | {"point": key},
         )

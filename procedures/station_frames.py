@@ -230,7 +230,7 @@ def check_accepted(cell: Cell, station: Station, fit: RigidFit) -> float:
             f"station frame {station.name}",
             f"the tool point would be uncertain by {found_mm:.3f} mm (3-D, 1 sigma) at the cube's "
             "worst corner",
-            wanted=f"<= {limit_mm:.3f} mm (layout.max_tool_std_mm)",
+            expected=f"<= {limit_mm:.3f} mm (layout.max_tool_std_mm)",
             act="clean and tighten nests and reflectors, take more readings (layout.nest_samples) "
             "or nests further apart, then start a new run",
             fields={
@@ -404,7 +404,7 @@ class Moved:
                 f"station frame {station.name}",
                 f"slide nests {', '.join(names)} have moved against the others: a distance changed "
                 f"by {self.worst_mm:.3f} mm",
-                wanted=f"<= {self.limit_mm:.3f} mm, or {least} nests that agree",
+                expected=f"<= {self.limit_mm:.3f} mm, or {least} nests that agree",
                 act="see that every reflector sits in its own nest and is clean, that no nest is "
                 "loose; then start a new run",
                 fields={

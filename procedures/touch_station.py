@@ -151,7 +151,7 @@ def check_agreement(
         f"touch poses at {station.name}",
         f"they move the base by {found.pull:.1f} sigma of the station frame and leave "
         f"{found.misfit:.1f} sigma of their own",
-        wanted=f"<= {most_pull:g} and <= {MOST_MISFIT:g} sigma",
+        expected=f"<= {most_pull:g} and <= {MOST_MISFIT:g} sigma",
         act="a nest, the strip, the tool or an axis' zero has changed; check them, then start a "
         "new run",
         fields=suspicion.facts

@@ -90,7 +90,7 @@ def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> N
 def test_the_alarm_is_listed_and_raised() -> None:
     rows = tomllib.loads(BLOCKS["drivers/alarms/tracker_lines.toml"])["alarm"]
     (entry,) = (msgspec.convert(row, Entry) for row in rows)
-    with pytest.raises(NoReading, match="battery 7 %, wanted >= 10 %; connect") as raised:
+    with pytest.raises(NoReading, match="battery 7 %, expected >= 10 %; connect") as raised:
         exec(
             BLOCKS["drivers/tracker_lines.py, in measure"], {"NoReading": NoReading, "percent": 7.0}
         )

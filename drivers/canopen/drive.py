@@ -30,7 +30,7 @@ class Drive:
     """Drives one axis; used by one thread."""
 
     POLL_S = 0.02
-    STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
+    STALL_S = 3.0  # wire deadline, beside the dwell: neither the expected state nor progress
     FULL_SPEED = 100.0  # percent: the drive has no override
     AT_SWITCH_MM = 25.0  # from the end of the travel with its slack: a limit there is that switch
     LEAVE_MM = 20.0  # a switch is left by then
@@ -150,18 +150,18 @@ class Drive:
         with self._supervision.motion():
             self._image.control(Control.START)
             until("homing started", lambda now: self._homes(before, now))
-            wanted, attained = (
+            expected, attained = (
                 "homing attained at standstill",
                 Bit.ACKNOWLEDGED | Bit.TARGET_REACHED,
             )
-            now = until(wanted, lambda s: s.has(attained), self._limits.homing_s, at_rest=True)
+            now = until(expected, lambda s: s.has(attained), self._limits.homing_s, at_rest=True)
         self._image.control(Control.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise RAIL.failed(
                 "HC-R35",
                 operation,
                 f"the drive stands at {self._limits.mm(now.position)}",
-                wanted=f"0 +-{self._limits.mm(tolerance)}",
+                expected=f"0 +-{self._limits.mm(tolerance)}",
                 position_mm=now.position / self._limits.counts_per_mm,
                 tolerance_mm=tolerance / self._limits.counts_per_mm,
             )
@@ -179,9 +179,9 @@ class Drive:
             self._image.control(Control.START, target)
             until("set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED))
             self._image.control(Control.ENABLE_OPERATION, target)
-            wanted = f"target reached at {self._limits.mm(target)}, at standstill"
+            expected = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
-            until(wanted, lambda now: self._arrived(now, target), planned_s, at_rest=True)
+            until(expected, lambda now: self._arrived(now, target), planned_s, at_rest=True)
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll.
@@ -226,7 +226,7 @@ class Drive:
     def _until(
         self,
         operation: str,
-        wanted: str,
+        expected: str,
         done: Callable[[Snapshot], bool],
         planned_s: float = 0.0,
         *,
@@ -255,14 +255,14 @@ class Drive:
                 cause, act = _why_not(now, moving=moving)
                 found = f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}"
                 raise self._at(now).failed(
-                    "HC-R31", operation, found, wanted=wanted, act=act, waited_s=stall_s
+                    "HC-R31", operation, found, expected=expected, act=act, waited_s=stall_s
                 )
             if limits.overdue(self.standing.now_s, self.FULL_SPEED):
                 raise self._at(now).failed(
                     "HC-R28",
                     operation,
                     f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
-                    wanted=f"{wanted} within {limits.limit_s:.0f} s",
+                    expected=f"{expected} within {limits.limit_s:.0f} s",
                     spent_s=limits.spent_s,
                     limit_s=limits.limit_s,
                 )
@@ -279,7 +279,7 @@ class Drive:
             operation,
             f"the slide does not come to rest: speed {limits.mm(speed)}/s, "
             f"drive within {limits.mm(spread)}, strip within {strip_spread} counts",
-            wanted=f"<= {limits.mm(windows.speed)}/s, {limits.mm(windows.spread)} and "
+            expected=f"<= {limits.mm(windows.speed)}/s, {limits.mm(windows.spread)} and "
             f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
             act="check the slide for creep and the servo for hunting; where both are well, widen "
             "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
@@ -325,8 +325,8 @@ class Drive:
         gap = target - before.position
         if abs(gap) > self._limits.window and not gap * self._side(before) < 0:
             found = f"limit active at {self._limits.mm(before.position)}"
-            wanted = "a motion away from the limit switch"
-            raise self._at(before).failed("HC-R32", operation, found, wanted=wanted)
+            expected = "a motion away from the limit switch"
+            raise self._at(before).failed("HC-R32", operation, found, expected=expected)
         self._left_limit = before.position
 
     def _side(self, now: Snapshot) -> int:

@@ -238,7 +238,7 @@ class MotionGuard:
             operation,
             f"speed {limits.mm(seen.by_positions)}/s by positions (6064h) and time, "
             f"{limits.mm(seen.by_drive)}/s by the drive (606Ch): a factor of {seen.factor:.3g}",
-            wanted="one speed by both",
+            expected="one speed by both",
             act=act,
             position_mm=now.position / limits.counts_per_mm,
             speed_mm_s=seen.by_positions / limits.counts_per_mm,

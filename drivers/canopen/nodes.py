@@ -118,7 +118,7 @@ class NodeWatch:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """The wanted identity of a node; 0 is not checked."""
+    """The expected identity of a node; 0 is not checked."""
 
     name: str
     node: int
@@ -176,7 +176,7 @@ class Node(NodeWatch):
                         "HC-R05",
                         "connect",
                         f"node {expected.node} ({expected.name}) does not answer{losses}",
-                        wanted=f"an answer within {FIND_S:.0f} s",
+                        expected=f"an answer within {FIND_S:.0f} s",
                         act=act,
                         node=expected.node,
                         name=expected.name,
@@ -198,14 +198,14 @@ class Node(NodeWatch):
 
         Raises `Unsupported`.
         """
-        wanted_ms = round(1000 * heartbeat_period_s(bitrate))
+        expected_ms = round(1000 * heartbeat_period_s(bitrate))
         refusals = []
-        for period_ms in (wanted_ms, 100, 200):  # several within the limit of a node's silence
+        for period_ms in (expected_ms, 100, 200):  # several within the limit of a node's silence
             refusal = self.sdo.offer(Object.PRODUCER_HEARTBEAT, 0, period_ms)
             if refusal is None:
                 return
             refusals.append(refusal)
-        what = f"1017h:00 = {wanted_ms} (the PC notices that the node has died)"
+        what = f"1017h:00 = {expected_ms} (the PC notices that the node has died)"
         raise Unsupported(refusals[0], what)
 
 
@@ -217,20 +217,20 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
         ("product (1018h:02)", sdo.read_if_present(Object.IDENTITY, 2) or 0, expected.product),
         ("serial (1018h:04)", sdo.read_if_present(Object.IDENTITY, 4) or 0, expected.serial),
     )
-    for what, found, wanted in checks:
-        if wanted and found != wanted:
+    for what, value, required in checks:
+        if required and value != required:
             raise RAIL.refused(
                 "HC-R08",
                 "connect",
-                f"node {expected.node} ({expected.name}): {what} is 0x{found:X}",
-                wanted=f"0x{wanted:X}",
+                f"node {expected.node} ({expected.name}): {what} is 0x{value:X}",
+                expected=f"0x{required:X}",
                 node=expected.node,
                 name=expected.name,
                 object=what,
-                found_value=found,
-                wanted_value=wanted,
+                found_value=value,
+                wanted_value=required,
             )
-    vendor, product, serial = (found for _, found, _ in checks[1:])
+    vendor, product, serial = (value for _, value, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
     where = f"{address} node {expected.node}"
     try:
@@ -330,7 +330,7 @@ def start_nodes(link: CanLink, nodes: Sequence[Node], check: Callable[[], None])
                 "HC-R10",
                 "connect",
                 f"nodes do not start: {states}",
-                wanted=f"{state_text(NodeState.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
+                expected=f"{state_text(NodeState.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
                 nodes=[n.number for n in waiting],
                 waited_s=OPERATIONAL_S,
             )

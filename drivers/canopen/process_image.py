@@ -300,7 +300,7 @@ class ProcessImage:
                 "HC-R39",
                 "move",
                 f"PC late: the reading to move by is {age_s:.1f} s old",
-                wanted=f"<= {self.COMMAND_AGE_S:.1f} s",
+                expected=f"<= {self.COMMAND_AGE_S:.1f} s",
                 age_s=age_s,
                 limit_s=self.COMMAND_AGE_S,
             )

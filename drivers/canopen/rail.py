@@ -348,7 +348,7 @@ class Release:
                     "HC-R37",
                     "close",
                     f"{found}: {now.state.value}, speed {now.velocity} counts/s",
-                    wanted=f"held within {limit_s:.0f} s",
+                    expected=f"held within {limit_s:.0f} s",
                     act="keep away from the slide; press the E-stop, or switch the drive off",
                     state=now.state.value,
                     waited_s=self.RELEASE_S,
@@ -416,7 +416,7 @@ class Release:
                             silent.code,
                             "close",
                             silent.found,
-                            wanted="a drive that is confirmed held",
+                            expected="a drive that is confirmed held",
                             act="keep away from the slide, it may move: press the E-stop; then "
                             "check the drive's power and the bus",
                         ) from error

@@ -57,7 +57,7 @@ class Unsupported(DeviceError):
             RAIL.name,
             refusal.operation,
             f"not supported: {what}; {refusal.found}",
-            wanted="what docs/hardware.md says that a device must have",
+            expected="what docs/hardware.md says that a device must have",
             act="set the device up for it, or take one that has it",
             fields={**refusal.fields, "what": what},
         )
@@ -158,7 +158,7 @@ class SdoChannel:
                 "HC-R09",
                 operation,
                 f"reads back as {found}",
-                wanted=str(value),
+                expected=str(value),
                 node=self._number,
                 object=_name(index, sub),
                 read=found,
@@ -249,7 +249,7 @@ class SdoChannel:
                 "HC-R45",
                 "ask",
                 f"node {self._number} has answered {self._doubles} questions in a row twice",
-                wanted="one answer",
+                expected="one answer",
                 node=self._number,
                 doubles=self._doubles,
             )
@@ -289,7 +289,7 @@ def _number(data: bytes, variable: ODVariable) -> int:
     if not data or not lowest <= value < lowest + (1 << bits):
         raise SdoCommunicationError(
             f"an answer of {len(data)} bytes ({data.hex(' ') or 'none'}), "
-            f"wanted a number of {bits // 8} bytes"
+            f"expected a number of {bits // 8} bytes"
         )
     return value
 

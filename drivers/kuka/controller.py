@@ -130,7 +130,7 @@ class Controller(Protocol):
     def end_brake(self) -> None:
         """Tell the program that the stop is over."""
 
-    def lower_override(self, found: int, wanted: int) -> None:
+    def lower_override(self, found: int, expected: int) -> None:
         """Lower $OV_PRO so that the controller itself knows its old value."""
 
     def give_back_override(self) -> None:
@@ -161,16 +161,16 @@ class Controller(Protocol):
         """Whether an override is still to be given back."""
         return self.integer("HC_OV_OLD") != 0
 
-    def check_override(self, wanted: int) -> None:
+    def check_override(self, expected: int) -> None:
         """Raise `DeviceError` where the override is not what was ordered."""
-        if (found := self.integer("$OV_PRO")) != wanted:
+        if (found := self.integer("$OV_PRO")) != expected:
             raise ROBOT.failed(
                 "HC-B40",
                 "sweep",
                 f"$OV_PRO is {found}",
-                wanted=f"{wanted}",
+                expected=f"{expected}",
                 override=found,
-                wanted_override=wanted,
+                wanted_override=expected,
             )
 
     def has_slide(self) -> bool:

@@ -88,7 +88,7 @@ class KukaE1Rail:
                 "HC-R53",
                 "home",
                 f"E1 {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
-                wanted=f"<= {limit_mm:.2f} mm apart",
+                expected=f"<= {limit_mm:.2f} mm apart",
                 drive_mm=reading.position_mm,
                 strip_mm=reading.strip_mm,
                 limit_mm=limit_mm,

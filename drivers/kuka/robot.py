@@ -74,7 +74,7 @@ BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
 
 
 class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wanted identity of the controller, whichever wire leads to it."""
+    """The expected identity of the controller, whichever wire leads to it."""
 
     host: Host
     smr_mm: tuple[float, float, float]
@@ -212,9 +212,9 @@ class KukaRobot:
     def verify_axis(self) -> Identity:
         if self.slide_mm is None:
             found = "the controller has no external axis: $EX_AX_NUM is 0"
-            raise RAIL.refused("HC-R50", "connect", found, wanted="one")
+            raise RAIL.refused("HC-R50", "connect", found, expected="one")
         if not self._slide_wire().mastered():
-            raise RAIL.refused("HC-R51", "connect", "$AXIS_JUS[7] is FALSE", wanted="TRUE")
+            raise RAIL.refused("HC-R51", "connect", "$AXIS_JUS[7] is FALSE", expected="TRUE")
         of = self._identity
         return replace(of, device=RAIL.name, model=f"E1 of {of.model}", kind="drive")
 
@@ -284,8 +284,8 @@ class KukaRobot:
 
     def _identify(self) -> Identity:
         model, serial = self.wire().text("$TRAFONAME[]"), self.wire().integer("$KR_SERIALNO")
-        wanted = self._options
-        check_identity(model, wanted.model, str(serial), str(wanted.serial or ""))
+        expected = self._options
+        check_identity(model, expected.model, str(serial), str(expected.serial or ""))
         simulated = says_simulated(model)
         return Identity(
             ROBOT.name, model, str(serial), self.wire().address, simulated, "robot", "KUKA"
@@ -306,22 +306,24 @@ class KukaRobot:
         if any(found == value and type(found) is type(value) for value in good):
             return None
         text = str(found).upper() if isinstance(found, bool) else clean(str(found))
-        wanted = " or ".join(str(value).upper() for value in good)
+        expected = " or ".join(str(value).upper() for value in good)
         if isinstance(good, range):
-            wanted = f"{good[0]} to {good[-1]}"
-        return unwell(code, name, text, wanted, moving=self._under_way)
+            expected = f"{good[0]} to {good[-1]}"
+        return unwell(code, name, text, expected, moving=self._under_way)
 
-    def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
+    def _check_frame(self, name: str, expected: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, POSE)
-        if not all(abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
+        if not all(
+            abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, expected, strict=True)
+        ):
             raise ROBOT.refused(
                 "HC-B06",
                 "connect",
                 f"{name} is {frame_text(found)}",
-                wanted=frame_text(wanted),
+                expected=frame_text(expected),
                 variable=name,
                 found_frame=found,
-                wanted_frame=wanted,
+                wanted_frame=expected,
             )
 
     def _take_back_stop(self) -> None:
@@ -343,7 +345,7 @@ class KukaRobot:
                     "HC-B25",
                     "connect",
                     f"HC_ACK {acknowledged}",
-                    wanted=f"HC_SEQ {self._sequence}",
+                    expected=f"HC_SEQ {self._sequence}",
                     acknowledged=acknowledged,
                     sequence=self._sequence,
                 )
@@ -386,14 +388,14 @@ class KukaRobot:
 
     def _check_progress(self, limits: MotionLimits, number: int) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
-        now_deg, wanted = self._axes(), f"HC_ACK {number}"
+        now_deg, expected = self._axes(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             if error := self.wire().integer("HC_ERR"):
                 raise refused_motion(error)
-            raise limits.stall_error(self._where(now_deg), wanted, now_deg)
+            raise limits.stall_error(self._where(now_deg), expected, now_deg)
         if limits.overdue(self._clock.now_s(), self._override):
-            raise limits.time_error(self._where(now_deg), wanted, now_deg)
+            raise limits.time_error(self._where(now_deg), expected, now_deg)
 
     def _where(self, now_deg: Array) -> str:
         return f"at {joints_text(now_deg)}, HC_ACK {self.wire().integer('HC_ACK')}"
@@ -403,7 +405,7 @@ class KukaRobot:
         # The pose means something only with the tool and the base that connect has verified.
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
-        wanted = self._whole(target_deg)
+        expected = self._whole(target_deg)
         for _ in looks(REST_S, self.POLL_LOOK_S):
             taken_s = self._clock.pc_s()
             controller.look()
@@ -411,12 +413,12 @@ class KukaRobot:
             self._clock.wait(self.DWELL_S)
             controller.look()
             pose = self._pose()
-            arrived = bool(np.all(np.abs(axes - wanted) <= self.ARRIVED[: len(wanted)]))
+            arrived = bool(np.all(np.abs(axes - expected) <= self.ARRIVED[: len(expected)]))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
                 self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
                 return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
-        tolerance = f"{joints_text(wanted)} +-{self.AXIS_TOLERANCE_DEG}"
-        raise stopped_short(joints_text(axes), tolerance, axes, wanted)
+        tolerance = f"{joints_text(expected)} +-{self.AXIS_TOLERANCE_DEG}"
+        raise stopped_short(joints_text(axes), tolerance, axes, expected)
 
     # -- for a sweep as well ------------------------------------------------------------------
 
@@ -511,7 +513,7 @@ class KukaSweep:
                 "HC-B28",
                 "sweep",
                 f"axis {axis + 1} to {end_deg} deg",
-                wanted="an axis of 1 to 6, a finite angle",
+                expected="an axis of 1 to 6, a finite angle",
             )
         full = float(full_deg_s[axis])
         if not full / 100**2 <= speed_deg_s <= full:
@@ -519,7 +521,7 @@ class KukaSweep:
                 "HC-B28",
                 "sweep",
                 f"{speed_deg_s} deg/s",
-                wanted=f"{full / 100**2:.4f} to {full:g} deg/s",
+                expected=f"{full / 100**2:.4f} to {full:g} deg/s",
                 speed_deg_s=speed_deg_s,
             )
         self.speed_rad_s, self.ended = float(np.radians(speed_deg_s)), False
@@ -611,11 +613,11 @@ class KukaSweep:
 
         The operator's ``override`` is never raised; of equal ones the highest is taken.
         """
-        wanted = share * 100**2 * (1.0 + 1e-9)
+        expected = share * 100**2 * (1.0 + 1e-9)
         pairs = [
             (velocity * lowered, lowered, velocity)
             for velocity in range(1, 101)
-            if (lowered := min(override, int(wanted / velocity))) >= 1
+            if (lowered := min(override, int(expected / velocity))) >= 1
         ]
         _, lowered, velocity = max(pairs)
         return velocity, lowered

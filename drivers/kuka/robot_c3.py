@@ -250,12 +250,12 @@ class C3Controller(Controller):
     def end_brake(self) -> None:
         self._line.write("HC_STOP", "FALSE")
 
-    def lower_override(self, found: int, wanted: int) -> None:
+    def lower_override(self, found: int, expected: int) -> None:
         """Write both values before the override itself."""
-        self._line.write("HC_OV_SET", str(wanted))
+        self._line.write("HC_OV_SET", str(expected))
         self._line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
-        self._line.write("$OV_PRO", str(wanted))
-        self.check_override(wanted)
+        self._line.write("$OV_PRO", str(expected))
+        self.check_override(expected)
 
     def give_back_override(self) -> None:
         before = self.integer("HC_OV_OLD")
@@ -284,7 +284,7 @@ class KukaC3Robot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Address and wanted identity of the controller."""
+        """Address and expected identity of the controller."""
 
         port: Port = 7000
 

@@ -257,7 +257,7 @@ class EkiChannel(Line):
                 "HC-B49",
                 operation,
                 f"{self._link.address}: {error}",
-                wanted=f"a document <{self._root}>",
+                expected=f"a document <{self._root}>",
                 address=self._link.address,
             ) from error
 
@@ -364,10 +364,10 @@ class EkiController(Controller):
     def end_brake(self) -> None:
         self._send(Kind.RELEASE)
 
-    def lower_override(self, found: int, wanted: int) -> None:
+    def lower_override(self, found: int, expected: int) -> None:
         """Have the controller keep the old value and set the new one."""
-        self._send(Kind.LOWER, wanted)
-        self.check_override(wanted)
+        self._send(Kind.LOWER, expected)
+        self.check_override(expected)
 
     def give_back_override(self) -> None:
         self._send(Kind.GIVE_BACK)
@@ -400,7 +400,7 @@ class KukaEkiRobot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Address and wanted identity of the controller."""
+        """Address and expected identity of the controller."""
 
         port: Port = 54600
         stop_port: Port = 54601

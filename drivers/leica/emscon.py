@@ -405,7 +405,7 @@ class EmsconSettings:
                 "HC-T06",
                 "connect",
                 f"a transformation of scale {scale:.9g} is in use",
-                wanted="1",
+                expected="1",
                 act="switch it off or set its scale to 1 in the tracker's software, then resume",
                 setting=Setting.TRANSFORMATION.words,
                 scale=scale,

@@ -174,9 +174,9 @@ class LeicaEmsconTracker:
             status = self._system_status()
         if status.processor != SystemStatus.INITIALIZED:
             found = f"processor status {status.processor}"
-            wanted = f"{SystemStatus.INITIALIZED} (initialised)"
+            expected = f"{SystemStatus.INITIALIZED} (initialised)"
             raise TRACKER.refused(
-                "HC-T04", "initialise", found, wanted=wanted, processor=status.processor
+                "HC-T04", "initialise", found, expected=expected, processor=status.processor
             )
         self._air_measured = status.weather_monitor == SystemStatus.AIR_MEASURED
         address = f"{self._options.host}:{self._options.port}"
@@ -203,7 +203,7 @@ class LeicaEmsconTracker:
         settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
-            raise TRACKER.refused("HC-T05", "connect", problem, wanted=self.AIR)
+            raise TRACKER.refused("HC-T05", "connect", problem, expected=self.AIR)
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
@@ -301,7 +301,9 @@ class LeicaEmsconTracker:
         if self._results != 1:
             found = f"{self._results} results came to one start"
             act, came = "one was late; it is measured again", self._results
-            raise TRACKER.no_reading("HC-T31", "measure", found, wanted="1", act=act, results=came)
+            raise TRACKER.no_reading(
+                "HC-T31", "measure", found, expected="1", act=act, results=came
+            )
 
     def _await_result(self) -> Single:
         limit_s = self._options.reading_s + self.RESULT_S
@@ -318,7 +320,7 @@ class LeicaEmsconTracker:
         if not emscon.possible(*result.xyz, *result.std, result.std_total):
             found = f"the result {result.xyz}, standard deviation {result.std_total:g}"
             raise TRACKER.no_reading(
-                "HC-T14", "measure", found, wanted="a position in mm", xyz=result.xyz
+                "HC-T14", "measure", found, expected="a position in mm", xyz=result.xyz
             )
         off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
         radius_mm = self._options.find_radius_mm
@@ -331,14 +333,14 @@ class LeicaEmsconTracker:
             if not (unit := form_at(near_mm, radius_mm, forms)):
                 raise misplaced(off_mm, radius_mm)
             found, xyz = f"the result {result.xyz} is in {unit}", result.xyz
-            raise TRACKER.failed("HC-T18", "measure", found, wanted="mm", xyz=xyz, unit=unit)
+            raise TRACKER.failed("HC-T18", "measure", found, expected="mm", xyz=xyz, unit=unit)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
             found = f"standard deviation {result.std_total:.4f} mm"
             act = "something vibrates, or the reflector is dirty"
             raise unsteady(found, self._options.max_std_mm, act, std_mm=result.std_total)
         if problem := emscon.air_problem(*result.air):
             act = "check the weather station"
-            raise TRACKER.no_reading("HC-T05", "measure", problem, wanted=self.AIR, act=act)
+            raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR, act=act)
 
     def _reading(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         results = [self._single(near_mm) for _ in range(samples)]
@@ -442,8 +444,8 @@ class EmsconStream:
     ) -> None:
         near_mm = checked_order(near_mm, operation="stream")
         if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
-            found, wanted = f"{rate_hz} samples/s", f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}"
-            raise TRACKER.failed("HC-T35", "stream", found, wanted=wanted, rate_hz=rate_hz)
+            found, expected = f"{rate_hz} samples/s", f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}"
+            raise TRACKER.failed("HC-T35", "stream", found, expected=expected, rate_hz=rate_hz)
         self._separation_ms = round(1000.0 / rate_hz)
         self.rate_hz = 1000.0 / self._separation_ms
         self._tracker, self._clock = tracker, clock
@@ -544,7 +546,7 @@ class EmsconStream:
     def _check(self, packet: Multi) -> None:
         if not emscon.possible(*packet.xyz.flat):
             raise TRACKER.no_reading(
-                "HC-T14", "stream", f"a sample at {packet.xyz} mm", wanted="a position in mm"
+                "HC-T14", "stream", f"a sample at {packet.xyz} mm", expected="a position in mm"
             )
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
@@ -555,11 +557,11 @@ class EmsconStream:
         self._last_s = float(packet.device_s[-1])
         if not bool(np.all(steps_ms > 0)):
             found = f"the samples' times run back by {-float(steps_ms.min()):.3f} ms"
-            wanted, act = (
+            expected, act = (
                 "later than the sample before",
                 "the tracker's clock was set; stream again",
             )
-            raise TRACKER.no_reading("HC-T41", "stream", found, wanted=wanted, act=act)
+            raise TRACKER.no_reading("HC-T41", "stream", found, expected=expected, act=act)
         typical_ms = (
             float(np.median(steps_ms)) if len(steps_ms) >= self.ENOUGH else self._separation_ms
         )
@@ -568,7 +570,7 @@ class EmsconStream:
                 "HC-T41",
                 "stream",
                 f"samples {typical_ms:.3f} ms apart",
-                wanted=f"{self._separation_ms} ms",
+                expected=f"{self._separation_ms} ms",
                 act="the tracker counts its time in other units, or lost samples; report it",
                 separation_ms=typical_ms,
                 wanted_ms=self._separation_ms,

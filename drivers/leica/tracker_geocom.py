@@ -390,25 +390,25 @@ class LeicaGeocomTracker:
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
         self._ask(Rpc.DO_MEASURE, self.CLEAR, self.AUTOMATIC_TILT)
 
-    def _set_checked(self, what: str, write: Rpc, read: Rpc, *wanted: float) -> None:
+    def _set_checked(self, what: str, write: Rpc, read: Rpc, *expected: float) -> None:
         """Write a setting where it reads differently, and believe it only when it reads back.
 
         Newer instruments take the prism at their keyboard only: one that is right is left alone.
         """
-        found = self._numbers(read, len(wanted))
+        found = self._numbers(read, len(expected))
         refusal = ""
-        if not self._same(found, wanted):
+        if not self._same(found, expected):
             try:
-                self._ask(write, *wanted)
+                self._ask(write, *expected)
             except DeviceError as error:
                 if self._lines is None:
                     raise
                 refusal = f", {error.found}"
-            found = self._numbers(read, len(wanted))
-        if not self._same(found, wanted):
+            found = self._numbers(read, len(expected))
+        if not self._same(found, expected):
             act = "set it at the instrument, or correct tracker.options; then resume"
-            raise not_kept(what, found, wanted, refusal, act)
-        self._kept[what] = read, wanted
+            raise not_kept(what, found, expected, refusal, act)
+        self._kept[what] = read, expected
 
     def _prove(self) -> None:
         """Read all settings again: somebody may have changed one at the keyboard."""
@@ -440,9 +440,9 @@ class LeicaGeocomTracker:
             before_mm = at_mm
         else:
             found = f"the result {','.join(reply.values)[:80]} has lost characters"
-            wanted = f"{PLACES} decimal places, or two that agree"
+            expected = f"{PLACES} decimal places, or two that agree"
             raise TRACKER.no_reading(
-                "HC-T14", "measure", clean(found), wanted=wanted, act="check the line"
+                "HC-T14", "measure", clean(found), expected=expected, act="check the line"
             )
         if not possible(values):
             raise TRACKER.no_reading(
@@ -469,7 +469,7 @@ class LeicaGeocomTracker:
         )
         if reply.is_empty:
             raise TRACKER.no_reading(
-                "HC-T13", "measure", "the answer has no values", wanted="some", act=ACT
+                "HC-T13", "measure", "the answer has no values", expected="some", act=ACT
             )
         return reply
 
@@ -565,8 +565,8 @@ class LeicaGeocomTracker:
         return TRACKER.connected(self._lines)
 
     @staticmethod
-    def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
-        close = np.isclose(found, wanted, rtol=1e-6, atol=1e-6)
+    def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
+        close = np.isclose(found, expected, rtol=1e-6, atol=1e-6)
         return bool(np.all(close & np.isfinite(found)))
 
     @staticmethod

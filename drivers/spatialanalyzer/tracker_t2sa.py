@@ -222,7 +222,7 @@ class T2saTracker:
                 "HC-T74",
                 "measure",
                 f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
-                wanted=f"<= {options.search_mm:.1f} mm (tracker.options.search_mm)",
+                expected=f"<= {options.search_mm:.1f} mm (tracker.options.search_mm)",
                 point=name,
                 beside_mm=beside_mm,
                 limit_mm=options.search_mm,
@@ -254,7 +254,7 @@ class T2saTracker:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
             found, act = f"state {reply.text!r} for {limit_s:.1f} s", ACTS.get(alarm, ACT)
             raise TRACKER.failed(
-                alarm, "connect", found, wanted=repr(READY[0]), act=act, status=reply.code
+                alarm, "connect", found, expected=repr(READY[0]), act=act, status=reply.code
             )
         return reply.text
 
@@ -280,7 +280,7 @@ class T2saTracker:
                     "HC-T06",
                     f"set {what}",
                     reply.found,
-                    wanted=command,
+                    expected=command,
                     act="set it in SpatialAnalyzer, or correct tracker.options; then resume",
                     setting=what,
                     status=reply.code,
@@ -300,7 +300,7 @@ class T2saTracker:
             code = "HC-T19" if "WARM" in state else "HC-T70"
             found, act = f"state {state!r}", ACTS.get(code, "let the tracker warm up, then resume")
             operation = "switch the laser on"
-            raise TRACKER.failed(code, operation, found, wanted="LON", act=act, state=state)
+            raise TRACKER.failed(code, operation, found, expected="LON", act=act, state=state)
 
     def _compare(self, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
@@ -314,7 +314,7 @@ class T2saTracker:
                     "HC-T73",
                     "compare points",
                     f"point {name} is at {_shown(found_mm)} in SpatialAnalyzer{form}",
-                    wanted=f"{_shown(listed_mm)} mm as in {clean(self._options.points)}",
+                    expected=f"{_shown(listed_mm)} mm as in {clean(self._options.points)}",
                     point=name,
                     found_mm=found_mm.tolist(),
                     listed_mm=listed_mm.tolist(),
@@ -338,9 +338,9 @@ class T2saTracker:
             if off_mm <= limit_mm:
                 return xyz_mm
             if form := form_at(near_mm, limit_mm, other_forms(xyz_mm, named_mm)):
-                found, wanted = f"the result {_shown(xyz_mm)} is {form}", "a position in mm"
+                found, expected = f"the result {_shown(xyz_mm)} is {form}", "a position in mm"
                 raise TRACKER.failed(
-                    "HC-T77", "measure", found, wanted=wanted, xyz=xyz_mm.tolist(), form=form
+                    "HC-T77", "measure", found, expected=expected, xyz=xyz_mm.tolist(), form=form
                 )
             others_mm[name] = xyz_mm
         raise misplaced(off_mm, limit_mm)
@@ -456,7 +456,7 @@ def _read(points: str) -> NamedPoints:
             return read_points(Path(points))
         except SettingsError as error:
             problem = clean(str(error))
-    raise TRACKER.refused("HC-T75", "read the list of points", problem, wanted="a list")
+    raise TRACKER.refused("HC-T75", "read the list of points", problem, expected="a list")
 
 
 def _shown(xyz_mm: Array) -> str:

@@ -77,7 +77,7 @@ class UrRtdeRobot:
     STOP_IT = "stop the program at the panel"
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Address and wanted identity of the controller."""
+        """Address and expected identity of the controller."""
 
         host: Host
         smr_mm: tuple[float, float, float]
@@ -182,7 +182,7 @@ class UrRtdeRobot:
         if model is None or serial is None:
             untold = "model" if model is None else "serial number"
             found = f"this PolyScope ({software}) does not tell its {untold}"
-            raise ROBOT.refused("HC-B69", "connect", found, wanted=UrLink.POLYSCOPE)
+            raise ROBOT.refused("HC-B69", "connect", found, expected=UrLink.POLYSCOPE)
         check_identity(model, options.model, serial, options.serial)
         address, maker = f"{options.host}:{options.rtde_port}", "Universal Robots"
         simulated = says_simulated(model)
@@ -192,7 +192,7 @@ class UrRtdeRobot:
         """Refuse local control; a controller without the question (CB3) is always remote."""
         if (answer := self._panel().ask("is in remote control")).casefold() == "false":
             raise ROBOT.refused(
-                "HC-B60", "connect", f"is in remote control: {answer}", wanted="true"
+                "HC-B60", "connect", f"is in remote control: {answer}", expected="true"
             )
 
     def _end_former_script(self) -> None:
@@ -208,8 +208,8 @@ class UrRtdeRobot:
                 self._started = False
                 return
         found, act = f"{state.runtime}, {self.ENDED_S:.0f} s after stop", self.STOP_IT
-        wanted = f"{Runtime.STOPPED} (stopped), at rest"
-        raise ROBOT.refused("HC-B25", "connect", found, wanted=wanted, act=act)
+        expected = f"{Runtime.STOPPED} (stopped), at rest"
+        raise ROBOT.refused("HC-B25", "connect", found, expected=expected, act=act)
 
     def _ours_plays(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
@@ -224,8 +224,8 @@ class UrRtdeRobot:
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
         found, act = f"{state.runtime}, and it is no script of hilcell", self.STOP_IT
-        wanted = f"{Runtime.STOPPED} (stopped)"
-        raise ROBOT.refused("HC-B67", "connect", found, wanted=wanted, act=act)
+        expected = f"{Runtime.STOPPED} (stopped)"
+        raise ROBOT.refused("HC-B67", "connect", found, expected=expected, act=act)
 
     def _start_script(self) -> None:
         """Send the script; return when it has said that it runs."""
@@ -252,12 +252,12 @@ class UrRtdeRobot:
 
     def _check_tool(self, state: UrState) -> None:
         """Refuse a tool that is not the cell file's: the pose would be another point's."""
-        wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
+        expected = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
-        if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
+        if not bool(np.all(np.abs(state.tool - expected) <= limits)):
             form = "X {:.3f}, Y {:.3f}, Z {:.3f}, RX {:.3f}, RY {:.3f}, RZ {:.3f}".format
             found = f"the TCP is {form(*state.tool)}"
-            raise ROBOT.refused("HC-B06", "connect", found, wanted=form(*wanted))
+            raise ROBOT.refused("HC-B06", "connect", found, expected=form(*expected))
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -313,12 +313,12 @@ class UrRtdeRobot:
 
     def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
-        now_deg, wanted = np.degrees(state.joints_rad), f"acknowledged {number}"
+        now_deg, expected = np.degrees(state.joints_rad), f"acknowledged {number}"
         where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
         if limits.stalled(now_deg):
-            raise limits.stall_error(where, wanted, now_deg)
+            raise limits.stall_error(where, expected, now_deg)
         if limits.overdue(self._clock.now_s(), 100.0 * state.speed_fraction):
-            raise limits.time_error(where, wanted, now_deg)
+            raise limits.time_error(where, expected, now_deg)
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -351,8 +351,8 @@ class UrRtdeRobot:
                 return [first, *dwell]
             last = link.next()  # several packages may have been under way
         found = f"the controller's time stands at {last.timestamp_s:.3f} s"
-        wanted, act = f"a later time within {self.CLOCK_S:g} s", "restart the controller; resume"
-        raise ROBOT.failed("HC-B26", "read", found, wanted=wanted, act=act)
+        expected, act = f"a later time within {self.CLOCK_S:g} s", "restart the controller; resume"
+        raise ROBOT.failed("HC-B26", "read", found, expected=expected, act=act)
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
@@ -379,7 +379,7 @@ class UrRtdeRobot:
             self.live()
         else:
             found = f"not at rest {time.monotonic() - begun_s:.1f} s after the brake"
-            raise ROBOT.failed("HC-B71", "sweep", found, wanted=f"at rest within {REST_S:g} s")
+            raise ROBOT.failed("HC-B71", "sweep", found, expected=f"at rest within {REST_S:g} s")
         self._order = replace(self._order, stop=Order.GO)
         self.live()
         self._under_way, self.rest_rad = False, state.joints_rad
@@ -396,7 +396,7 @@ class UrRtdeRobot:
             found = state.runtime
             if state.runtime_state == Runtime.PLAYING:
                 found = "another script of hilcell has taken the robot"
-        return ROBOT.failed("HC-B66", "move", found, wanted="the script that hilcell sent")
+        return ROBOT.failed("HC-B66", "move", found, expected="the script that hilcell sent")
 
     def _open_panels(self) -> None:
         """Connect to the dashboard; where it has closed an idle connection meanwhile, again."""
@@ -447,7 +447,7 @@ def stands(states: Sequence[UrState]) -> bool:
 class UrSweep:
     """Satisfies `hilcell.ports.Sweep`: one axis turned slowly, with its joints read meanwhile.
 
-    The script takes the speed as it is wanted, times the speed slider at the panel: a slider that
+    The script multiplies the ordered speed by the speed slider at the panel: a slider that
     is moved meanwhile ends the sweep.
     """
 
@@ -468,8 +468,8 @@ class UrSweep:
         """``full_rad_s`` is the axis's speed at 100 %; NaN for an axis that there is not."""
         if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
             found = f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s"
-            wanted = f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s"
-            raise ROBOT.failed("HC-B28", "sweep", found, wanted=wanted)
+            expected = f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s"
+            raise ROBOT.failed("HC-B28", "sweep", found, expected=expected)
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad, self._wanted_rad_s = axis, end_rad, speed_rad_s
@@ -537,7 +537,7 @@ class UrSweep:
                 "HC-B70",
                 "sweep",
                 f"target_speed_fraction is {state.speed_fraction:g}",
-                wanted=f"{self._fraction:g}",
+                expected=f"{self._fraction:g}",
                 fraction=state.speed_fraction,
                 wanted_fraction=self._fraction,
             )
@@ -627,7 +627,7 @@ class Release:
             "close",
             f"the arm is not confirmed at rest: {found}; answer of the dashboard to stop: "
             f"{self._answer}",
-            wanted=f"program stopped and joints at rest within {self.RELEASE_S:g} s",
+            expected=f"program stopped and joints at rest within {self.RELEASE_S:g} s",
             act="keep away from the arm, it may move: press the E-stop; then see the panel",
             answer=self._answer,
         )

@@ -273,8 +273,8 @@ class UrState:
         number = self.safety_status
         if number != NORMAL:
             words, code = SAFETY.get(number, ("unknown", "HC-B65"))
-            wanted = f"{NORMAL} (normal)"
-            return unwell(code, "safety_status", f"{number} ({words})", wanted, moving=moving)
+            expected = f"{NORMAL} (normal)"
+            return unwell(code, "safety_status", f"{number} ({words})", expected, moving=moving)
         number = self.robot_mode
         if number != RUNNING:
             found = f"{number} ({ROBOT_MODES.get(number, 'unknown')})"
@@ -444,7 +444,7 @@ class UrLink:
             raise self._unsupported(f"the controller has no {', '.join(lacking)}")
         if held := recipe.lacking("IN_USE"):
             raise ROBOT.refused(
-                "HC-B68", "connect", f"another client writes {', '.join(held)}", wanted="no other"
+                "HC-B68", "connect", f"another client writes {', '.join(held)}", expected="no other"
             )
         if unlike := recipe.unlike():
             raise self._unsupported(f"unexpected type of {', '.join(unlike)}")
@@ -468,7 +468,7 @@ class UrLink:
         raise self._no_rtde(kind, f"no answer within {self.ANSWER_S:.0f} s")
 
     def _unsupported(self, found: str) -> DeviceError:
-        return ROBOT.refused("HC-B69", "connect", found, wanted=self.POLYSCOPE)
+        return ROBOT.refused("HC-B69", "connect", found, expected=self.POLYSCOPE)
 
     def _no_rtde(self, kind: Kind, found: str) -> DeviceError:
         return self._link.broken(kind.name.lower(), f"{found}; is rtde_port that of RTDE?")
@@ -502,8 +502,10 @@ class UrLink:
                     numbers = self._outputs.decode(payload)
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
         except Garbled as error:
-            wanted, act = "a state of the robot", "restart the controller; resume"
-            self._failure = ROBOT.failed("HC-B26", "receive", str(error), wanted=wanted, act=act)
+            expected, act = "a state of the robot", "restart the controller; resume"
+            self._failure = ROBOT.failed(
+                "HC-B26", "receive", str(error), expected=expected, act=act
+            )
         except DeviceError as error:
             self._failure = error
 

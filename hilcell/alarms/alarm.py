@@ -53,8 +53,8 @@ class Finding:
     @property
     def text(self) -> str:
         """Return the found and the wanted value, as one line."""
-        wanted = f", wanted {line(self.wanted)}" if self.wanted else ""
-        return line(self.found) + wanted
+        expected = f", expected {line(self.wanted)}" if self.wanted else ""
+        return line(self.found) + expected
 
     @property
     def advice(self) -> str:

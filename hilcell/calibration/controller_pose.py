@@ -82,7 +82,7 @@ def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Devi
         operation,
         f"the controller's pose is {off_mm:.3f} mm and {off_deg:.4f} deg from that of its joints "
         "by the cell file",
-        wanted=f"<= {limit_mm:.3f} mm and {np.degrees(limit_rad):.4f} deg",
+        expected=f"<= {limit_mm:.3f} mm and {np.degrees(limit_rad):.4f} deg",
         act=(
             f"{first}compare [[robot.joint]] and robot.smr_mm with the controller: its variant, a "
             "typed length, a tool, base or root that is not null, an absolute-accuracy model"

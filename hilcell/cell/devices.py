@@ -136,7 +136,7 @@ def sweeps_of(robot: ports.Robot) -> ports.Sweeps:
 
 def _unable(code: str, device: str, doing: str, method: str, instead: str) -> ports.DeviceRefused:
     wanted, act = f"a driver with `{method}`", f"choose a procedure that measures {instead} only"
-    return ports.DeviceRefused(code, device, doing, f"no `{method}`", wanted=wanted, act=act)
+    return ports.DeviceRefused(code, device, doing, f"no `{method}`", expected=wanted, act=act)
 
 
 def sights_apart_rad(cell: Cell) -> float:

@@ -513,8 +513,8 @@ def _under_way(bench: Bench) -> tuple[Driver, Task]:
     if task.ended_within(UNDER_WAY_S):
         took_s = task.ended_s - began_s
         how = "" if task.error is None else f", with {task.error!r}"
-        wanted = f"wanted more than {UNDER_WAY_S:g} s, to be stopped meanwhile"
-        raise Broken(f"{bench.acts.lasting} ended after {took_s:.2f} s{how}; {wanted}")
+        expected = f"expected more than {UNDER_WAY_S:g} s, to be stopped meanwhile"
+        raise Broken(f"{bench.acts.lasting} ended after {took_s:.2f} s{how}; {expected}")
     return driver, task
 
 

@@ -133,12 +133,12 @@ def _steps(bench: Bench) -> list[tuple[int, Array, Array]]:
 def robot_units(bench: Bench) -> None:
     """A step of each axis moves the tool point as far as the nominal arm says."""
     for axis, stated_mm, nominal_mm in _steps(bench):
-        wanted_mm, found_mm = (float(np.linalg.norm(each)) for each in (nominal_mm, stated_mm))
-        limit_mm = NEAR_MM + 0.02 * wanted_mm
+        expected_mm, found_mm = (float(np.linalg.norm(each)) for each in (nominal_mm, stated_mm))
+        limit_mm = NEAR_MM + 0.02 * expected_mm
         need(
-            abs(found_mm - wanted_mm) <= limit_mm,
+            abs(found_mm - expected_mm) <= limit_mm,
             f"axis {axis} by {STEP_DEG:g} deg: tool point {found_mm:.2f} mm, nominally "
-            f"{wanted_mm:.2f} +-{limit_mm:.2f} mm",
+            f"{expected_mm:.2f} +-{limit_mm:.2f} mm",
         )
 
 
@@ -234,12 +234,12 @@ def tracker_units(bench: Bench) -> None:
     found_mm, nominal_mm = _floor(bench)
     limit_mm = 2 * bench.cell.layout.nest_tolerance_mm
     for other in (1, 2):
-        found, wanted = (
+        found, expected = (
             float(np.linalg.norm(each[other] - each[0])) for each in (found_mm, nominal_mm)
         )
         need(
-            abs(found - wanted) <= limit_mm,
-            f"two nests are {found:.2f} mm apart, nominally {wanted:.2f} +-{limit_mm:g} mm",
+            abs(found - expected) <= limit_mm,
+            f"two nests are {found:.2f} mm apart, nominally {expected:.2f} +-{limit_mm:g} mm",
         )
 
 

@@ -143,7 +143,7 @@ def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
         "Tracker",
         "world frame",
         f"the cell file spans {{W}} by {found}, at places that had other names or another order",
-        wanted=f"{wanted}, each at its place, as in run {run}",
+        expected=f"{wanted}, each at its place, as in run {run}",
         act="put names and order of layout.floor back, or revoke that run's calibration",
         fields={"run": run, "nests": [nest.name for nest in spans[1]]},
     )

@@ -79,7 +79,7 @@ def check_stated(cell: Cell, what: str) -> None:
             "Robot",
             what,
             "it leaves the grid's cube, and nothing is stated of what stands around the arm",
-            wanted="robot.envelope and keep_out",
+            expected="robot.envelope and keep_out",
         )
 
 
@@ -200,7 +200,7 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
         "Robot",
         f"{what}{of}",
         f"link {nearest.link} {near} keep-out {nearest.volume}, at {axes} deg, rail {at[0]:.0f} mm",
-        wanted=f">= {wanted_mm:.0f} mm",
+        expected=f">= {wanted_mm:.0f} mm",
         fields={
             "link": nearest.link,
             "keep_out": nearest.volume,

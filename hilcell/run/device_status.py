@@ -100,7 +100,7 @@ class DeviceMonitor(Generic[Reading]):
         device, name, reading = self._device, self._device.lower(), self._reading
         if self.moving:
             code = "HC-R41" if device == "Rail" else "HC-B31"
-            raise Blocked(code, device, operation, f"the {name} is moving", wanted="at rest")
+            raise Blocked(code, device, operation, f"the {name} is moving", expected="at rest")
         if reading is None:
             raise Blocked(TOO_OLD[device], device, operation, f"the {name} was not read yet")
         age_s = self._clock.pc_s() - reading.taken_s
@@ -223,8 +223,8 @@ def _judged(name: str, check: Callable[[], None]) -> Interlock:
     try:
         check()
     except Blocked as blocked:
-        wanted = f", wanted {blocked.wanted}" if blocked.wanted else ""
-        return Interlock(name, blocked.found + wanted, blocked.code)
+        expected = f", expected {blocked.expected}" if blocked.expected else ""
+        return Interlock(name, blocked.found + expected, blocked.code)
     return Interlock(name)
 
 

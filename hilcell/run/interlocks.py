@@ -78,7 +78,7 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
             device,
             operation,
             f"reading is {age_s * 1000:.0f} ms old",
-            wanted=f"<= {limit_s * 1000:.0f} ms",
+            expected=f"<= {limit_s * 1000:.0f} ms",
             act="the link is slow or stalled; check it",
             fields={"age_s": age_s, "limit_s": limit_s},
         )
@@ -92,7 +92,7 @@ def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
 
 def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
     """Refuse a robot that moves or is not at its safe pose."""
-    check_still(robot, RAIL_BLOCKED, wanted="at rest at its safe pose")
+    check_still(robot, RAIL_BLOCKED, expected="at rest at its safe pose")
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
         worst = int(np.argmax(np.nan_to_num(off_deg, nan=np.inf)))
@@ -101,7 +101,7 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
             "Robot",
             RAIL_BLOCKED,
             f"robot not at safe pose, A{worst + 1} {np.degrees(robot.joints_rad[worst]):.3f} deg",
-            wanted=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
+            expected=f"{cell.robot.safe_deg[worst]:.3f} +-{SAFE_POSE_TOLERANCE_DEG} deg",
             fields={
                 "axis": worst + 1,
                 "angle_deg": np.degrees(robot.joints_rad[worst]),
@@ -116,10 +116,10 @@ def check_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
     check_still(robot, ROBOT_BLOCKED)
 
 
-def check_still(robot: RobotReading, operation: str, wanted: str = "at rest") -> None:
+def check_still(robot: RobotReading, operation: str, expected: str = "at rest") -> None:
     """Refuse a robot that moves."""
     if not robot.still:
-        raise Blocked("HC-B31", "Robot", operation, "the robot is moving", wanted=wanted)
+        raise Blocked("HC-B31", "Robot", operation, "the robot is moving", expected=expected)
 
 
 def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
@@ -137,12 +137,12 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
             "Rail",
             operation,
             f"slide moves at {rail.velocity_mm_s:.3f} mm/s",
-            wanted="at rest",
+            expected="at rest",
             fields={"speed_mm_s": rail.velocity_mm_s},
         )
     if rail.powered:
         raise Blocked(
-            "HC-R42", "Rail", operation, "the drive has power to move", wanted="held by the brake"
+            "HC-R42", "Rail", operation, "the drive has power to move", expected="held by the brake"
         )
     if station is not None:
         check_strip(cell, rail, station, operation)
@@ -157,7 +157,7 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
             "Rail",
             operation,
             f"station {station.name} not held: strip {rail.strip_mm:.2f} mm",
-            wanted=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
+            expected=f"{station.strip_mm:.2f} +-{limit_mm:.2f} mm",
             fields={
                 "station": station.name,
                 "strip_mm": rail.strip_mm,
@@ -178,6 +178,6 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
             "Robot",
             what,
             f"A{axis + 1} {np.degrees(joints_rad[axis]):.2f} deg",
-            wanted=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
+            expected=f"{np.degrees(low[axis]):.1f} .. {np.degrees(high[axis]):.1f} deg",
             fields={"axis": axis + 1, "angle_deg": np.degrees(joints_rad[axis])},
         )

@@ -65,7 +65,8 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
         "Rail",
         f"station {station.name} not held",
         f"strip {reading.strip_mm:.2f} mm",
-        wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} approaches",
+        expected=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} "
+        "approaches",
         fields={
             "station": station.name,
             "strip_mm": reading.strip_mm,
@@ -97,7 +98,7 @@ def _check_strip_follows(
             "Rail",
             f"approach of {station.name}",
             f"drive {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
-            wanted=f"<= {table.slip_limit_mm:.2f} mm apart",
+            expected=f"<= {table.slip_limit_mm:.2f} mm apart",
             fields={
                 "station": station.name,
                 "drive_mm": reading.position_mm,

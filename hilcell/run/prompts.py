@@ -161,7 +161,7 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
         cause.device,
         cause.operation,
         cause.found,
-        wanted=cause.wanted,
+        expected=cause.expected,
         act=cause.act or "clear the beam or seat the reflector, then resume",
         fields=cause.fields,
     )

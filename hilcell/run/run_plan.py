@@ -39,7 +39,7 @@ class Changes:
                 "Cell",
                 "resume",
                 "; ".join(found),
-                wanted="as when the run began",
+                expected="as when the run began",
                 act="put back what was there; or resume at a terminal and agree, or say "
                 "--accept-changes",
                 fields={"changes": list(found)},

@@ -61,7 +61,7 @@ def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
         return None
     act = "it may still move: look at it, and use the E-stop before anybody goes near"
     expected = "rail held, robot at rest"
-    return DeviceError("HC-C32", "Cell", "close", "; ".join(found), wanted=expected, act=act)
+    return DeviceError("HC-C32", "Cell", "close", "; ".join(found), expected=expected, act=act)
 
 
 class Acts:

@@ -119,7 +119,7 @@ class Watch(Meter):
                 "Tracker",
                 f"measure {key}",
                 f"reflector {off_mm:.2f} mm from its expected place",
-                wanted=f"<= {limit_mm:.1f} mm",
+                expected=f"<= {limit_mm:.1f} mm",
                 fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
             )
         return reading
@@ -281,7 +281,7 @@ class Watch(Meter):
                 "Tracker",
                 "world frame",
                 f"{wrong.names} is {wrong.distance_mm:.3f} mm",
-                wanted=f"{wrong.wanted_mm:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
+                expected=f"{wrong.wanted_mm:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
                 act="a floor nest has moved since that run, or a reflector is not seated; put it "
                 "right and resume, or revoke that run's calibration and start a new run",
                 fields=wrong._asdict() | {"run": before.run},
@@ -367,7 +367,8 @@ class Watch(Meter):
                 "Rail",
                 f"hold {station.name}",
                 f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
-                wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
+                expected=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this "
+                "run",
                 fields=jump
                 | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
             )
@@ -433,12 +434,12 @@ class Watch(Meter):
         x, y, z = self.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
         prompt = Prompt(
             title="Wait for the room's temperature",
-            text=f"{cause.found}. The run goes on by itself when the air is {cause.wanted}; close "
-            "doors and gates, look at the heating.",
+            text=f"{cause.found}. The run goes on by itself when the air is {cause.expected}; "
+            "close doors and gates, look at the heating.",
             place="the room",
             expected_mm=(x, y, z),
             limit_mm=self.cell.tracker.find_radius_mm,
-            reason=f"room temperature: {cause.found}, expected {cause.wanted}",
+            reason=f"room temperature: {cause.found}, expected {cause.expected}",
             by_itself=True,
         )
         self._room_within_s = None
@@ -454,7 +455,7 @@ class Watch(Meter):
             "Tracker",
             f"weather station at {point.key}",
             f"air {now_c:.1f} C, {now_c - then_c:+.1f} K from the grid's first point",
-            wanted=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
+            expected=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
             act="wait until the room is as it was, then resume",
             fields=Suspicion(Cause.TEMPERATURE, now_c - then_c, "K", NOTICED_BY).facts
             | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
@@ -482,7 +483,7 @@ class Watch(Meter):
     @staticmethod
     def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
         return DeviceError(
-            "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
+            "HC-T33", "Tracker", "control points", found, expected=wanted, act=act, fields=fields
         )
 
     def _nest_ids(self, set_up: int) -> list[PointId]:
@@ -543,7 +544,7 @@ def check_places(cell: Cell, measured_mm: Array) -> None:
             "Tracker",
             "world frame",
             f"{nest.name} was seen {found_mm:.1f} mm from its expected place{where}",
-            wanted=f"<= {limit_mm:.1f} mm (tracker.find_radius_mm)",
+            expected=f"<= {limit_mm:.1f} mm (tracker.find_radius_mm)",
             act="nests swapped, or the tracker does not stand as tracker.pose says; check, then "
             "resume",
             fields={
@@ -565,7 +566,7 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
             "Tracker",
             "world frame",
             f"{wrong.names} is {wrong.distance_mm:.2f} mm",
-            wanted=f"{wrong.wanted_mm:.2f} +-{limit_mm:.1f} mm",
+            expected=f"{wrong.wanted_mm:.2f} +-{limit_mm:.1f} mm",
             act="nests swapped, a reflector not seated, or wrong units; check, then resume",
             fields=wrong._asdict(),
         )

@@ -15,15 +15,15 @@ STALLED = DeviceError(
     "Rail",
     "move",
     "no progress for 3 s",
-    wanted="5 mm",
+    expected="5 mm",
     act="look",
     fields={"waited_s": 3.0, "axes_deg": np.array([1.0, np.nan]), "node": np.int64(5)},
 )
 
 
 def test_a_text_is_formatted_from_the_parts() -> None:
-    assert str(STALLED) == "Rail: move: no progress for 3 s, wanted 5 mm; look"
-    assert STALLED.summary == "Rail: move: no progress for 3 s, wanted 5 mm"
+    assert str(STALLED) == "Rail: move: no progress for 3 s, expected 5 mm; look"
+    assert STALLED.summary == "Rail: move: no progress for 3 s, expected 5 mm"
 
 
 def test_facts_are_plain_and_know_no_nan() -> None:
@@ -39,7 +39,7 @@ def test_causes_stay_data_and_become_a_tree_at_the_end() -> None:
     assert str(error).splitlines() == [
         "Cell: connect: Rail, Tracker failed",
         "  Rail",
-        "    Rail: move: no progress for 3 s, wanted 5 mm; look",
+        "    Rail: move: no progress for 3 s, expected 5 mm; look",
         "  Tracker",
         "    Tracker: connect: refused",
     ]

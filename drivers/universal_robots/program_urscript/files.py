@@ -366,7 +366,7 @@ class _Reader:
             if key == "r" and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
                 raise UrScriptError(
                     f"blend radius {value}: the robot passes the pose, and the correction changes "
-                    "where; wanted r=0"
+                    "where; expected r=0"
                 )
             self._check(value)
         self._moved = self._moved or statement.line

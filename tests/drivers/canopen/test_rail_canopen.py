@@ -85,7 +85,7 @@ def test_homing_that_was_done_before_is_not_believed(
     peer.axis.bits |= 0x1400
     never_starts(peer, monkeypatch)
     found = refusal(rail.home)
-    assert (found.code, found.wanted) == ("HC-R31", "homing started")
+    assert (found.code, found.expected) == ("HC-R31", "homing started")
 
 
 @pytest.mark.parametrize("position", [-0.1, 3000.1, float("nan")])
@@ -197,7 +197,7 @@ def test_a_set_point_never_acknowledged_is_reported(
 ) -> None:
     never_starts(peer, monkeypatch)
     found = refusal(lambda: rail.move_to(1100.0))
-    assert (found.code, found.wanted) == ("HC-R31", "set-point acknowledged")
+    assert (found.code, found.expected) == ("HC-R31", "set-point acknowledged")
 
 
 def test_a_drive_that_does_not_enable_is_reported(rail: CanopenRail, peer: CanPeer) -> None:

@@ -170,8 +170,8 @@ def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, time:
     reading = tracker.measure(POINT, SMR, 1)
     tracker.close()
     along, across = 0.605, 5000 * np.pi / 648_000
-    wanted = [np.hypot(0.8 * along, 0.6 * across), np.hypot(0.6 * along, 0.8 * across), across]
-    np.testing.assert_allclose(reading.std_mm, wanted, rtol=1e-6)
+    expected = [np.hypot(0.8 * along, 0.6 * across), np.hypot(0.6 * along, 0.8 * across), across]
+    np.testing.assert_allclose(reading.std_mm, expected, rtol=1e-6)
 
 
 def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick, peer: GeocomPeer) -> None:

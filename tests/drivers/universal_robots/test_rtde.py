@@ -48,11 +48,11 @@ def test_golden_bytes() -> None:
 
 def test_packages_are_put_together_however_they_come() -> None:
     wire = rtde.encode(Kind.DATA, DATA) + rtde.encode(Kind.PAUSE, b"\x01")
-    wanted = [(Kind.DATA, DATA), (Kind.PAUSE, b"\x01")]
-    assert list(Packages().feed(wire)) == wanted
+    expected = [(Kind.DATA, DATA), (Kind.PAUSE, b"\x01")]
+    assert list(Packages().feed(wire)) == expected
     for cut in range(1, len(wire)):
         packages = Packages()
-        assert [*packages.feed(wire[:cut]), *packages.feed(wire[cut:])] == wanted
+        assert [*packages.feed(wire[:cut]), *packages.feed(wire[cut:])] == expected
 
 
 @pytest.mark.parametrize(

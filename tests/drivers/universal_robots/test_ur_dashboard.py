@@ -66,7 +66,7 @@ def test_a_polyscope_that_does_not_have_the_questions_is_too_old(
     assert (type(found), found.code) == (DeviceRefused, "HC-B69")
     assert f"does not tell its {untold}" in found.found
     assert answers.get("PolyscopeVersion", "unknown") in found.found
-    assert {"3.12", "5.6"} <= set(found.wanted.replace(",", "").split())
+    assert {"3.12", "5.6"} <= set(found.expected.replace(",", "").split())
 
 
 def test_a_robot_whose_dashboard_refuses_connections_may_have_polyscope_x() -> None:

@@ -47,7 +47,7 @@ STALLED = DeviceError(
     "Rail",
     "move to 500.000 mm",
     "no progress for 3 s at 480.000 mm",
-    wanted="target reached at 500.000 mm",
+    expected="target reached at 500.000 mm",
     act="check the slide for an obstacle",
 )
 LOST = DeviceError(
@@ -55,7 +55,7 @@ LOST = DeviceError(
     "Rail",
     "CAN",
     "link lost: [Errno 32] Broken pipe",
-    wanted="a link",
+    expected="a link",
     act="check the gateway, the cable and the terminators, then resume",
 )
 LATE = HilcellError("no answer within 10 s")
@@ -153,7 +153,7 @@ def test_devices_that_failed_together_are_reported_one_by_one() -> None:
             "Rail": DeviceError(
                 "HC-R04", "Rail", "connect", "slcan x:1: refused", act="check the CAN gateway"
             ),
-            "Tracker": DeviceRefused("HC-T03", "Tracker", "connect", "serial 7", wanted="8"),
+            "Tracker": DeviceRefused("HC-T03", "Tracker", "connect", "serial 7", expected="8"),
         }
     )
     rows = (state("checking"), CLOSED, faulted(error))
@@ -261,7 +261,7 @@ def test_newest_is_last() -> None:
 
 def test_a_device_s_hostile_words_stay_words() -> None:
     hostile = "\x1b]0;owned\x07[bold][/nope][@click=app.quit]x[/]\u202e\x9b2J\ninjected: line\r"
-    error = DeviceError("HC-R98", "Tracker", hostile, hostile, wanted=hostile, act=hostile)
+    error = DeviceError("HC-R98", "Tracker", hostile, hostile, expected=hostile, act=hostile)
     failed = NoReading("HC-T10", hostile, hostile, hostile)
     rows = (
         *BEGUN,

@@ -47,7 +47,7 @@ def test_a_verdict_that_does_not_hold_is_exit_1(bed: Bed) -> None:
     ("error", "code"),
     [
         (DeviceError("HC-R31", "Rail", "move", "frozen"), 3),
-        (DeviceRefused("HC-B05", "Robot", "connect", "model X", wanted="model Y"), 2),
+        (DeviceRefused("HC-B05", "Robot", "connect", "model X", expected="model Y"), 2),
         (RuntimeError("a defect"), 5),
     ],
 )

@@ -40,7 +40,9 @@ FAULT = {
     "wanted": "a reflector",
     "act": "clear the beam",
 }
-FAULT_TEXT = "Tracker: measure grid/1-0-0: beam broken, wanted a reflector; clear the beam, resume"
+FAULT_TEXT = (
+    "Tracker: measure grid/1-0-0: beam broken, expected a reflector; clear the beam, resume"
+)
 
 
 class SampleRun:

@@ -30,7 +30,7 @@ T = "2026-03-04T08:00:23.000+00:00"
 NOW = datetime(2026, 3, 4, 8, 2, 37, tzinfo=UTC)
 CONTEXT = AlarmContext(NOW, DEFAULT_KEYS, UNICODE)
 STOP = Alarm(
-    "HC-B10", "fault", "Robot emergency stop", "Robot: move", "$ALARM_STOP is FALSE, wanted TRUE",
+    "HC-B10", "fault", "Robot emergency stop", "Robot: move", "$ALARM_STOP is FALSE, expected TRUE",
     "An emergency stop of the robot is pressed.",
     ("Find out why it was pressed.", "Release it at the panel.", "Continue: space."), T, 7,
     cause="watched", by=("you", "controller", "you"), goes_on=True,

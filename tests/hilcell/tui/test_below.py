@@ -71,12 +71,12 @@ def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
 def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> None:
     view = view_of(measuring())
     assert view.status is not None
-    why = "robot not at safe pose, A2 -41.381 deg, wanted -100.000 +-0.1 deg"
+    why = "robot not at safe pose, A2 -41.381 deg, expected -100.000 +-0.1 deg"
     locked = [Interlock("rail move", why, "HC-B32")]
     view.status = msgspec.structs.replace(view.status, interlocks=locked)
     lines = drawn(Stack(*interlock_lines(view, UNICODE)), width).splitlines()
     assert lines[1].rstrip() == " ■ Rail    locked robot not at safe pose"
-    assert "A2 −41.381 deg, wanted −100.000 ±0.1 deg" in interlock_page(view, UNICODE).plain
+    assert "A2 −41.381 deg, expected −100.000 ±0.1 deg" in interlock_page(view, UNICODE).plain
 
 
 def test_a_stale_status_frees_nothing() -> None:

@@ -129,17 +129,17 @@ def load_program(path: Path) -> Program:
 def _refusal(name: str, stops: bool) -> str:
     """Return why a command cannot stand in a program that is corrected."""
     if name in MOVES and not stops:
-        return "the robot blends past this target; wanted is SetBlending(0) above"
+        return "the robot blends past this target; expected is SetBlending(0) above"
     if name in MOVES:
-        return "wanted are six numbers"
+        return "expected are six numbers"
     if name == "setblending":
-        return "the robot passes its targets, and the correction changes where; wanted is 0"
+        return "the robot passes its targets, and the correction changes where; expected is 0"
     if name == "movejoints":
         return "a joint target: nothing there can be corrected"
     if name == "setwrf":
-        return "targets must stand in the robot's base; wanted are six zeros, above all targets"
+        return "targets must stand in the robot's base; expected are six zeros, above all targets"
     if name == "settrf":
-        return "wanted is one tool of six numbers, above all targets"
+        return "expected is one tool of six numbers, above all targets"
     return "it is not known to leave the targets where they are"
 
 

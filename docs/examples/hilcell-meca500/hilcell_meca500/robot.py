@@ -35,7 +35,7 @@ STALL_S = 5.0
 SETTLE_S = 3.0  # from the checkpoint to standstill
 ARRIVED_DEG, STILL_DEG, PROGRESS_DEG = 0.01, 0.001, 0.01
 FRAME_MM = 0.001
-# Of the controller's status: its place there, its name, the value wanted, alarm, next act.
+# Of the controller's status: its place there, its name, the value expected, alarm, next act.
 READY = (
     (0, "activated", 1, "HC-B13", "activate the robot in the MecaPortal"),
     (1, "homed", 1, "MX-B01", "home the robot in the MecaPortal"),
@@ -162,12 +162,12 @@ class MecaRobot:
         wire = self._connected()
         tool = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         wire.send(f"SetWrf({_text(np.zeros(6))})", f"SetTrf({_text(tool)})", "SetBlending(0)")
-        for command, code, wanted in (("GetWrf()", 2013, np.zeros(6)), ("GetTrf()", 2014, tool)):
+        for command, code, expected in (("GetWrf()", 2013, np.zeros(6)), ("GetTrf()", 2014, tool)):
             patience, over = Patience(SETTLE_S), False
-            while not bool(np.all(np.abs(wire.numbers(command, code, 6) - wanted) <= FRAME_MM)):
+            while not bool(np.all(np.abs(wire.numbers(command, code, 6) - expected) <= FRAME_MM)):
                 if over:
                     found = f"{command}: {_text(wire.numbers(command, code, 6))}"
-                    raise ROBOT.refused("HC-B06", "connect", found, wanted=_text(wanted))
+                    raise ROBOT.refused("HC-B06", "connect", found, expected=_text(expected))
                 over = patience.over()
 
     # -- moving -------------------------------------------------------------------------------
@@ -200,20 +200,20 @@ class MecaRobot:
         if self._connected().emergency_stop:
             act = "release the emergency stop, reset it at the power supply"
             return error("HC-B10", operation, "emergency stop", act=act)
-        for place, name, wanted, code, act in READY:
-            if place != but and status[place] != wanted:
+        for place, name, expected, code, act in READY:
+            if place != but and status[place] != expected:
                 found = f"{name} is {status[place]:g}"
-                return error(code, operation, found, wanted=f"{wanted}", act=act)
+                return error(code, operation, found, expected=f"{expected}", act=act)
         return None
 
     def _check_progress(self, limits: MotionLimits) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
         now_deg = self._look().joints_deg
-        where, wanted = f"at {_text(now_deg)} deg", f"checkpoint {self._number}"
+        where, expected = f"at {_text(now_deg)} deg", f"checkpoint {self._number}"
         if limits.stalled(now_deg):
-            raise limits.stall_error(where, wanted, now_deg)
+            raise limits.stall_error(where, expected, now_deg)
         if limits.overdue(self._clock.now_s(), 100.0):
-            raise limits.time_error(where, wanted, now_deg)
+            raise limits.time_error(where, expected, now_deg)
 
     def _rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after the checkpoint."""
@@ -228,8 +228,8 @@ class MecaRobot:
             if over:
                 break
             over = patience.over()
-        at, wanted = _text(after.joints_deg), f"{_text(target_deg)} +-{ARRIVED_DEG}"
-        raise stopped_short(at, wanted, after.joints_deg, target_deg)
+        at, expected = _text(after.joints_deg), f"{_text(target_deg)} +-{ARRIVED_DEG}"
+        raise stopped_short(at, expected, after.joints_deg, target_deg)
 
     def _two_looks(self) -> tuple[Look, Look]:
         before = self._look()

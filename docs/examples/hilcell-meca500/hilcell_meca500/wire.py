@@ -77,7 +77,7 @@ class Wire:
         except ValueError:
             found = np.array([])
         if found.shape != (count,) or not bool(np.all(np.isfinite(found))):
-            raise ROBOT.failed("HC-B26", command, repr(text), wanted=f"{count} finite numbers")
+            raise ROBOT.failed("HC-B26", command, repr(text), expected=f"{count} finite numbers")
         return found
 
     def close(self) -> None:
@@ -93,7 +93,7 @@ class Wire:
                 "MX-B04",
                 "connect",
                 f"[{greeting.code}] {greeting.text}",
-                wanted=f"[{CONNECTED}]",
+                expected=f"[{CONNECTED}]",
                 act="end the other program that controls the robot",
             )
 

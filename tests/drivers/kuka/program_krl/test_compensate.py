@@ -42,9 +42,9 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
     nominal, command = load_program(desk.source), load_program(desk.out)
     in_base = apply(inverse(T_W_B), command.values()[:, :3])
     arrived = in_base + calibration().error_model().predict(level(in_base)).error_mm
-    wanted = apply(inverse(T_W_B), nominal.values()[:, :3])
+    expected = apply(inverse(T_W_B), nominal.values()[:, :3])
     assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
-    np.testing.assert_allclose(arrived, wanted, atol=2e-3)
+    np.testing.assert_allclose(arrived, expected, atol=2e-3)
     np.testing.assert_array_equal(command.values()[:, 3:], nominal.values()[:, 3:])
     targets, out = desk.folder / "targets.csv", desk.folder / "out.csv"
     write_targets(targets, [f"H{n}" for n in range(5)], nominal.values())

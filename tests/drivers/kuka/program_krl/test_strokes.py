@@ -129,9 +129,9 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(desk: Workplace) -> None:
             np.hstack([read.values()[:1, :3] + depth_mm * along, read.values()[:1, 3:]])
             for read in (nominal, command)
         ]
-        wanted, sent = (inverse(T_W_B) @ poses_from_zyx(each) for each in places)
+        expected, sent = (inverse(T_W_B) @ poses_from_zyx(each) for each in places)
         arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
-        off_mm = T_W_B[:3, :3] @ (arrived - wanted[:, :3, 3])[0]
+        off_mm = T_W_B[:3, :3] @ (arrived - expected[:, :3, 3])[0]
         missed.append([np.linalg.norm(off_mm - off_mm @ along * along), abs(off_mm @ along)])
     assert 0.002 < np.max(missed) < 0.02
     across_mm, along_mm = np.max(missed, axis=0)

@@ -51,13 +51,13 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
     assert (done.returncode, done.stdout) == (0, "")
     assert "{B}" in done.stderr
     assert "set_tcp" in done.stderr, "its numbers were not checked"
-    wanted, command = load_program(desk.source).values(), load_program(desk.out).values()
+    expected, command = load_program(desk.source).values(), load_program(desk.out).values()
     arrived = command[:, :3] + calibration().error_model().predict(level(command[:, :3])).error_mm
-    assert np.abs(command[:, :3] - wanted[:, :3]).max() > 0.3
-    np.testing.assert_allclose(arrived, wanted[:, :3], atol=2e-3)
-    np.testing.assert_array_equal(command[:, 3:], wanted[:, 3:])
+    assert np.abs(command[:, :3] - expected[:, :3]).max() > 0.3
+    np.testing.assert_allclose(arrived, expected[:, :3], atol=2e-3)
+    np.testing.assert_array_equal(command[:, 3:], expected[:, 3:])
     targets, out = desk.folder / "targets.csv", desk.folder / "out.csv"
-    write_targets(targets, ["H0", "H1", "H2"], zyx_from_pose(T_W_B @ poses_from_zyx(wanted)))
+    write_targets(targets, ["H0", "H1", "H2"], zyx_from_pose(T_W_B @ poses_from_zyx(expected)))
     assert desk.compensate(source=targets, out=out) == 0
     _, listed, _ = workplace.read_corrected(out)
     np.testing.assert_allclose(apply(T_W_B, command[:, :3]), listed[:, :3], atol=1.2e-3)

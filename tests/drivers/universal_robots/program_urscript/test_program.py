@@ -36,9 +36,9 @@ def test_targets_are_the_poses_that_motions_use() -> None:
         "movel target (drill.script line 18)",
         "P2 (drill.script line 7)",
     ]
-    wanted: list[list[float]] = [[1850, -50, 950, 0, 75, 0], [1800.0000001, 0, 900, 0, 75, 0]]
-    wanted.append([1900, 50, 1000, 0, 75, 0])
-    np.testing.assert_allclose(read.values(), wanted, atol=1e-6)
+    expected: list[list[float]] = [[1850, -50, 950, 0, 75, 0], [1800.0000001, 0, 900, 0, 75, 0]]
+    expected.append([1900, 50, 1000, 0, 75, 0])
+    np.testing.assert_allclose(read.values(), expected, atol=1e-6)
     assert read.notes[0] == "not used by a motion, left: P3"
 
 
