@@ -83,7 +83,7 @@ class Fit:
 def fitted(log: Log) -> Fitted:
     """Return the choice of the error model, by what was measured."""
     measured = measured_of(log)
-    choice = chosen(measured, turned=log.cell.plan.turns)
+    choice = chosen(measured, reoriented=log.cell.plan.turns)
     model, orientation = choice.model, ""
     if log.cell.orients:
         orientation = f"left as it is: {model} predicts positions only"
@@ -108,7 +108,7 @@ def orients(log: Log) -> bool:
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:
     vertex = plan.poses_at(cell, measured.grid.grid.origin_mm[None])
-    return MODELS[name].learn(measured).predict(vertex).turn is not None
+    return MODELS[name].learn(measured).predict(vertex).orientation is not None
 
 
 IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}

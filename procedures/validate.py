@@ -23,11 +23,11 @@ from hilcell.calibration.grid import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.orientation import (
     MOVED_MM,
-    check_turn_limit,
-    largest_turn,
+    check_orientation_limit,
+    largest_orientation_error,
     moved_on_flange_mm,
-    turn_coverages,
-    validated_turns,
+    orientation_coverages,
+    validated_orientation_errors,
 )
 from hilcell.calibration.position_errors import judged_places, validation
 from hilcell.calibration.touch import beside_nest
@@ -69,7 +69,7 @@ class Validate:
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse targets out of reach, and limits that nothing could keep."""
         check_limits(cell)
-        check_turn_limit(cell)
+        check_orientation_limit(cell)
         here, points, spans = cell.reference, 0, []
         T_W_T, ranges_mm = inverse(cell.tracker.pose.matrix()), list[float]()
         for name, poses in target_poses(cell, seed).items():
@@ -154,13 +154,13 @@ class Validate:
         limits = limits_of(session.cell)
         for where, stations in judged_places(session.cell).items():
             place = self._place_of(session.log, where, stations)
-            turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
+            turned = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
             found = judged(
                 place.chosen.mean,
                 place.chosen.max,
                 limits,
                 guard_of(session.log, place.points),
-                turn=largest_turn(session.log, turned),
+                orientation=largest_orientation_error(session.log, turned),
                 also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
                 words="" if place.decision is None else place.decision.text,
             )
@@ -169,7 +169,7 @@ class Validate:
 
     def _judge_orientation(self, session: CellSession) -> None:
         stations = [station.name for station in session.cell.station]
-        turns = validated_turns(session.log, stations)
+        turns = validated_orientation_errors(session.log, stations)
         if set(BOTH) <= turns.keys() and orients(session.log):
             before, chosen = (turns[how].figures.mean_deg for how in BOTH)
             moved_mm = moved_on_flange_mm(session.log)
@@ -196,7 +196,7 @@ class Validate:
             return {}
         try:
             found = coverages(calibration, log, places)
-            turns = turn_coverages(calibration, log, places)
+            turns = orientation_coverages(calibration, log, places)
         except NoBound:  # the report says why
             return {}
         return {
@@ -232,7 +232,7 @@ class Validate:
         With several reflectors on the flange, those of the orientation as well.
         """
         together = where in (log.cell.grid.station, OTHERS)
-        series, turns = validation(log, stations), validated_turns(log, stations)
+        series, turns = validation(log, stations), validated_orientation_errors(log, stations)
         sent = {
             how: SentErrors(
                 **errors.figures._asdict(),

@@ -222,11 +222,11 @@ def with_drill(
     stated: Uncertainty,
     offset_mm: tuple[float, float, float],
     u_mm: float = 0.0,
-    turns_deg: Array | None = None,
+    bounds_deg: Array | None = None,
 ) -> Uncertainty:
     """Return the budget of a drill at ``offset_mm`` (1 sigma ``u_mm``) from the reflector in {T}.
 
-    Bounds of corrected orientation ``turns_deg`` (N,) replace the stated limit. Raises `NoBound`.
+    Bounds of corrected orientation ``bounds_deg`` (N,) replace the stated limit. Raises `NoBound`.
     """
     x_mm, y_mm, z_mm = offset_mm
     far = f"{math.hypot(*offset_mm):g} mm from the reflector"
@@ -234,10 +234,10 @@ def with_drill(
         raise NoBound(f"the calibration states no line {DRILL}; calibrate again")
     changed: dict[str, object] = {"origin_mm": (-x_mm, -y_mm, -z_mm)}
     changed["how"] = f"{far}, as the cell that was given states it"
-    if turns_deg is not None:
-        turn_rad2 = math.radians(float(turns_deg.max())) ** 2 / chi2_quantile(0.95, 3.0)
+    if bounds_deg is not None:
+        turn_rad2 = math.radians(float(bounds_deg.max())) ** 2 / chi2_quantile(0.95, 3.0)
         changed["covariance"] = motion(0.0, turn_rad2)
-        changed["how"] = f"{far}, orientation corrected within {turns_deg.max():.4f} deg (95 %)"
+        changed["how"] = f"{far}, orientation corrected within {bounds_deg.max():.4f} deg (95 %)"
     lines = [
         msgspec.structs.replace(line, **changed) if line.name == DRILL else line
         for line in stated.lines

@@ -22,7 +22,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, gravest
-from hilcell.model.verdicts import Judged, Limits, Turn
+from hilcell.model.verdicts import Judged, Limits, OrientationError
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
@@ -34,7 +34,7 @@ class Guard(NamedTuple):
     max_mm: float
 
 
-UNKNOWN_TURN = Turn(math.nan, math.nan)  # accepts nothing
+UNKNOWN_ORIENTATION = OrientationError(math.nan, math.nan)  # accepts nothing
 NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
 
 
@@ -108,11 +108,11 @@ def judged(
     limits: Limits,
     guard: Guard,
     *,
-    turn: Turn | None = None,
+    orientation: OrientationError | None = None,
     also: Outcome = Outcome.ACCEPTED,
     words: str = "",
 ) -> Judged:
-    """Return the decision on mean and largest error, and on ``turn`` by the limit of orientation.
+    """Return the decision on mean and largest error, and on ``orientation`` by its limit.
 
     ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
     """
@@ -127,9 +127,12 @@ def judged(
         decided=Outcome.REJECTED,
         decision="",
     )
-    if turn is not None and limits.max_deg is not None:
+    if orientation is not None and limits.max_deg is not None:
         stated = replace(
-            stated, max_deg=turn.max_deg, max_tolerance_deg=limits.max_deg, max_U_deg=turn.U_deg
+            stated,
+            max_deg=orientation.max_deg,
+            max_tolerance_deg=limits.max_deg,
+            max_U_deg=orientation.U_deg,
         )
     outcome = gravest([also, *(each.outcome for each in stated.figures)])
     return replace(
@@ -143,7 +146,13 @@ def judged(
 def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
     """Return the decision on a verdict's figures, by its own or other limits."""
     guard = Guard(stated.mean_U_mm, stated.max_U_mm)
-    return judged(stated.mean_mm, stated.max_mm, limits or stated.limits, guard, turn=stated.turn)
+    return judged(
+        stated.mean_mm,
+        stated.max_mm,
+        limits or stated.limits,
+        guard,
+        orientation=stated.orientation,
+    )
 
 
 def judged_errors(log: Log, errors_mm: Array) -> Judged:

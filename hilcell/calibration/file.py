@@ -69,7 +69,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
     # A model that knows turns holds at more orientations than the grid's.
-    others = cell.plan.grid_orientations if MODELS[method].turns else []
+    others = cell.plan.grid_orientations if MODELS[method].any_orientation else []
     further = [from_zyx(angles).tolist() for angles in others]
     values = {
         "schema": SCHEMA,
@@ -122,7 +122,7 @@ def failed_of(log: Log) -> dict[str, str]:
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:
     """Return by how much targets may turn away from the grid's orientation."""
-    tilt_deg = cell.plan.tilt_deg if MODELS[method].turns else 0.0
+    tilt_deg = cell.plan.tilt_deg if MODELS[method].any_orientation else 0.0
     return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
 
 
@@ -220,7 +220,7 @@ def compensate_targets(
     T_W_B = calibration.base(station)
     poses = poses_from_zyx(targets)
     in_base = inverse(T_W_B) @ poses @ tip.T_D_T  # of {T}
-    _refuse_turned(calibration, in_base, names)
+    _refuse_orientations(calibration, in_base, names)
     model = calibration.error_model()
     sent = corrected_poses(calibration.grid(), in_base, model, names=names) @ tip.T_T_D
     poses[:, :3, 3] = apply(T_W_B, sent[:, :3, 3])
@@ -233,7 +233,7 @@ def compensate_targets(
     return beside
 
 
-def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> None:
+def _refuse_orientations(calibration: Calibration, poses: Array, names: list[str]) -> None:
     found_deg = calibration.validity.turned_deg(poses)
     limit_deg = calibration.validity.orientation_tolerance_deg
     far = np.flatnonzero(~(found_deg <= limit_deg))
@@ -284,7 +284,7 @@ class _Checks:
     """Checks of a calibration, each of which yields its problems."""
 
     MOST_ERROR_MM = 100.0  # beyond is no robot's error
-    MOST_TURN_DEG = 180.0
+    MOST_ROTATION_DEG = 180.0
     MOST_C = 100.0
 
     calibration: Calibration
@@ -310,7 +310,7 @@ class _Checks:
             yield from self._rotation(f"validity.orientations.{number}", self._array(R))
         tolerance_deg = validity.orientation_tolerance_deg
         name = "validity.orientation_tolerance_deg"
-        yield from self._above_nought(name, tolerance_deg, self.MOST_TURN_DEG)
+        yield from self._above_nought(name, tolerance_deg, self.MOST_ROTATION_DEG)
         if validity.temperature_c is None:
             return
         yield from self._within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
@@ -418,8 +418,11 @@ class _Checks:
             if not all(0 <= figure <= MOST_MM for figure in figures):
                 shown = ", ".join(f"{each:g}" for each in figures)
                 yield f"{at}: {shown}, expected 0 .. {MOST_MM:g} mm"
-            elif not all(0 <= deg <= self.MOST_TURN_DEG for deg in each.turn or ()):
-                yield f"{at}: orientation {each.turn}, expected 0 .. {self.MOST_TURN_DEG:g} deg"
+            elif not all(0 <= deg <= self.MOST_ROTATION_DEG for deg in each.orientation or ()):
+                yield (
+                    f"{at}: orientation {each.orientation}, expected 0 .. "
+                    f"{self.MOST_ROTATION_DEG:g} deg"
+                )
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:

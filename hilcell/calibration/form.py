@@ -165,7 +165,7 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     def orients(self) -> bool:
         """Whether it corrects the tool's orientation as well: several reflectors were measured."""
         middle_mm = (np.array(self.validity.low_mm) + np.array(self.validity.high_mm)) / 2
-        return self.error_model().predict(self.poses_at(middle_mm[None])).turn is not None
+        return self.error_model().predict(self.poses_at(middle_mm[None])).orientation is not None
 
     @cached_property
     def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms

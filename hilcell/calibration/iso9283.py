@@ -24,7 +24,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm, expanded_mm
-from hilcell.calibration.orientation import turned_of, turned_rad2
+from hilcell.calibration.orientation import last_orientation_errors, orientation_covariances_rad2
 from hilcell.calibration.position_errors import Errors, errors_of
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
@@ -390,9 +390,13 @@ class _Evaluation:
             seats = model.state.smr_mm
         found, R = {}, self.log.matrix("base")[:3, :3]
         for name, points in self.visits().items():
-            turned = turned_of(self.log, points, seats)
+            turned = last_orientation_errors(self.log, points, seats)
             if len(turned) > 1:
-                rad2 = turned_rad2(self.log, turned, readings=False).mean(axis=0) if known else None
+                rad2 = (
+                    orientation_covariances_rad2(self.log, turned, readings=False).mean(axis=0)
+                    if known
+                    else None
+                )
                 found[name] = angles_of(
                     turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R
                 )

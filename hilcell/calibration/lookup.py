@@ -33,7 +33,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, typed
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.calibration_status import Standing, current_of, standings
+from hilcell.journal.calibration_status import CalibrationStatus, current_of, statuses
 from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
@@ -84,7 +84,7 @@ class CalibrationFile:
         return folder.resolve() if is_run(folder) else None
 
     @cached_property
-    def standing(self) -> Standing | None:
+    def status(self) -> CalibrationStatus | None:
         """How it stands; None where its run is not there.
 
         A run in a copy of ``runs`` may have been revoked since in ``runs``.
@@ -92,11 +92,11 @@ class CalibrationFile:
         folder = self.folder
         if folder is None:
             return None
-        found = standing_of(folder) or _unproven(row_of(folder))
+        found = calibration_status(folder) or _unproven(row_of(folder))
         here = (self.runs / folder.name).resolve()
         if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
             return found
-        there = standing_of(here) or _unproven(row_of(here))
+        there = calibration_status(here) or _unproven(row_of(here))
         return found if there.usable else there
 
     @cached_property
@@ -156,7 +156,7 @@ def with_calibration(
         return Chosen(cell, [])  # the plan says which keys it lacks
     named = chosen.calibration or str(_current(runs, cell, table, machine))
     used = CalibrationFile.named(named, runs)
-    calibration, standing = used.calibration, used.standing
+    calibration, status = used.calibration, used.status
     if reasons := list(_foreign(used, cell)):  # first: nothing accepts that of another cell
         raise Unfit(calibration, reasons)
     accepted = check_fitness(
@@ -165,14 +165,14 @@ def with_calibration(
         max_age_days=math.inf,  # its age and the temperature are why it is checked
         limits=limits_of(cell),
         accept_out_of_tolerance=accept_out_of_tolerance,
-        standing=standing,
+        status=status,
         accept_not_current=accept_not_current,
     )
     words = f"the calibration of {calibration.provenance.named} is used"
-    if standing is not None:
-        words += f": {standing.text}"
-        if not standing.usable:
-            accepted.append(f"it is {standing.text}")
+    if status is not None:
+        words += f": {status.text}"
+        if not status.usable:
+            accepted.append(f"it is {status.text}")
     changed = msgspec.structs.replace(chosen, calibration=str(used.path.resolve()))
     return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
 
@@ -220,11 +220,11 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     """
     gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
     rows = read_index(runs)
-    known = standings(rows)
+    known = statuses(rows)
     for row in reversed(in_order(rows)):
         path = runs / row.name / CALIBRATION
-        standing = known.get(row.name, _unproven(row))
-        if (made := _made(path, row, standing, cell)) is None or made.cell != cell.name:
+        status = known.get(row.name, _unproven(row))
+        if (made := _made(path, row, status, cell)) is None or made.cell != cell.name:
             continue
         if machine is not None and row.machine_seed not in (None, machine):
             gone = gone or f" (that of run {row.name} is of simulated machine {row.machine_seed})"
@@ -232,14 +232,14 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
             gone = gone or f" (that of run {row.name} has a base that was touched on a visit)"
-        elif standing.state == "current":
+        elif status.state == "current":
             return path
-        elif row.name in known and standing.state == "in doubt" and not standing.current:
+        elif row.name in known and status.state == "in doubt" and not status.current:
             return path  # which is refused with its reason: it may supersede all others
-        elif standing.usable:
+        elif status.usable:
             unproven = unproven or path
         else:
-            gone = gone or f" (that of run {row.name} is {standing.text})"
+            gone = gone or f" (that of run {row.name} is {status.text})"
     if found := unproven or (None if gone else foreign):  # which is refused with its reason
         return found
     raise NoCalibration(
@@ -248,7 +248,7 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     )
 
 
-def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance | None:
+def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Provenance | None:
     """Return how a run's calibration was made; None where it has none that may be current.
 
     A damaged file ends only what may need it: by the run's journal, or of any cell without that.
@@ -259,31 +259,31 @@ def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance
         return read_calibration(path).provenance
     except SettingsError:
         of_cell = (row.cell, row.simulated) == (cell.name, cell.simulation is not None)
-        wanted = standing.usable or standing.state == "in doubt"
+        wanted = status.usable or status.state == "in doubt"
         if wanted and (of_cell or not row.readable):
             raise
         return None
 
 
-def standing_of(folder: Path) -> Standing | None:
-    """Return how a run's calibration stands, as `standings_in` does; None where it has none."""
+def calibration_status(folder: Path) -> CalibrationStatus | None:
+    """Return the status of a run's calibration, None where it has none; `calibration_statuses`."""
     folder = folder.resolve()
-    return standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
+    return calibration_statuses(folder.parent, read_index(folder.parent)).get(folder.name)
 
 
-def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
-    """Return standings by journals and files: one before an unread later one is in doubt.
+def calibration_statuses(runs: Path, rows: Sequence[RunRow]) -> dict[str, CalibrationStatus]:
+    """Return statuses by journals and files: one before an unread later one is in doubt.
 
     So is a calibration with which its run did not end.
     """
     readable = {row.name for row in rows if row.readable}
-    found = standings(rows)
+    found = statuses(rows)
     for name in [name for name, each in found.items() if each.state == "current"]:
         for later in _later_unread(runs / name, readable):
             why = (
                 f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
             )
-            found[name] = Standing("in doubt", "", why)
+            found[name] = CalibrationStatus("in doubt", "", why)
             break
     for row in rows:
         if row.name not in found and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
@@ -306,9 +306,9 @@ def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
                 yield name
 
 
-def _unproven(row: RunRow) -> Standing:
+def _unproven(row: RunRow) -> CalibrationStatus:
     ended = "made no calibration by its journal" if row.finished else f"is {row.condition}"
-    return Standing("in doubt", "", f"its run {ended}")
+    return CalibrationStatus("in doubt", "", f"its run {ended}")
 
 
 def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:

@@ -18,7 +18,7 @@ from itertools import chain, combinations, pairwise
 import numpy as np
 
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
-from hilcell.calibration.decision_rule import UNKNOWN_TURN, stated_mm2
+from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION, stated_mm2
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.grid import measured_of
@@ -26,7 +26,14 @@ from hilcell.calibration.influence import Influence, NoBound
 from hilcell.calibration.measurement_budget import expanded_mm
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
-from hilcell.geometry.frames import apply, from_zyx, inverse, orientations, to_rotvec, turn_levers
+from hilcell.geometry.frames import (
+    apply,
+    from_zyx,
+    inverse,
+    orientations,
+    rotation_levers,
+    to_rotvec,
+)
 from hilcell.geometry.statistics import (
     bounds95_mm,
     effective_freedom,
@@ -37,16 +44,16 @@ from hilcell.geometry.statistics import (
 from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
-from hilcell.model.results import TurnBounds, Turns
-from hilcell.model.verdicts import Turn
+from hilcell.model.results import OrientationBounds, OrientationFigures
+from hilcell.model.verdicts import OrientationError
 from hilcell.ports import Array, HilcellError
 
-TURNS = slice(3, 6)  # of an influence's covariance
+ROTATION = slice(3, 6)  # of an influence's covariance
 MOVED_MM = 0.03  # of reflectors against each other: at 150 mm it turns the tool by 0.01 deg
 
 
 @dataclass(frozen=True, eq=False)
-class Turned:
+class OrientationErrors:
     """Tool points of N targets, their errors of orientation (N, 3) in rad, axes of {W}, the
     covariances (N, 3, 3) that the readings give them, and those of 1 mm^2 in each coordinate of
     each reflector.
@@ -71,9 +78,9 @@ class Turned:
         return math.degrees(math.sqrt(np.trace(self.reading_rad2, axis1=1, axis2=2).mean()))
 
     @property
-    def figures(self) -> Turns:
+    def figures(self) -> OrientationFigures:
         found = figures_of(self.angles_deg)
-        return Turns(mean_deg=found.mean, p95_deg=found.p95, max_deg=found.max)
+        return OrientationFigures(mean_deg=found.mean, p95_deg=found.p95, max_deg=found.max)
 
 
 def seats_of(log: Log) -> Array | None:
@@ -87,23 +94,25 @@ def seats_of(log: Log) -> Array | None:
         return None
 
 
-def turned_of(log: Log, points: Sequence[Point], seats: Array) -> Turned:
+def last_orientation_errors(log: Log, points: Sequence[Point], seats: Array) -> OrientationErrors:
     """Return the last errors of tool points with a nominal orientation, all reflectors measured."""
     return _turned(log, [times[-1] for times in _times(log, points, len(seats))], seats)
 
 
-def turned_each_time(log: Log, point: Point, seats: Array) -> Turned:
+def repeated_orientation_errors(log: Log, point: Point, seats: Array) -> OrientationErrors:
     """Return the errors of one tool point, each time that it was measured."""
     return _turned(log, [*chain(*_times(log, [point], len(seats)))], seats)
 
 
-def largest_turned(log: Log, points: Sequence[Point], seats: Array) -> Turned:
-    """Return the errors as `turned_of` does, each target by its largest measured one."""
+def largest_orientation_errors(
+    log: Log, points: Sequence[Point], seats: Array
+) -> OrientationErrors:
+    """Return each target's largest measured error of those as `last_orientation_errors` gives."""
     measured = _times(log, points, len(seats))
     every = _turned(log, [*chain(*measured)], seats)
     ends, angles_deg = np.cumsum([0, *map(len, measured)]), every.angles_deg
     chosen = [begin + int(np.argmax(angles_deg[begin:end])) for begin, end in pairwise(ends)]
-    return Turned(
+    return OrientationErrors(
         [every.points[n] for n in chosen],
         every.error_rad[chosen],
         every.reading_rad2[chosen],
@@ -124,24 +133,28 @@ def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Poin
     return found
 
 
-def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Turned:
+def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> OrientationErrors:
     """Return the errors of poses; each has its reflectors, the tool point first."""
     known = [each[0] for each in poses]
     if not known:
-        return Turned([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
+        return OrientationErrors([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
     T_W_L = log.matrix("world")
     seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in poses])
     own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in poses])
     R = orientations(seats, seen_mm)
-    levers = turn_levers(seats, R)
+    levers = rotation_levers(seats, R)
     nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
     reading_rad2, per_mm2_rad2 = (
         np.sum(levers @ each @ np.swapaxes(levers, -1, -2), axis=1) for each in (own_mm2, np.eye(3))
     )
-    return Turned(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2)
+    return OrientationErrors(
+        known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2
+    )
 
 
-def validated_turns(log: Log, stations: Sequence[str]) -> dict[Sent, Turned]:
+def validated_orientation_errors(
+    log: Log, stations: Sequence[str]
+) -> dict[Sent, OrientationErrors]:
     """Return the largest errors of each target at ``stations`` by the way of sending."""
     seats = seats_of(log)
     if seats is None:
@@ -149,20 +162,25 @@ def validated_turns(log: Log, stations: Sequence[str]) -> dict[Sent, Turned]:
     found = {}
     for how in Sent:
         points = [p for name in stations for p in log.select("validate", name, how=how)]
-        turned = largest_turned(log, points, seats)
+        turned = largest_orientation_errors(log, points, seats)
         if len(turned):
             found[how] = turned
     return found
 
 
-def largest_turn(log: Log, turned: Turned | None) -> Turn:
+def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> OrientationError:
     """Return the largest error of orientation and its U; no numbers where none was measured."""
     if turned is None or not len(turned):
-        return UNKNOWN_TURN
-    return Turn(float(turned.angles_deg.max()), float(expanded_deg(turned_rad2(log, turned)).max()))
+        return UNKNOWN_ORIENTATION
+    return OrientationError(
+        float(turned.angles_deg.max()),
+        float(expanded_deg(orientation_covariances_rad2(log, turned)).max()),
+    )
 
 
-def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
+def orientation_covariances_rad2(
+    log: Log, turned: OrientationErrors, *, readings: bool = True
+) -> Array:
     """Return the covariances (N, 3, 3) of orientations in {W}, with or without ``readings``."""
     covariance_rad2 = stated_mm2(log.cell) * turned.per_mm2_rad2
     if readings:
@@ -172,12 +190,12 @@ def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
     return covariance_rad2
 
 
-def check_turn_limit(cell: Cell) -> None:
+def check_orientation_limit(cell: Cell) -> None:
     """Raise `HilcellError` where the stated uncertainties alone leave nothing of the limit."""
     limit_deg = cell.validation.max_tolerance_deg
     if limit_deg is None:
         return
-    levers = turn_levers(cell.robot.seats_mm, np.eye(3)[None])
+    levers = rotation_levers(cell.robot.seats_mm, np.eye(3)[None])
     per_mm2_rad2 = np.sum(levers @ np.swapaxes(levers, -1, -2), axis=1)
     (least_deg,) = expanded_deg(stated_mm2(cell) * per_mm2_rad2)
     if not limit_deg > least_deg:
@@ -220,7 +238,7 @@ def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
     return np.asarray(np.linalg.norm(seen_mm[:, one] - seen_mm[:, other], axis=-1))
 
 
-def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:
+def orientation_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:
     """Return the 95 % bounds (N,) of orientation at poses (N, 4, 4) in {W}, None where it is not
     corrected; raises `NoBound`.
     """
@@ -230,9 +248,9 @@ def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Arr
     return _bounds_deg(calibration, station, poses, lines, np.zeros((len(poses), 3, 3)))
 
 
-def turn_coverages(
+def orientation_coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
-) -> dict[str, TurnBounds]:
+) -> dict[str, OrientationBounds]:
     """Return the bounds of corrected orientations by place; raises `NoBound`."""
     seats = seats_of(log) if calibration.orients else None
     if seats is None:
@@ -245,7 +263,7 @@ def turn_coverages(
             np.concatenate([single[name][n] for name in stations]) for n in (0, 1)
         )
         if len(angles_deg):
-            found[place] = TurnBounds(
+            found[place] = OrientationBounds(
                 coverage=float(np.mean(angles_deg <= bounds_deg)),
                 mean_deg=float(bounds_deg.mean()),
                 max_deg=float(bounds_deg.max()),
@@ -257,7 +275,9 @@ def _validated(
     calibration: Calibration, log: Log, station: str, seats: Array
 ) -> tuple[Array, Array]:
     """Return the errors and bounds, (N,) each in deg, of a station's corrected targets."""
-    turned = largest_turned(log, log.select("validate", station, how=Sent.CHOSEN), seats)
+    turned = largest_orientation_errors(
+        log, log.select("validate", station, how=Sent.CHOSEN), seats
+    )
     if not len(turned):
         return np.zeros(0), np.zeros(0)
     T_W_B = calibration.base(station)
@@ -278,7 +298,7 @@ def _bounds_deg(
 ) -> Array:
     """Return the bounds (N,): model, frames of {W} and {B}, and what else (N, 3, 3) there is."""
     T_W_B = calibration.base(station)
-    turn = calibration.error_model().predict(inverse(T_W_B) @ poses).turn
+    turn = calibration.error_model().predict(inverse(T_W_B) @ poses).orientation
     if turn is None:
         raise NoBound("its error model knows positions only")
     R = T_W_B[:3, :3]
@@ -288,7 +308,7 @@ def _bounds_deg(
     for line in lines:
         if line.frame in axes:  # the tool's is the stated limit of what is measured here
             own = axes[line.frame]
-            frames_rad2 += own @ np.array(line.covariance)[TURNS, TURNS] @ own.T
+            frames_rad2 += own @ np.array(line.covariance)[ROTATION, ROTATION] @ own.T
     samples = calibration.uncertainty.model_samples
     freedom = trace_freedom(model_rad2.mean(axis=0), samples) if samples else math.inf
     rest_rad2 = frames_rad2 + own_rad2

@@ -18,7 +18,7 @@ from hilcell.calibration.decision_rule import limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.model.verdicts import ChangedSince, Limits
 from hilcell.ports import HilcellError
 
@@ -45,7 +45,7 @@ def check_fitness(
     limits: Limits | None = None,
     temperature_c: float | None = None,
     accept_out_of_tolerance: bool = False,
-    standing: Standing | None = None,
+    status: CalibrationStatus | None = None,
     accept_not_current: bool = False,
 ) -> list[str]:
     """Return why a calibration is out of tolerance; raises `Unfit` for what is not accepted.
@@ -54,11 +54,11 @@ def check_fitness(
     a cell that is not given; None leaves each unchecked.
     """
     use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
-    settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
+    settled = ChangedSince.keys if status is not None and status.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
     acceptable = {
-        "--accept-not-current": [] if accept_not_current else [*_not_current(standing)],
+        "--accept-not-current": [] if accept_not_current else [*_not_current(status)],
         "--accept-out-of-tolerance": [] if accept_out_of_tolerance else intolerant,
     }
     found = [each for each in (use.unproven, use.age, use.other_cell, use.temperature) if each]
@@ -103,13 +103,13 @@ def out_of_tolerance(
     return reasons + [f"{key} did not hold: {words}" for key, words in failed.items()]
 
 
-def _not_current(standing: Standing | None) -> Iterator[str]:
-    if standing is None or standing.usable:
+def _not_current(status: CalibrationStatus | None) -> Iterator[str]:
+    if status is None or status.usable:
         return
-    yield f"it is {standing.text}"
-    if standing.current:
-        yield f"the current one of the cell is that of run {standing.current}"
-    elif standing.state != "in doubt":
+    yield f"it is {status.text}"
+    if status.current:
+        yield f"the current one of the cell is that of run {status.current}"
+    elif status.state != "in doubt":
         yield "no calibration of the cell is current: calibrate again"
 
 

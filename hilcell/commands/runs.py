@@ -12,14 +12,14 @@ from pathlib import Path
 import msgspec
 
 from hilcell.atomic_files import CSV, check_output, write_whole
-from hilcell.calibration.lookup import standing_of, standings_in
+from hilcell.calibration.lookup import calibration_status, calibration_statuses
 from hilcell.cell.devices import load_entry
 from hilcell.commands.console import print_json, print_message, print_table, terminal_columns
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.commands.signatures import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.decoding import Json
 from hilcell.invariants import INVARIANTS, Break, Proof, judge
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
@@ -41,7 +41,7 @@ from hilcell.sanitize import encodable, harmless
 def runs(args: ListRuns) -> int:
     """List the runs of a folder, in the order of their names."""
     rows = read_index(args.runs)
-    known = standings_in(args.runs, rows)
+    known = calibration_statuses(args.runs, rows)
     listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
     for note in clock_notes(rows):
         print_message(f"warning: {note}")
@@ -95,13 +95,13 @@ LIST: tuple[Column[RunRow], ...] = (
 )
 
 
-def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
+def _print_list(rows: list[RunRow], known: Mapping[str, CalibrationStatus]) -> None:
     """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
     texts = {row.name: encodable(known[row.name].text) for row in rows if row.name in known}
-    standing = Column[RunRow](
+    status = Column[RunRow](
         "calibration", lambda row: texts.get(row.name) if row.readable else None
     )
-    room, columns = terminal_columns(), [*LIST, standing]
+    room, columns = terminal_columns(), [*LIST, status]
     for name in ("procedure", "exit", "points", "operator", "begun", "state", "calibration"):
         if room is not None and width_of(Table(columns, rows)) > room:
             columns = [column for column in columns if column.name != name]
@@ -110,7 +110,7 @@ def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
         print_message("a wider terminal, or --json, shows more of each run")
 
 
-def _summary(row: RunRow, standing: Standing | None) -> Json:
+def _summary(row: RunRow, status: CalibrationStatus | None) -> Json:
     name = encodable(row.name)
     if not row.readable:
         return {"run": name, "state": row.state, "reason": encodable(row.reason)}
@@ -129,13 +129,13 @@ def _summary(row: RunRow, standing: Standing | None) -> Json:
         "ended": row.ended or None,
         "verdict": row.verdict,
         "reason": encodable(row.reason),
-        "standing": standing
+        "standing": status
         and {
-            "state": standing.state,
-            "by": standing.by or None,
-            "reason": encodable(standing.reason),
-            "current": standing.current or None,
-            "text": encodable(standing.text),
+            "state": status.state,
+            "by": status.by or None,
+            "reason": encodable(status.reason),
+            "current": status.current or None,
+            "text": encodable(status.text),
         },
     }
 
@@ -149,8 +149,8 @@ def show(args: Show) -> int:
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
     result = procedure.result(log) if finished else log.result
-    standing = standing_of(folder)
-    summary = _summary(row_of(folder), standing) | {
+    status = calibration_status(folder)
+    summary = _summary(row_of(folder), status) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
         "machine_seed": inputs.machine_seed,
@@ -178,8 +178,8 @@ def show(args: Show) -> int:
         rows.append(("reason", summary["reason"]))
     if summary.get("verdict"):
         rows.append(("verdict", summary["verdict"]))
-    if standing is not None:
-        rows.append(("its calibration", encodable(standing.text)))
+    if status is not None:
+        rows.append(("its calibration", encodable(status.text)))
     print_table(Table([Column("run", itemgetter(0)), Column(summary["run"], itemgetter(1))], rows))
     print_suspected(log)
     if finished:
@@ -347,12 +347,12 @@ def revoke(args: Revoke) -> int:
             journal.append("event", "", revoked)
         finally:
             journal.close()
-    standing = standing_of(folder)
-    current = standing.current if standing else ""
+    status = calibration_status(folder)
+    current = status.current if status else ""
     if args.json:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
         return 0
-    machine = f" ({standing.machine})" if standing and standing.machine else ""
+    machine = f" ({status.machine})" if status and status.machine else ""
     none = f"{cell}{machine} has no current calibration any more"
     left = f"current is {current}" if current else none
     print_message(f"the calibration of run {folder.name} is revoked; {left}")

@@ -35,14 +35,14 @@ def corrected(
     vertices of both differ. So a command that has come to within micrometres may cross a face
     and move by that jump once more.
     """
-    return corrected_poses(grid, poses, model, steps, names, turned=False)[:, :3, 3]
+    return corrected_poses(grid, poses, model, steps, names, orientation=False)[:, :3, 3]
 
 
 def corrected_poses(
     grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
-    names: Sequence[str] | None = None, *, turned: bool = True,
+    names: Sequence[str] | None = None, *, orientation: bool = True,
 ) -> Array:  # fmt: skip
-    """Return commands (N, 4, 4) as `corrected` does, with ``turned`` also their orientation."""
+    """Return commands (N, 4, 4) as `corrected` does, and their ``orientation`` if asked for."""
     targets, R, at = poses[:, :3, 3], poses[:, :3, :3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)
@@ -54,8 +54,8 @@ def corrected_poses(
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)
         command = further
-        if turned and found.turn is not None:
-            at[:, :3, :3] = from_rotvec(-found.turn.error_rad) @ R
+        if orientation and found.orientation is not None:
+            at[:, :3, :3] = from_rotvec(-found.orientation.error_rad) @ R
     return matrix(at[:, :3, :3], command)
 
 

@@ -19,8 +19,8 @@ from hilcell.compensation.model import (
     Measured,
     MeasuredArm,
     ModelError,
+    PredictedOrientation,
     Prediction,
-    Turn,
 )
 from hilcell.decoding import Json, typed
 from hilcell.geometry.frames import is_rotation, to_rotvec
@@ -130,7 +130,7 @@ class Kinematic(LearntModel):
 
     name = "kinematic"
     text = "corrected by the robot's kinematics, identified from these errors"
-    turns = True
+    any_orientation = True
     scattered = False
 
     robot: NominalRobot
@@ -172,12 +172,12 @@ class Kinematic(LearntModel):
         known = (self.kinematics, self.state, self.covariance, self.noise)
         joints = self.robot.joints_for(poses)
         found_mm, covariance_mm2 = predict(*known, joints)
-        error_mm, turn = found_mm[:, 0] - poses[:, :3, 3], None
+        error_mm, orientation = found_mm[:, 0] - poses[:, :3, 3], None
         if self.kinematics.reflectors > 1:
             R, covariance_rad2 = predict_orientations(*known, joints)
             back = np.swapaxes(poses[:, :3, :3] @ self.robot.arm.tool[:3, :3].T, 1, 2)
-            turn = Turn(to_rotvec(R @ back), covariance_rad2)
-        return Prediction(error_mm, covariance_mm2[:, 0], turn)
+            orientation = PredictedOrientation(to_rotvec(R @ back), covariance_rad2)
+        return Prediction(error_mm, covariance_mm2[:, 0], orientation)
 
     def parameters(self) -> Json:
         arm, robot = self.robot.arm, self.robot
@@ -286,7 +286,7 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     """
     arm, seats_mm = measured.robot.arm, measured.seats_mm
     assumed = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
-    if len(seats_mm) > 1:  # so little that a turn of all is theirs and not the last link's
+    if len(seats_mm) > 1:  # so little that a orientation of all is theirs and not the last link's
         assumed = replace(assumed, reflector_mm=50.0)
     kinematics = Kinematics(arm, len(seats_mm), assumed=assumed)
     start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))

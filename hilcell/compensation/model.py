@@ -118,7 +118,7 @@ class ModelError(HilcellError):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Turn:
+class PredictedOrientation:
     """Errors of orientation at N targets as rotation vectors (N, 3), and their covariances
     (N, 3, 3): actual = exp(vector) nominal, so that the axes are those of the model's frame.
     """
@@ -130,7 +130,7 @@ class Turn:
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
     """Errors e = actual - nominal (N, 3) at N targets, and their covariances (N, 3, 3), NaN where
-    a calibration states none. ``turn`` is None where the model knows positions only.
+    a calibration states none. ``orientation`` is None where the model knows positions only.
 
     The covariance covers parameters, residual and the repeatability of one visit, as far as the
     data that the model learnt from show it. The frame is the model's.
@@ -138,7 +138,7 @@ class Prediction:
 
     error_mm: Array
     covariance_mm2: Array
-    turn: Turn | None = None
+    orientation: PredictedOrientation | None = None
 
 
 class ErrorModel(Protocol):
@@ -153,14 +153,14 @@ class LearntModel(ABC):
     """A model that is learnt from measured poses, judged, chosen and kept in a calibration file.
 
     A subclass is a frozen dataclass of arrays in `hilcell.compensation.model_choice.MODELS`;
-    ``text`` says in a report how it corrects. ``turns``: it holds for other orientations than the
-    grid's. ``scattered``: poses anywhere are enough; others learn from a lattice, or the arm's
-    readings.
+    ``text`` is its description in a report. ``any_orientation``: it is valid for other orientations
+    than the grid's. ``scattered``: it learns from poses anywhere; others need a lattice, or the
+    arm's readings.
     """
 
     name: ClassVar[str]
     text: ClassVar[str]
-    turns: ClassVar[bool] = False
+    any_orientation: ClassVar[bool] = False
     scattered: ClassVar[bool] = True
 
     @classmethod

@@ -28,7 +28,7 @@ class Nominal(LearntModel):
 
     name = "nominal"
     text = "not corrected: no model did better than nominal positions"
-    turns = True
+    any_orientation = True
 
     covariance_mm2: Array
 
@@ -66,15 +66,15 @@ class Choice:
     refused: dict[str, str]
 
 
-def chosen(measured: Measured, *, turned: bool = False) -> Choice:
-    """Return the best of all models, for ``turned`` targets of those that predict them."""
+def chosen(measured: Measured, *, reoriented: bool = False) -> Choice:
+    """Return the best of all models, for ``reoriented`` targets of those that predict them."""
     figures, refused = {}, {}
     for name, model in MODELS.items():
         try:
             figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))
         except IdentificationError as error:
             refused[name] = str(error)
-        if turned and not model.turns:
+        if reoriented and not model.any_orientation:
             refused[name] = "predicts the error in the grid's orientation only"
     name = choose({each: of for each, of in figures.items() if each not in refused})
     reason = f"least mean and largest miss at poses left out: {listed(figures)}"

@@ -112,7 +112,7 @@ class WithRemainder:
         found = self.model.predict(poses)
         mean_mm, left = self.remainder.at(poses)
         covariance_mm2 = found.covariance_mm2 * left[:, None, None]
-        return Prediction(found.error_mm + mean_mm, covariance_mm2, found.turn)
+        return Prediction(found.error_mm + mean_mm, covariance_mm2, found.orientation)
 
 
 class _Groups(NamedTuple):

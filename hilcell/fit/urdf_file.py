@@ -62,7 +62,9 @@ class JointText:
     def numbered(self, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
         """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
         least_axis = 1e-6
-        most_turn_rad = 2.0 * np.pi + 0.01  # of one roll, pitch or yaw; beyond, angles are degrees
+        most_rotation_rad = (
+            2.0 * np.pi + 0.01
+        )  # of one roll, pitch or yaw; beyond, angles are degrees
         try:
             origin = self.parts.get("origin", {})
             other = sorted(set(origin) - {"xyz", "rpy"})
@@ -70,13 +72,13 @@ class JointText:
                 raise ValueError(f"origin: expected xyz and rpy only, got {', '.join(other)}")
             xyz_m = _vector(origin, "origin", "xyz", (0.0, 0.0, 0.0))
             rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
-            if not np.abs(rpy_rad).max() <= most_turn_rad:
+            if not np.abs(rpy_rad).max() <= most_rotation_rad:
                 raise ValueError(
                     f"origin rpy {origin['rpy']!r} turns by more than 2 pi: wanted radians"
                 )
             R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
             step = matrix(R, xyz_m * MM)
-            if self.kind not in TURNS:
+            if self.kind not in REVOLUTE:
                 return step, np.zeros(3), (-np.inf, np.inf)
             axis = _vector(self.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
             if not np.linalg.norm(axis) > least_axis:
@@ -197,7 +199,7 @@ def _comment(lines: Sequence[str]) -> bytes:
 URDF = ".urdf"
 MM = 1000.0  # in a metre
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
-TURNS = ("revolute", "continuous")
+REVOLUTE = ("revolute", "continuous")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -224,7 +226,7 @@ class Urdf(Robot):
         origins, done = [], np.eye(4)
         wanted = iter(chain.origins)
         for joint, step in zip(self.joints, self.steps, strict=True):
-            if joint.kind in TURNS:
+            if joint.kind in REVOLUTE:
                 origins.append((joint, _origin_tag(inverse(done) @ next(wanted))))
                 done = np.eye(4)
             else:
@@ -240,7 +242,7 @@ class Urdf(Robot):
     @property
     def _fixed_at_tip(self) -> int:
         """Return how many fixed joints follow the sixth."""
-        last = max(n for n, joint in enumerate(self.joints) if joint.kind in TURNS)
+        last = max(n for n, joint in enumerate(self.joints) if joint.kind in REVOLUTE)
         return len(self.joints) - 1 - last
 
 
@@ -278,7 +280,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     if problems:
         raise SettingsError(str(path), problems)
     steps = np.array([step for step, _, _ in numbered])
-    turning = [n for n, joint in enumerate(joints) if joint.kind in TURNS]
+    turning = [n for n, joint in enumerate(joints) if joint.kind in REVOLUTE]
     chain = Chain.of_joints(steps, turning, np.array([numbered[n][1] for n in turning]))
     reach_m = float(lengths_mm(np.vstack([chain.origins[1:, :3, 3], chain.tip[:3, 3]])).sum()) / MM
     if not LEAST_REACH_M <= reach_m <= MOST_REACH_M:
@@ -339,7 +341,7 @@ def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
 def _unfit(way: list[JointText]) -> str:
     """Return why joints are no arm of six revolute joints, or nothing."""
     moving = [joint for joint in way if joint.kind != "fixed"]
-    strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in TURNS]
+    strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
     mimics = [joint.name for joint in moving if "mimic" in joint.parts]
     if strange:
         return f"has joints that are neither revolute nor fixed: {_list(strange)}"

@@ -132,7 +132,7 @@ def orientations(places_mm: Array, seen_mm: Array) -> Array:
     return found
 
 
-def turn_levers(places_mm: Array, rotations: Array) -> Array:
+def rotation_levers(places_mm: Array, rotations: Array) -> Array:
     """Return by how much a displacement of each point turns the body, (N, K, 3, 3) in rad / mm.
 
     The body's points (K, 3) are turned by rotations (N, 3, 3): the derivative of `orientations`,

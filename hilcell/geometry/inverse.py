@@ -275,7 +275,7 @@ class NominalRobot:
         if possible.
         """
         joints = inverse_kinematics(self.arm, poses, self.status)
-        return nearest_turns(joints, self.limits_rad, self.reference_rad)
+        return nearest_revolutions(joints, self.limits_rad, self.reference_rad)
 
     def joints_for(self, poses: ArrayLike) -> Array:
         """Return `nearest`; raises `ReachError` also where a joint leaves its limits."""
@@ -297,7 +297,7 @@ class NominalRobot:
     def reachable(self, poses: ArrayLike) -> Bools:
         """Return which poses (..., 4, 4) `joints_for` accepts, (...)."""
         joints, excess_mm = solved(self.arm, np.asarray(poses, dtype=float), self.status)
-        turned = nearest_turns(joints, self.limits_rad, self.reference_rad)
+        turned = nearest_revolutions(joints, self.limits_rad, self.reference_rad)
         return np.asarray((excess_mm <= ROUNDING_MM) & self._within(turned).all(axis=-1))
 
     def _within(self, joints_rad: Array) -> Bools:
@@ -305,7 +305,7 @@ class NominalRobot:
         return np.asarray((joints_rad >= low_rad) & (joints_rad <= high_rad))
 
 
-def nearest_turns(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike) -> Array:
+def nearest_revolutions(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike) -> Array:
     """Return the joints (..., 6) plus whole turns: within limits if possible, then nearest."""
     turns = 2 * np.pi * np.arange(-2, 3)[:, None]
     options = joints_rad[..., None, :] + turns

@@ -189,11 +189,11 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
 def _between_ends(angle_rad: Array) -> slice:
     """Return the samples between the ramps."""
     ends = np.array([np.median(angle_rad[:5]), np.median(angle_rad[-5:])])
-    least_turn_rad = 0.15
-    if not abs(ends[1] - ends[0]) >= least_turn_rad:
+    least_rotation_rad = 0.15
+    if not abs(ends[1] - ends[0]) >= least_rotation_rad:
         raise BadStream(
             f"the axis turned by {np.degrees(ends[1] - ends[0]):.2f} deg, expected >= "
-            f"{np.degrees(least_turn_rad):.1f} deg: sweep further"
+            f"{np.degrees(least_rotation_rad):.1f} deg: sweep further"
         )
     ramp_rad = float(np.radians(0.5))  # at each end, taken off with the ramps
     inner = np.flatnonzero(np.abs(angle_rad[:, None] - ends).min(axis=1) > ramp_rad)
@@ -222,11 +222,11 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
     unlike = 0.5  # share by which a step in time differs from the others
     jump_rad = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
     for n in np.flatnonzero(np.abs(steps_s / np.median(steps_s) - 1.0) > unlike):
-        turned_s = (angle_rad[n + 1] - angle_rad[n]) / speed_rad_s
-        if not abs(turned_s - steps_s[n]) * abs(speed_rad_s) <= jump_rad:
+        elapsed_s = (angle_rad[n + 1] - angle_rad[n]) / speed_rad_s
+        if not abs(elapsed_s - steps_s[n]) * abs(speed_rad_s) <= jump_rad:
             raise BadStream(
                 f"the tracker's time steps by {steps_s[n]:.3f} s after sample {n + 1}, while the "
-                f"axis turns for {turned_s:.3f} s: its clock jumped, or the axis paused; sweep "
+                f"axis turns for {elapsed_s:.3f} s: its clock jumped, or the axis paused; sweep "
                 "again"
             )
     window_s = 0.5  # over which a speed is judged

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.geometry.frames import turn_levers
+from hilcell.geometry.frames import rotation_levers
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.kinematics import Kinematics, Linearised, State
 from hilcell.identification.measured_poses import (
@@ -74,7 +74,7 @@ def predict_orientations(
     for first in range(0, len(joints_rad), AT_ONCE):
         part = slice(first, first + AT_ONCE)
         found = kinematics.linearised(state, joints_rad[part])
-        levers = turn_levers(state.smr_mm, R[part])
+        levers = rotation_levers(state.smr_mm, R[part])
         J = np.sum(levers @ found.by_parameter, axis=1)
         by_joint = np.sum(levers @ found.by_joint, axis=1) * noise.joint_rad
         own = np.sum(levers @ np.swapaxes(levers, -1, -2), axis=1) * noise.reading_mm**2

@@ -12,7 +12,7 @@ Where the journal of a run cannot be read its calibration is in doubt: it may ha
 
 A copied folder is the run that it was copied from, revoked as soon as one of both is revoked.
 
-A replay of a recorded run measures nothing: it changes no standing, and has one of its own.
+A replay of a recorded run measures nothing: it changes no status, and has one of its own.
 
 Simulated cells of one name are as many cells as machines were started for them: each has a current
 calibration, and is named where there are several.
@@ -38,7 +38,7 @@ State = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class CalibrationStatus:
     """``by`` is the run that superseded or revoked it, ``current`` the cell's current one; "" where
     there is none. ``machine`` names a simulated one where runs of several are there.
     """
@@ -61,8 +61,8 @@ class Standing:
         return f"{self.state}{of}{by}" + (f": {self.reason}" if self.reason else "")
 
 
-def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
-    """Return the standing of each calibration of finished runs, by the run's name.
+def statuses(rows: Iterable[RunRow]) -> dict[str, CalibrationStatus]:
+    """Return the status of each calibration of finished runs, by the run's name.
 
     A run whose journal cannot be read has one as well: it may have made a calibration.
     """
@@ -72,9 +72,10 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
     ordered = sorted(in_order(known.values()), key=lambda row: cells[row.name])
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
-    found = {row.name: Standing("replayed", "", "a replay measures nothing") for row in repeats}
+    replayed = CalibrationStatus("replayed", "", "a replay measures nothing")
+    found = {row.name: replayed for row in repeats}
     unread = (row for row in rows if row.state == UNREADABLE)
-    found |= {row.name: Standing("in doubt", "", row.reason) for row in unread}
+    found |= {row.name: CalibrationStatus("in doubt", "", row.reason) for row in unread}
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""
@@ -83,12 +84,12 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
             row.name: next(filter(None, (each.facts.doubt for each in _origins(row, known))), "")
             for row in rows_of_cell
         }
-        standing = _of_cell(rows_of_cell, doubts)
-        found |= {name: replace(each, machine=machine) for name, each in standing.items()}
+        status = _of_cell(rows_of_cell, doubts)
+        found |= {name: replace(each, machine=machine) for name, each in status.items()}
     for name, original in copies.items():
         if known[original].calibrates:
             current = found[original].current
-            found[name] = Standing("copy", "", f"the run is {original}", current)
+            found[name] = CalibrationStatus("copy", "", f"the run is {original}", current)
     return found
 
 
@@ -102,8 +103,8 @@ def current_of(
     return next(
         (
             name
-            for name, standing in standings(rows).items()
-            if standing.current == name and _cell(known[name], known) == wanted
+            for name, status in statuses(rows).items()
+            if status.current == name and _cell(known[name], known) == wanted
         ),
         "",
     )
@@ -161,9 +162,9 @@ def _simulated(seed: int | None) -> str:
     return "a simulator that ran before" if seed is None else f"simulated machine {seed}"
 
 
-def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standing]:
-    """Return the standings of one cell's calibrations; rows in their order."""
-    found: dict[str, Standing] = {}
+def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, CalibrationStatus]:
+    """Return the statuses of one cell's calibrations; rows in their order."""
+    found: dict[str, CalibrationStatus] = {}
     touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
     revoked = _revoked(rows)
     current = ""
@@ -172,14 +173,14 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standin
         if made and not (row.facts.validated and _accepted(row, revoked)):
             found[row.name] = _unproven(row.facts)
         elif not made and current and used != current:
-            found[row.name] = Standing("superseded", current)
+            found[row.name] = CalibrationStatus("superseded", current)
         else:
             doubt = doubts[row.name]
-            found[row.name] = Standing("in doubt", "", doubt) if doubt else Standing("current")
+            found[row.name] = CalibrationStatus("in doubt" if doubt else "current", "", doubt)
             if not (row.facts.revoked or row.name in touches):
                 before = [name for name in found if found[name].state != "superseded"]
                 before.remove(row.name)
-                found |= dict.fromkeys(before, Standing("superseded", row.name))
+                found |= dict.fromkeys(before, CalibrationStatus("superseded", row.name))
                 current = row.name
     found |= _left(rows, found) | revoked
     named = current if current and found[current].state == "current" else ""
@@ -187,7 +188,7 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standin
     return {name: replace(found[name], current=named) for name in calibrated}
 
 
-def _accepted(row: RunRow, revoked: Mapping[str, Standing]) -> bool:
+def _accepted(row: RunRow, revoked: Mapping[str, CalibrationStatus]) -> bool:
     """Whether nothing is against a calibration that was validated.
 
     One that differs from the calibration before it stands once that one is revoked: so a person
@@ -196,41 +197,42 @@ def _accepted(row: RunRow, revoked: Mapping[str, Standing]) -> bool:
     return row.exit == 0 or row.facts.changed_since in revoked
 
 
-def _unproven(facts: CalibrationFacts) -> Standing:
+def _unproven(facts: CalibrationFacts) -> CalibrationStatus:
     if facts.outcome is Outcome.UNDECIDED:
-        return Standing("undecided")
+        return CalibrationStatus("undecided")
     if not (facts.suspected and facts.validated):
-        return Standing("not validated")
+        return CalibrationStatus("not validated")
     since = facts.changed_since
-    return Standing(
+    return CalibrationStatus(
         "suspected", "", since and f"it differs from that of {since}; revoke the wrong one"
     )
 
 
-def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
+def _revoked(rows: list[RunRow]) -> dict[str, CalibrationStatus]:
     """Return the revoked ones: by somebody, by a re-check, and those made of them afterwards.
 
     Made before a re-check that judged an older one, an update stands: it knows what has changed.
     """
-    found: dict[str, Standing] = {}
+    found: dict[str, CalibrationStatus] = {}
     for row in rows:
         facts = row.facts
         if facts.revoked:
-            found[row.name] = Standing("revoked", "", facts.revoked)
+            found[row.name] = CalibrationStatus("revoked", "", facts.revoked)
         elif row.calibrates and facts.used in found:
             why = f"it is based on one {found[facts.used].text}"
-            found[row.name] = Standing("revoked", facts.used, why)
+            found[row.name] = CalibrationStatus("revoked", facts.used, why)
         if facts.recheck == "redo" and row.finished and not facts.revoked:
-            found.setdefault(facts.used, Standing("revoked", row.name, "its re-check says redo"))
+            redo = CalibrationStatus("revoked", row.name, "its re-check says redo")
+            found.setdefault(facts.used, redo)
     return found
 
 
-def _left(rows: list[RunRow], found: dict[str, Standing]) -> dict[str, Standing]:
+def _left(rows: list[RunRow], found: dict[str, CalibrationStatus]) -> dict[str, CalibrationStatus]:
     """Return the touched bases whose visit is over: a later run has moved the cell."""
     left = {}
     for number, row in enumerate(rows):
         if row.name in found and row.facts.kind == "touch":
             later = [each.name for each in rows[number + 1 :] if each.moved]
             if later and found[row.name].state == "current":
-                left[row.name] = Standing("out of date", later[0])
+                left[row.name] = CalibrationStatus("out of date", later[0])
     return left

@@ -21,7 +21,7 @@ class StepResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 # -- validation ------------------------------------------------------------------------------------
 
 
-class Turns(StepResult, frozen=True, kw_only=True):
+class OrientationFigures(StepResult, frozen=True, kw_only=True):
     """Errors of orientation, deg."""
 
     mean_deg: float
@@ -37,7 +37,7 @@ class SentErrors(StepResult, frozen=True, kw_only=True):
     mean: float
     p95: float
     max: float
-    orientation: Turns | None = None
+    orientation: OrientationFigures | None = None
     bound95_mean: float | None = None
     covered: float | None = None
 
@@ -49,7 +49,7 @@ class Floor(StepResult, frozen=True, kw_only=True):
     p95: float
 
 
-class TurnBounds(StepResult, frozen=True, kw_only=True):
+class OrientationBounds(StepResult, frozen=True, kw_only=True):
     """95 % bounds of corrected orientations, deg, and the share of targets that keeps them."""
 
     coverage: float
@@ -63,7 +63,7 @@ class TargetBounds(StepResult, frozen=True, kw_only=True):
     coverage: float
     mean_mm: float
     max_mm: float
-    orientation: TurnBounds | None = None
+    orientation: OrientationBounds | None = None
 
 
 class Decided(StepResult, frozen=True, kw_only=True):

@@ -116,7 +116,7 @@ class Limits(NamedTuple):
     max_deg: float | None = None
 
 
-class Turn(NamedTuple):
+class OrientationError(NamedTuple):
     """The largest error of orientation and its expanded uncertainty, deg."""
 
     max_deg: float
@@ -174,14 +174,14 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
         return Limits(self.mean_tolerance_mm, self.max_tolerance_mm, self.max_tolerance_deg)
 
     @property
-    def turn(self) -> Turn | None:
+    def orientation(self) -> OrientationError | None:
         """Return the orientation that was judged, None where it was not; a figure that is not known
         is NaN.
         """
         if self.max_tolerance_deg is None:
             return None
         both = (self.max_deg, self.max_U_deg)
-        return Turn(*(math.nan if each is None else each for each in both))
+        return OrientationError(*(math.nan if each is None else each for each in both))
 
 
 class Characteristic(NamedTuple):

@@ -17,7 +17,7 @@ from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, o
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
-from hilcell.journal.calibration_status import standings
+from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
 from hilcell.plant.tables import RUN, Found, grouped
 from hilcell.sanitize import clean
@@ -124,14 +124,14 @@ def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
 
 
 def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
-    known = standings(since)
+    known = statuses(since)
     ended_here = [known[row.name] for row in in_order(since) if row.name in known]
     state = CellState(
         cell=last.cell, serial=last.serial, machine=last.machine,
         last_run=last.name, last_state=last.state, last_ended=last.ended,
         condition=ended_here[-1].text if ended_here else "no calibration that holds",
     )  # fmt: skip
-    current = next((each for each, standing in known.items() if standing.current == each), "")
+    current = next((each for each, status in known.items() if status.current == each), "")
     if not current:
         return state
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)

@@ -27,7 +27,7 @@ from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration, written_now
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.lookup import CalibrationFile
-from hilcell.calibration.orientation import turn_bounds_deg
+from hilcell.calibration.orientation import orientation_bounds_deg
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
@@ -37,7 +37,7 @@ from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.journal.runs import is_run, run_folders
 from hilcell.journal.runs_folder import usual_runs
 from hilcell.ports import Array
@@ -45,7 +45,7 @@ from hilcell.run.order import Release
 from hilcell.sanitize import counted
 
 BOUNDS = ["name", BOUND, "u_x_mm", "u_y_mm", "u_z_mm"]
-TURN = "bound95_deg"  # where the calibration corrects orientation
+ORIENTATION_BOUND = "bound95_deg"  # where the calibration corrects orientation
 MEMORY = "corrected.csv"
 
 
@@ -53,7 +53,7 @@ MEMORY = "corrected.csv"
 class Corrected:
     """N targets of a tool's tip: ``nominal`` and what is commanded for it, poses (N, 6).
 
-    ``turns_deg`` (N,) are 95 % bounds of the orientation, None where it is not corrected.
+    ``bounds_deg`` (N,) are 95 % bounds of the orientation, None where it is not corrected.
     """
 
     names: list[str]
@@ -61,7 +61,7 @@ class Corrected:
     command: Array
     bounds: Bounds | NoBound
     stamp: Stamp
-    turns_deg: Array | None = None
+    bounds_deg: Array | None = None
 
     @cached_property
     def bounds95_mm(self) -> list[float] | None:
@@ -79,18 +79,18 @@ class Corrected:
             f"95 % bounds of the corrected targets: median {np.median(radii_mm):.3f} mm, largest "
             f"{radii_mm[worst]:.3f} mm at {self.names[worst]}"
         )
-        if self.turns_deg is None:
+        if self.bounds_deg is None:
             return words
         return (
             f"{words}; of their orientation, as the reflectors define it: "
-            f"{np.median(self.turns_deg):.4f} and {self.turns_deg.max():.4f} deg (true; a measured "
-            "angle has the readings' noise, too)"
+            f"{np.median(self.bounds_deg):.4f} and {self.bounds_deg.max():.4f} deg (true; a "
+            "measured angle has the readings' noise, too)"
         )
 
     def listed(self, header: Sequence[str], rows: Sequence[list[str]]) -> bytes:
         """Return a list of the targets with a bound in each of its ``rows``, and their stamp."""
         named, listed = [*header], [[*row] for row in rows]
-        columns = [(BOUND, self.bounds95_mm, 4), (TURN, self.turns_deg, 5)]
+        columns = [(BOUND, self.bounds95_mm, 4), (ORIENTATION_BOUND, self.bounds_deg, 5)]
         for name, values, decimals in columns:
             if values is not None:
                 named.append(name)
@@ -108,17 +108,17 @@ class Corrected:
             [name, *(f"{each:.4f}" for each in row)]
             for name, row in zip(self.names, numbers, strict=True)
         ]
-        if self.turns_deg is None:
+        if self.bounds_deg is None:
             return csv_of(BOUNDS, rows)
-        turned = zip(rows, self.turns_deg.tolist(), strict=True)
-        return csv_of([*BOUNDS, TURN], ([*row, f"{deg:.5f}"] for row, deg in turned))
+        turned = zip(rows, self.bounds_deg.tolist(), strict=True)
+        return csv_of([*BOUNDS, ORIENTATION_BOUND], ([*row, f"{deg:.5f}"] for row, deg in turned))
 
 
 @dataclass(frozen=True)
 class UsableCalibration:
     """A calibration that may be used under the conditions of ``release``.
 
-    ``accepted`` says why it is out of tolerance, where that was accepted; ``standing`` is None
+    ``accepted`` says why it is out of tolerance, where that was accepted; ``status`` is None
     where it is not known, ``cell`` the cell as it was calibrated, None likewise.
 
     >>> used = open_calibration("small")
@@ -130,7 +130,7 @@ class UsableCalibration:
     calibration: Calibration
     path: Path
     release: Release
-    standing: Standing | None
+    status: CalibrationStatus | None
     accepted: list[str]
     cell: Cell | None
 
@@ -146,26 +146,25 @@ class UsableCalibration:
             cell=cell,
             calibrated=used.cell,
             accept_out_of_tolerance=release.accept_out_of_tolerance,
-            standing=used.standing,
+            status=used.status,
             accept_not_current=release.accept_not_current,
         )
-        return cls(used.calibration, used.path, release, used.standing, accepted, used.cell)
+        return cls(used.calibration, used.path, release, used.status, accepted, used.cell)
 
     @property
-    def stands(self) -> str:
-        """Return in a word or two how the calibration stands."""
-        return "unknown" if self.standing is None else self.standing.state
+    def status_text(self) -> str:
+        return "unknown" if self.status is None else self.status.state
 
     def notes(self) -> Iterator[str]:
         made = self.calibration.provenance
         yield from (f"accepted although {reason}" for reason in self.accepted)
-        if self.standing is None:
+        if self.status is None:
             yield (
                 f"warning: run {made.latest} is not in {self.release.runs}, or not finished: "
                 "whether its calibration is current is not known"
             )
-        elif not self.standing.usable:
-            yield f"accepted although it is {self.standing.text}"
+        elif not self.status.usable:
+            yield f"accepted although it is {self.status.text}"
         if made.simulated:
             yield (
                 f"hilcell: SIMULATED: run {made.run} measured no real robot; the output is for "
@@ -175,11 +174,11 @@ class UsableCalibration:
     def stamp(self, station: str) -> Stamp:
         made = self.calibration.provenance
         remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
-        if self.standing is None:
+        if self.status is None:
             remarks.append("standing unknown: not among this cell's finished runs")
-        elif not self.standing.usable:
-            by = f" by {self.standing.by}" if self.standing.by else ""
-            remarks.append(f"{self.standing.state.upper()}{by} (accepted)")
+        elif not self.status.usable:
+            by = f" by {self.status.by}" if self.status.by else ""
+            remarks.append(f"{self.status.state.upper()}{by} (accepted)")
         return Stamp(made.latest, written_now(), station, made.simulated, tuple(remarks))
 
     def corrected(
@@ -198,19 +197,19 @@ class UsableCalibration:
         command = compensate_targets(self.calibration, station, nominal, names, tip)
         seen = poses_from_zyx(nominal) @ tip.T_D_T
         try:
-            turns_deg = turn_bounds_deg(self.calibration, station, seen)
+            bounds_deg = orientation_bounds_deg(self.calibration, station, seen)
         except NoBound:
-            turns_deg = None
+            bounds_deg = None
         bounds: Bounds | NoBound
         try:
             bounds = target_bounds(
-                self._with_drill(tip, cell, turns_deg), station, seen, self.release.temperature
+                self._with_drill(tip, cell, bounds_deg), station, seen, self.release.temperature
             )
         except NoBound as reason:
             bounds = reason
-        return Corrected(names, nominal, command, bounds, self.stamp(station), turns_deg)
+        return Corrected(names, nominal, command, bounds, self.stamp(station), bounds_deg)
 
-    def _with_drill(self, tip: Tip, cell: Cell | None, turns_deg: Array | None) -> Calibration:
+    def _with_drill(self, tip: Tip, cell: Cell | None, bounds_deg: Array | None) -> Calibration:
         """Return the calibration with the budget of the tip, or of the cell's drill, if known."""
         stated = self.calibration.uncertainty
         offset_mm = drill_mm_of(cell)
@@ -219,7 +218,7 @@ class UsableCalibration:
             offset_mm = (x_mm, y_mm, z_mm)
         if offset_mm is None or stated.missing:
             return self.calibration
-        stated = with_drill(stated, offset_mm, tip.u_mm, turns_deg)
+        stated = with_drill(stated, offset_mm, tip.u_mm, bounds_deg)
         return replace(self.calibration, uncertainty=stated)
 
     def refuse_corrected(self, source: Path, names: list[str], *targets_mm: Array) -> None:

@@ -19,7 +19,7 @@ from hilcell.geometry.frames import from_rotvec, from_zyx
 from hilcell.geometry.kinematics import Array
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
-TURNS = 24  # about the tool's axis, 15 deg apart
+TOOL_ROTATIONS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
 
 
@@ -61,7 +61,7 @@ class Holes:
         poses[..., 3, 3] = 1.0
         return poses
 
-    def with_turn_near(self, R: Array) -> Holes:
+    def with_rotation_near(self, R: Array) -> Holes:
         """Return the holes with one turn more where free: with {T} nearest to ``R`` (3, 3)."""
         rounding = 1e-9  # of a cosine
         if self.tools.shape[1] == 1:
@@ -128,12 +128,12 @@ def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
 
 
 def tools_against(normals: Array) -> Array:
-    """Return orientations (N, `TURNS`, 3, 3) whose z points against normals (N, 3)."""
+    """Return orientations (N, `TOOL_ROTATIONS`, 3, 3) whose z points against normals (N, 3)."""
     z = -normals / np.linalg.norm(normals, axis=1, keepdims=True)
     aside = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # never along z
     x = np.cross(aside, z)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     first = np.stack([x, np.cross(z, x), z], axis=-1)
-    angles_rad = np.arange(TURNS) * 2 * np.pi / TURNS
+    angles_rad = np.arange(TOOL_ROTATIONS) * 2 * np.pi / TOOL_ROTATIONS
     turns = from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0])
     return np.asarray(np.einsum("nij,kjl->nkil", first, turns))

@@ -82,7 +82,7 @@ def plan(
     if calibrated is not None:
         candidates = [each for each in candidates if each.name in calibrated.stations]
         for station in candidates:
-            holes = holes.with_turn_near(calibrated.orientation(station.name))
+            holes = holes.with_rotation_near(calibrated.orientation(station.name))
     slow = len(holes.names) >= slow_holes
     if slow:
         say(f"planning {counted(len(holes.names), 'hole')}: where they are reached")

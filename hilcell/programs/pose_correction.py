@@ -168,11 +168,11 @@ class Reach:
         """Return joints (N, 6) for poses a correction away; refuses far turns, and other limits."""
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
         # of a joint by a correction: beyond, the wrist is singular there
-        most_turn_rad = np.radians(5.0)
-        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_turn_rad)
+        most_rotation_rad = np.radians(5.0)
+        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_rotation_rad)
         refuse(
             ~near, names,
-            f"corrections turn a joint by more than {np.degrees(most_turn_rad):g} deg",
+            f"corrections turn a joint by more than {np.degrees(most_rotation_rad):g} deg",
             "arm or wrist are singular there; give poses",
         )  # fmt: skip
         inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])

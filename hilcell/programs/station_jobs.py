@@ -122,15 +122,15 @@ class StationJob:
         ]
         if bounds and targets.bounds95_mm is not None:
             columns.append(Column("95 % bound", targets.bounds95_mm.__getitem__, "mm", ".3f"))
-        if turns and targets.turns_deg is not None:
-            columns.append(Column("95 % bound", targets.turns_deg.item, "°", ".4f"))
+        if turns and targets.bounds_deg is not None:
+            columns.append(Column("95 % bound", targets.bounds_deg.item, "°", ".4f"))
         return Table(columns, range(len(nominal_mm)))
 
     @property
     def facts(self) -> dict[str, object]:
         """Return its part of the summary; bounds are None where none can be stated."""
-        bounds_mm, turns_deg = self.targets.bounds95_mm, self.targets.turns_deg
-        turned = {} if turns_deg is None else {"bound95_max_deg": float(turns_deg.max())}
+        bounds_mm, bounds_deg = self.targets.bounds95_mm, self.targets.bounds_deg
+        turned = {} if bounds_deg is None else {"bound95_max_deg": float(bounds_deg.max())}
         return {
             "name": self.plan.station.name,
             "rail_mm": self.plan.station.rail_mm,
@@ -298,7 +298,7 @@ class StationJobs:
             "cell": made.cell,
             "digest": made.digest,
             "simulated": made.simulated,
-            "standing": self.released.stands,
+            "standing": self.released.status_text,
             "holes": self.source.name,
             "tool": self.tip.name,
             "notes": list(self.released.notes()),
@@ -351,7 +351,7 @@ class StationJobs:
         bounds = [each.targets.bounds for each in self.stations]
         no_bounds = next((each.reason for each in bounds if isinstance(each, NoBound)), "")
         within_mm = self.cell.rail.strip_tolerance_mm
-        turns = all(each.targets.turns_deg is not None for each in self.stations)
+        turns = all(each.targets.bounds_deg is not None for each in self.stations)
         page = environment("hilcell.programs").get_template("sheet.html.j2")
         return page.render(
             version=__version__,
@@ -382,11 +382,11 @@ class StationJobs:
     def _facts(self) -> list[tuple[str, str]]:
         cell, tip, released, release = self.cell, self.tip, self.released, self.released.release
         made, validity = released.calibration.provenance, released.calibration.validity
-        stands = "not known to be current"
-        if released.standing is not None:
-            stands = released.standing.text
+        status = "not known to be current"
+        if released.status is not None:
+            status = released.status.text
         if released.accepted:
-            stands = f"{released.stands}; OUT OF TOLERANCE, accepted"
+            status = f"{released.status_text}; OUT OF TOLERANCE, accepted"
         held_at = tip.words.removeprefix("they hold at ")
         if tip.table is None and (drill_mm := drill_mm_of(cell)) is not None:
             at_mm = " ".join(f"{each:g}" for each in drill_mm)
@@ -400,7 +400,7 @@ class StationJobs:
             ("Holes", self.source.name),
             ("Cell", f"{cell.name}, serial {cell.serial}, robot {cell.robot.name}"),
             ("Calibration", f"{made.named}, written {self._written:%Y-%m-%d %H:%M %Z}"),
-            ("Standing", stands),
+            ("Status", status),
             ("Use until", f"{self._until}, {release.max_age:g} days after it was written"),
             ("Air", self._air),
             ("Orientation", f"as calibrated, within {validity.orientation_tolerance_deg:g}°"),
@@ -413,7 +413,7 @@ class StationJobs:
             ("Side and depth", f"{side}; {depth}"),
             ("Prepared", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"),
         ]
-        if any(each.targets.turns_deg is not None for each in self.stations):
+        if any(each.targets.bounds_deg is not None for each in self.stations):
             facts.append(("Bounds in degrees", TRUE_ANGLE))
         return facts
 

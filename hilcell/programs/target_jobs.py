@@ -172,7 +172,7 @@ class StationTargets(TargetFiles):
             "station": self.targets.stamp.station,
             "targets": len(self.targets.names),
             "tool": self.tool,
-            "standing": self.released.stands,
+            "standing": self.released.status_text,
             "stamp": self.targets.stamp.text,
             "notes": list(self.released.notes()),
         }

@@ -10,7 +10,7 @@ from operator import attrgetter
 import msgspec
 import numpy as np
 
-from hilcell.calibration.orientation import seats_of, turned_of
+from hilcell.calibration.orientation import last_orientation_errors, seats_of
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
@@ -122,7 +122,7 @@ def _turns_deg(log: Log) -> dict[str, float]:
     seats = seats_of(log)
     if seats is None:
         return {}
-    turned = turned_of(log, list(log.points.values()), seats)
+    turned = last_orientation_errors(log, list(log.points.values()), seats)
     keys = (point.key for point in turned.points)
     return dict(zip(keys, turned.angles_deg.tolist(), strict=True))
 

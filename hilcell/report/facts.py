@@ -1,7 +1,7 @@
 """A run as its journal proves it, with its result recomputed.
 
 A report must be the same from the same journal, today and in a year, so nothing here asks for the
-time, for a live engine or for this machine. Only how the calibration stands is asked of the runs
+time, for a live engine or for this machine. Only how the calibration status is asked of the runs
 beside it: a later one may have revoked or superseded it.
 """
 
@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.lookup import standing_of
+from hilcell.calibration.lookup import calibration_status
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.decoding import Json, typed
 from hilcell.identity import Identity
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.labels import in_zone, zone_of
 from hilcell.journal.log import Log
@@ -50,7 +50,7 @@ class Facts:
     result: Json
     fingerprint: str
     file_digest: str = ""  # SHA-256 of its sound calibration file
-    stands: Standing | None = None  # its calibration, among the runs of its folder
+    status: CalibrationStatus | None = None  # its calibration, among the runs of its folder
 
     def part(self, key: str, kind: type[T]) -> T | None:
         """Return a part of the result as its type; None where the run has none."""
@@ -74,21 +74,21 @@ class Facts:
         found = [r.fact.reason for r in self.records if isinstance(r.fact, CalibrationRevoked)]
         if found:
             return found[-1]
-        stands = self.stands
-        if stands is None or stands.state != "revoked":
+        status = self.status
+        if status is None or status.state != "revoked":
             return ""
-        return f"by {stands.by}: {stands.reason}" if stands.by else stands.reason
+        return f"by {status.by}: {status.reason}" if status.by else status.reason
 
     @property
     def superseded(self) -> str:
         """Return by which run its calibration is superseded, "" where it is not."""
-        stands = self.stands
-        return stands.by if stands is not None and stands.state == "superseded" else ""
+        status = self.status
+        return status.by if status is not None and status.state == "superseded" else ""
 
     @property
     def suspected(self) -> str:
         """Return the causes that the run suspects, "" where there is none, or that is cleared."""
-        if self.stands is not None and self.stands.state == "current":
+        if self.status is not None and self.status.state == "current":
             return ""
         if not self.log.facts.suspected:
             return ""
@@ -135,7 +135,7 @@ class Facts:
     def outcome_words(self, outcome: Outcome | None, none: str = "") -> str:
         """Return an outcome as the first page says it: of a simulated cell in brackets.
 
-        ``none`` stands where nothing was judged.
+        ``none`` status where nothing was judged.
         """
         if outcome is None:
             return none
@@ -152,7 +152,7 @@ def read_facts(folder: Path) -> Facts:
     for record in records:
         digest = chain(digest, record)
     return Facts(run, records, log, log.cell, procedure, result, digest.hex(),
-                 file_digest_of(folder, log), standing_of(folder))  # fmt: skip
+                 file_digest_of(folder, log), calibration_status(folder))  # fmt: skip
 
 
 def file_digest_of(folder: Path, log: Log) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from hilcell.calibration.file import calibration_so_far, verdicts_of
 from hilcell.calibration.grid import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
-from hilcell.calibration.orientation import validated_turns
+from hilcell.calibration.orientation import validated_orientation_errors
 from hilcell.calibration.position_errors import places, validation
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
@@ -95,12 +95,12 @@ class FirstPage:
         """Return the orientation nearest to its limit, or a pose test's; nothing without limits."""
         if tests_poses(self.facts):
             return PoseReport(self.facts).turn_results()
-        turns = {name: each.turn for name, each in self.judged_places().items()}
+        turns = {name: each.orientation for name, each in self.judged_places().items()}
         known = {name: turn for name, turn in turns.items() if turn is not None}
         limit_deg, results = self.facts.cell.validation.max_tolerance_deg, []
         if known and limit_deg is not None:
             place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
-            before = validated_turns(self.facts.log, [place]).get(Sent.BEFORE)
+            before = validated_orientation_errors(self.facts.log, [place]).get(Sent.BEFORE)
             before_deg = None if before is None else before.figures.max_deg
             results = [Result(f"Largest at {place}", limit_deg, before_deg, *known[place])]
         columns = self._columns("orientation of the tool", "°", ".4f")
@@ -566,8 +566,8 @@ def conformity_words(facts: Facts) -> str:
     if not judged:
         return rule
     stated = f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
-    turns_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
-    stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in turns_deg)
+    limits_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
+    stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in limits_deg)
     return f"{stated}; {rule}"
 
 

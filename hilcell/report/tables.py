@@ -10,7 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, validated_turns
+from hilcell.calibration.orientation import (
+    OrientationErrors,
+    repeated_orientation_errors,
+    seats_of,
+    validated_orientation_errors,
+)
 from hilcell.calibration.position_errors import (
     Errors,
     counting,
@@ -293,7 +298,11 @@ class Tables:
         if seats is None or point is None or point.id.kind != "validate":
             return []
         tool = self.facts.log.find(point.id.at_seat(1))
-        return turned_each_time(self.facts.log, tool, seats).angles_deg.tolist() if tool else []
+        return (
+            repeated_orientation_errors(self.facts.log, tool, seats).angles_deg.tolist()
+            if tool
+            else []
+        )
 
     def _counts(self, first: Point, again: Point) -> str:
         """Return which of both measurements of a point counts: a target's by the larger error."""
@@ -310,10 +319,10 @@ class Tables:
             return None
         return float(errors_of(self.facts.log, [point]).norms_mm[0])
 
-    def oriented(self) -> Iterator[tuple[str, Sent, Turned]]:
+    def oriented(self) -> Iterator[tuple[str, Sent, OrientationErrors]]:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
         for place, stations in places(self.facts.cell).items():
-            for how, turned in validated_turns(self.facts.log, stations).items():
+            for how, turned in validated_orientation_errors(self.facts.log, stations).items():
                 yield place_words(place), how, turned
 
     def orientation(self) -> Table:
@@ -346,7 +355,7 @@ class Tables:
     def orientation_words(self) -> str:
         """Return the figures at the grid's station in a sentence; "" where none were measured."""
         here = self.facts.cell.grid.station
-        turns = validated_turns(self.facts.log, [here])
+        turns = validated_orientation_errors(self.facts.log, [here])
         if not set(BOTH) <= turns.keys():
             return ""
         before, after = (turns[how].figures for how in BOTH)
@@ -447,8 +456,8 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
 
 # Of a target the larger error counts, of position
 # (`hilcell.calibration.position_errors.counting`) and of orientation
-# (`hilcell.calibration.orientation.largest_turned`) alike: to re-measure only large errors would
-# make the figures smaller than the robot is. Of every other point the later does.
+# (`hilcell.calibration.orientation.largest_orientation_errors`) alike: to re-measure only large
+# errors would make the figures smaller than the robot is. Of every other point the later does.
 
 REASONS = {
     "retake asked": "the operator asked for it",

@@ -17,7 +17,11 @@ from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
-from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
+from hilcell.calibration.orientation import (
+    last_orientation_errors,
+    orientation_bounds_deg,
+    seats_of,
+)
 from hilcell.geometry.frames import apply, from_zyx, inverse, matrix, orientations, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
@@ -200,11 +204,11 @@ def test_bounds_in_use_cover_the_true_turns_and_a_measured_one_has_the_noise_of_
     T_W_R = (
         world_from_tracker(cell, nests_mm) @ truth.base_in_world() @ inverse(truth.arm.ideal_base)
     )
-    turned = turned_of(log, log.select("validate", how="chosen"), seats)
+    turned = last_orientation_errors(log, log.select("validate", how="chosen"), seats)
     nominal = from_zyx(np.array([point.nominal_deg for point in turned.points]))
     nominal_mm = np.array([point.nominal_mm for point in turned.points])
     joints_rad = commanded_rad(turned.points)
-    bounds_deg = turn_bounds_deg(made, "BASE", matrix(nominal, nominal_mm))
+    bounds_deg = orientation_bounds_deg(made, "BASE", matrix(nominal, nominal_mm))
     assert bounds_deg is not None
     true_rad = []
     for _ in range(50):

@@ -290,7 +290,7 @@ class Finished:
     @property
     def orientation(self) -> list[Lines | Text]:
         """Return the largest error of orientation beside its limit, where one is stated."""
-        turns = [(each, each.judged.turn) for each in self.stations]
+        turns = [(each, each.judged.orientation) for each in self.stations]
         known = [(each, turn) for each, turn in turns if turn is not None]
         if not known:
             return []

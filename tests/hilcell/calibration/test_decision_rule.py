@@ -19,7 +19,7 @@ from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
-from hilcell.model.verdicts import Judged, Limits, Turn
+from hilcell.model.verdicts import Judged, Limits, OrientationError
 from hilcell.ports import HilcellError
 from procedures.validate import Validate
 from tests.hilcell.report.journals import Writer
@@ -81,15 +81,17 @@ ORIENTED = LIMITS._replace(max_deg=0.05)
 @pytest.mark.parametrize(
     ("turn", "outcome"),
     [
-        (Turn(0.039, 0.01), "accepted"),
-        (Turn(0.041, 0.01), "undecided"),
-        (Turn(0.061, 0.01), "rejected"),
-        (Turn(math.nan, 0.01), "rejected"),
-        (Turn(0.01, math.nan), "rejected"),
+        (OrientationError(0.039, 0.01), "accepted"),
+        (OrientationError(0.041, 0.01), "undecided"),
+        (OrientationError(0.061, 0.01), "rejected"),
+        (OrientationError(math.nan, 0.01), "rejected"),
+        (OrientationError(0.01, math.nan), "rejected"),
     ],
 )
-def test_orientation_keeps_its_limit_by_the_same_rule(turn: Turn, outcome: Outcome) -> None:
-    found = judged(0.01, 0.02, ORIENTED, GUARD, turn=turn)
+def test_orientation_keeps_its_limit_by_the_same_rule(
+    turn: OrientationError, outcome: Outcome
+) -> None:
+    found = judged(0.01, 0.02, ORIENTED, GUARD, orientation=turn)
     assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
     assert judged_again(found) == found or math.isnan(sum(turn))
     read = msgspec.json.decode(msgspec.json.encode(found), type=Judged)  # NaN is null there
@@ -97,10 +99,13 @@ def test_orientation_keeps_its_limit_by_the_same_rule(turn: Turn, outcome: Outco
 
 
 def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
-    far = Turn(9.0, 0.01)
-    for found in (judged(0.01, 0.02, LIMITS, GUARD, turn=far), judged(0.01, 0.02, ORIENTED, GUARD)):
+    far = OrientationError(9.0, 0.01)
+    for found in (
+        judged(0.01, 0.02, LIMITS, GUARD, orientation=far),
+        judged(0.01, 0.02, ORIENTED, GUARD),
+    ):
         assert found.holds
-        assert found.turn is None
+        assert found.orientation is None
         assert "max_deg" not in msgspec.to_builtins(found)
 
 

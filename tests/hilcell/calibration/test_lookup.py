@@ -16,9 +16,9 @@ from hilcell.calibration.lookup import (
     NoCalibration,
     calibrated_machine,
     calibration_named,
+    calibration_status,
+    calibration_statuses,
     record_of,
-    standing_of,
-    standings_in,
     with_calibration,
 )
 from hilcell.calibration.validity import Unfit
@@ -248,11 +248,11 @@ def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doub
     journal.unlink()
     if cut is not None:
         journal.write_bytes(content[:cut])
-    found = standing_of(tmp_path / "1-old")
+    found = calibration_status(tmp_path / "1-old")
     assert found is not None
     assert (found.state, found.usable) == ("in doubt", False)
     assert "run 2-new wrote a later calibration" in found.reason
-    assert standings_in(tmp_path, read_index(tmp_path))["1-old"] == found  # as listed
+    assert calibration_statuses(tmp_path, read_index(tmp_path))["1-old"] == found  # as listed
     (tmp_path / "2-new" / CALIBRATION).unlink()
     assert text_of(tmp_path / "1-old") == "current"
 
@@ -264,15 +264,15 @@ def test_a_calibration_with_which_its_run_did_not_end_is_in_doubt_wherever_it_is
     folder = tmp_path / "1-none"
     finished(tmp_path, "1-none", {})
     text = "in doubt: its run made no calibration by its journal"
-    used = CalibrationFile.named(str(folder / CALIBRATION), tmp_path).standing
+    used = CalibrationFile.named(str(folder / CALIBRATION), tmp_path).status
     assert used is not None
     assert used.text == text_of(folder) == text
-    assert standings_in(tmp_path, read_index(tmp_path)) == {"1-none": used}
-    assert read_facts(folder).stands == used
+    assert calibration_statuses(tmp_path, read_index(tmp_path)) == {"1-none": used}
+    assert read_facts(folder).status == used
     monkeypatch.chdir(folder)
     assert text_of(Path()) == text
     (folder / CALIBRATION).unlink()
-    assert standing_of(folder) is read_facts(folder).stands is None
+    assert calibration_status(folder) is read_facts(folder).status is None
 
 
 def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -> None:
@@ -284,12 +284,12 @@ def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -
     journal.append("event", "", {"what": "calibration revoked", "reason": "a nest"})
     journal.close()
     for named in (runs, copy):
-        found = CalibrationFile.named(path, named).standing
+        found = CalibrationFile.named(path, named).status
         assert found is not None
         assert found.text == ("revoked: a nest" if named == runs else "current")
     shutil.rmtree(runs)
     finished(runs, "1-made", MADE)  # another run of the same name
-    assert CalibrationFile.named(path, runs).standing == standing_of(copy / "1-made")
+    assert CalibrationFile.named(path, runs).status == calibration_status(copy / "1-made")
 
 
 def test_a_copied_folder_is_the_run_that_it_was_copied_from(tmp_path: Path) -> None:

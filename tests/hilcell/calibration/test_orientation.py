@@ -8,23 +8,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import UNKNOWN_TURN
+from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import ASSUMED, Frame, Influence, Uncertainty, motion
 from hilcell.calibration.orientation import (
     MOVED_MM,
-    check_turn_limit,
+    check_orientation_limit,
     expanded_deg,
-    largest_turn,
-    largest_turned,
+    largest_orientation_error,
+    largest_orientation_errors,
+    last_orientation_errors,
     moved_on_flange_mm,
-    turn_bounds_deg,
-    turn_coverages,
-    turned_of,
-    turned_rad2,
+    orientation_bounds_deg,
+    orientation_covariances_rad2,
+    orientation_coverages,
 )
 from hilcell.cell.file import load_cell
-from hilcell.compensation.model import Prediction, Turn
+from hilcell.compensation.model import PredictedOrientation, Prediction
 from hilcell.geometry.frames import from_rotvec, from_zyx, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.journal import Record
@@ -83,7 +83,7 @@ def test_errors_are_rotation_vectors_in_world_from_nominal_to_actual() -> None:
     wanted_rad = np.array([3e-4, -2e-4, 5e-4])
     actual = from_rotvec(wanted_rad) @ ORIENTED
     log = logged([(ids("validate", 1)[0], actual)], {"validate": SEATS_MM})
-    turned = turned_of(log, log.select("validate"), SEATS_MM)
+    turned = last_orientation_errors(log, log.select("validate"), SEATS_MM)
     np.testing.assert_allclose(turned.error_rad, [wanted_rad], atol=1e-9)
     assert turned.figures.mean_deg == pytest.approx(np.degrees(np.linalg.norm(wanted_rad)))
     sigma_rad = np.sqrt(np.diagonal(turned.reading_rad2, axis1=1, axis2=2))
@@ -97,10 +97,10 @@ def test_of_a_pose_measured_again_the_largest_turn_counts(order: tuple[float, ..
     poses = [(other, from_rotvec([0.0, 2e-4, 0.0]) @ ORIENTED)]
     poses += [(id, from_rotvec([0.0, 0.0, each]) @ ORIENTED) for each in order]
     log = logged(poses, {"validate": SEATS_MM})
-    turned = largest_turned(log, log.select("validate"), SEATS_MM)
+    turned = largest_orientation_errors(log, log.select("validate"), SEATS_MM)
     assert [each.id for each in turned.points] == [other, id]
     np.testing.assert_allclose(turned.error_rad, [[0.0, 2e-4, 0.0], [0.0, 0.0, 3e-4]], atol=1e-9)
-    latest = turned_of(log, log.select("validate"), SEATS_MM)
+    latest = last_orientation_errors(log, log.select("validate"), SEATS_MM)
     np.testing.assert_allclose(latest.error_rad[1], [0.0, 0.0, order[-1]], atol=1e-9)
 
 
@@ -110,30 +110,36 @@ def test_the_uncertainty_of_an_orientation_covers_reflectors_that_are_seen_elsew
     limits_mm = np.array([stated.tracker_limit_mm, stated.smr_centring_limit_mm])
     (id,) = ids("validate", 1)
     exact = logged([(id, ORIENTED)], {"validate": SEATS_MM})
-    turned = turned_of(exact, exact.select("validate"), SEATS_MM)
-    (U_deg,) = expanded_deg(turned_rad2(exact, turned))
-    turns_deg = []
+    turned = last_orientation_errors(exact, exact.select("validate"), SEATS_MM)
+    (U_deg,) = expanded_deg(orientation_covariances_rad2(exact, turned))
+    bounds_deg = []
     for _ in range(200):
         off_mm = rng.normal(0.0, 0.01, (3, 3))
         off_mm += rng.uniform(-1.0, 1.0, (2, 3, 3)).T.swapaxes(0, 1) @ limits_mm
         log = logged([(id, ORIENTED)], {"validate": SEATS_MM + off_mm})
-        turns_deg.append(np.degrees(turned_of(log, log.select("validate"), SEATS_MM).error_rad[0]))
-    sigma_deg = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(turns_deg).T))[-1])
+        bounds_deg.append(
+            np.degrees(last_orientation_errors(log, log.select("validate"), SEATS_MM).error_rad[0])
+        )
+    sigma_deg = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(bounds_deg).T))[-1])
     assert pytest.approx(2.0 * sigma_deg, rel=0.2) == U_deg
-    assert largest_turn(exact, turned) == (turned.figures.max_deg, U_deg)
+    assert largest_orientation_error(exact, turned) == (turned.figures.max_deg, U_deg)
 
 
 def test_an_orientation_that_was_not_measured_is_no_number() -> None:
     log = logged([(ids("validate", 1)[0], ORIENTED)], {"validate": SEATS_MM[:2]})
-    none = turned_of(log, log.select("validate"), SEATS_MM)
-    assert largest_turn(log, None) is largest_turn(log, none) is UNKNOWN_TURN
+    none = last_orientation_errors(log, log.select("validate"), SEATS_MM)
+    assert (
+        largest_orientation_error(log, None)
+        is largest_orientation_error(log, none)
+        is UNKNOWN_ORIENTATION
+    )
 
 
 def test_what_a_reading_turns_has_the_axes_of_world() -> None:
     """The tracker's noise is unlike in its axes, and they are not those of {W}."""
     id, Q = ids("validate", 1)[0], from_rotvec([0.0, 0.3, 0.9])
     own, turned = (
-        turned_of(log, log.select("validate"), SEATS_MM).reading_rad2[0]
+        last_orientation_errors(log, log.select("validate"), SEATS_MM).reading_rad2[0]
         for log in (
             logged([(id, ORIENTED)], {"validate": SEATS_MM}, world, std_mm=(0.03, 0.01, 0.002))
             for world in (TRACKER, _pose(Q))
@@ -151,7 +157,7 @@ class Turning:
     def predict(self, poses: Array) -> Prediction:
         known = np.broadcast_to(np.diag([self.sigma_rad**2, 0.0, 0.0]), (len(poses), 3, 3))
         zeros = np.zeros((len(poses), 3))
-        return Prediction(zeros, np.zeros_like(known), Turn(zeros, known))
+        return Prediction(zeros, np.zeros_like(known), PredictedOrientation(zeros, known))
 
 
 def test_a_bound_adds_model_and_frames_in_the_axes_of_world(
@@ -178,7 +184,7 @@ def test_a_bound_adds_model_and_frames_in_the_axes_of_world(
         stations={"S1100": msgspec.structs.replace(one.stations["S1100"], T_W_B=T_W_B.tolist())},
         uncertainty=Uncertainty(lines, {"S1100": []}, 0.0, 0.0),
     )
-    bounds_deg = turn_bounds_deg(made, "S1100", T_W_B[None])
+    bounds_deg = orientation_bounds_deg(made, "S1100", T_W_B[None])
     assert bounds_deg is not None
     assert bounds_deg.tolist() == pytest.approx([np.degrees(1.95996 * np.sqrt(3.0) * s)], rel=1e-4)
 
@@ -193,12 +199,14 @@ def test_a_bound_in_the_validation_has_the_readings_in_it(monkeypatch: pytest.Mo
     monkeypatch.setattr(f"{place}.lines_in_validation", lambda *_: [])
     targets = [PointId("validate", station="S1100", how="chosen", number=n) for n in range(2)]
     at_rest = logged([(id, ORIENTED) for id in targets], {"validate": SEATS_MM})
-    readings_rad2 = turned_of(at_rest, at_rest.select("validate"), SEATS_MM).reading_rad2
+    readings_rad2 = last_orientation_errors(
+        at_rest, at_rest.select("validate"), SEATS_MM
+    ).reading_rad2
     wanted_rad = bounds95_mm(readings_rad2)
     turns = [share * wanted_rad[0] * ORIENTED[:, 0] for share in (0.5, 2.0)]
     poses = [(id, from_rotvec(turn) @ ORIENTED) for id, turn in zip(targets, turns, strict=True)]
     log = logged(poses, {"validate": SEATS_MM})
-    found = turn_coverages(calibration(), log, {"S1100": ["S1100"]})["S1100"]
+    found = orientation_coverages(calibration(), log, {"S1100": ["S1100"]})["S1100"]
     assert found.coverage == 0.5
     assert found.mean_deg == pytest.approx(np.degrees(wanted_rad.mean()), rel=1e-3)
 
@@ -219,6 +227,6 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves() -> N
         load_cell("paper", SEATS | {"validation.max_tolerance_deg": text})
         for text in ("0.0114", "0.0116")
     )
-    check_turn_limit(wide)
+    check_orientation_limit(wide)
     with pytest.raises(HilcellError, match=r"max_tolerance_deg .*0\.0115 deg"):
         Validate().plan(narrow, 1)

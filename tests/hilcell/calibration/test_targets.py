@@ -5,7 +5,7 @@ import pytest
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
-from hilcell.compensation.model import Prediction, Turn
+from hilcell.compensation.model import PredictedOrientation, Prediction
 from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx, to_rotvec, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, T_W_B, calibration, field_mm
@@ -61,7 +61,9 @@ class Turned:
     def predict(self, poses: Array) -> Prediction:
         zeros = np.zeros((len(poses), 3, 3))
         return Prediction(
-            zeros[:, 0], zeros, Turn(np.tile([0.0, 0.0, 1e-3], (len(poses), 1)), zeros)
+            zeros[:, 0],
+            zeros,
+            PredictedOrientation(np.tile([0.0, 0.0, 1e-3], (len(poses), 1)), zeros),
         )
 
 

@@ -10,9 +10,9 @@ from hilcell.calibration.decision_rule import Guard, judged, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import load_cell
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.model.calibration import Update
-from hilcell.model.verdicts import Limits, Turn
+from hilcell.model.verdicts import Limits, OrientationError
 from tests.hilcell.calibration.calibrations import LIMITS, STAMP, calibration
 
 CELL = load_cell("paper")
@@ -97,14 +97,14 @@ def test_a_flag_is_offered_where_it_is_enough() -> None:
     with pytest.raises(Unfit, match="S1100") as refused:
         check_fitness(failed, NOW, cell=CELL)
     assert "--accept" not in str(refused.value), "it is of another cell"
-    doubted = Standing("in doubt", reason="the tracker was bumped")
+    doubted = CalibrationStatus("in doubt", reason="the tracker was bumped")
     with pytest.raises(Unfit, match="add --accept-not-current --accept-out-of-tolerance;"):
-        check_fitness(failed, NOW, standing=doubted)
+        check_fitness(failed, NOW, status=doubted)
     with pytest.raises(Unfit, match="in doubt") as refused:
-        check_fitness(failed, NOW, standing=doubted, accept_out_of_tolerance=True)
+        check_fitness(failed, NOW, status=doubted, accept_out_of_tolerance=True)
     assert "--accept-out" not in str(refused.value)
     check_fitness(
-        failed, NOW, standing=doubted, accept_out_of_tolerance=True, accept_not_current=True
+        failed, NOW, status=doubted, accept_out_of_tolerance=True, accept_not_current=True
     )
 
 
@@ -127,7 +127,9 @@ def test_another_limit_of_orientation_than_the_cell_s() -> None:
     made = validated(0.01, digest=today.digest)
     with pytest.raises(Unfit, match=r"0\.05 deg"):
         check_fitness(made, NOW, cell=today)
-    found = judged(0.01, 0.1, limits_of(today), Guard(0.04, 0.05), turn=Turn(0.01, 0.01))
+    found = judged(
+        0.01, 0.1, limits_of(today), Guard(0.04, 0.05), orientation=OrientationError(0.01, 0.01)
+    )
     was = msgspec.structs.replace(made, verdicts={"S1100": found})
     assert not check_fitness(was, NOW, cell=today)
     del limited["validation.max_tolerance_deg"]
@@ -137,7 +139,13 @@ def test_another_limit_of_orientation_than_the_cell_s() -> None:
 
 
 def test_a_limit_of_orientation_and_a_cell_that_measures_none() -> None:
-    found = judged(0.01, 0.1, Limits(0.12, 0.3, 0.05), Guard(0.04, 0.05), turn=Turn(0.01, 0.01))
+    found = judged(
+        0.01,
+        0.1,
+        Limits(0.12, 0.3, 0.05),
+        Guard(0.04, 0.05),
+        orientation=OrientationError(0.01, 0.01),
+    )
     made = msgspec.structs.replace(aged(1), verdicts={"S1100": found})
     with pytest.raises(Unfit, match=CELL.digest[:12]):
         check_fitness(made, NOW, cell=CELL)

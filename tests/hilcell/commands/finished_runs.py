@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.lookup import standing_of
+from hilcell.calibration.lookup import calibration_status
 from hilcell.journal.runs import CALIBRATION
 from hilcell.model.verdicts import Verdict
 from tests.hilcell import verdicts
@@ -44,7 +44,7 @@ def finished(
 
 def text_of(folder: Path) -> str | None:
     """Return how a run's calibration stands, in words."""
-    found = standing_of(folder)
+    found = calibration_status(folder)
     return None if found is None else found.text
 
 

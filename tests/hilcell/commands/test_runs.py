@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from hilcell.commands import console
 from hilcell.commands import runs as runs_command
-from hilcell.journal.calibration_status import standings
+from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, row_of
 from hilcell.model.verdicts import Suspected, Verdict
 from tests.hilcell import verdicts
@@ -51,7 +51,7 @@ def test_a_verdict_in_words(
     """A suspected calibration was validated: "not validated" would be wrong."""
     finished(tmp_path, "r", judged, code=code)
     row = row_of(tmp_path / "r")
-    found = standings([row]).get("r")
+    found = statuses([row]).get("r")
     assert (row.verdict, found.text if found else "") == (said, stands)
 
 

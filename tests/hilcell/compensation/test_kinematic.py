@@ -148,11 +148,11 @@ def test_the_kinematic_model_is_chosen_where_it_is_best() -> None:
 
 
 def test_a_model_of_places_is_not_chosen_for_other_orientations() -> None:
-    choice = chosen(measured(19), turned=True)
+    choice = chosen(measured(19), reoriented=True)
     assert choice.model == "nominal"  # too few poses for the kinematic one
     assert "trilinear" in choice.refused
     assert set(choice.figures) == {"nominal", "idw", "trilinear"}  # shown beside it
-    assert chosen(measured(64), turned=True).model == "kinematic"
+    assert chosen(measured(64), reoriented=True).model == "kinematic"
 
 
 def test_nominal_is_kept_where_nothing_beats_it() -> None:

@@ -16,9 +16,9 @@ from hilcell.compensation.model import (
     Measured,
     MeasuredArm,
     ModelError,
+    PredictedOrientation,
     Prediction,
     StaticPoses,
-    Turn,
 )
 from hilcell.compensation.residual import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
@@ -104,7 +104,9 @@ class Exact:
         T = forward(self.arm, ROBOT.joints_for(poses))
         turn = to_rotvec(T[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2))
         unknown = np.full((len(poses), 3, 3), np.nan)
-        return Prediction(T[:, :3, 3] - poses[:, :3, 3], unknown, Turn(turn, unknown))
+        return Prediction(
+            T[:, :3, 3] - poses[:, :3, 3], unknown, PredictedOrientation(turn, unknown)
+        )
 
 
 @given(seeds)
@@ -127,7 +129,9 @@ def test_the_command_is_turned_back_by_the_predicted_turn() -> None:
         def predict(self, poses: Array) -> Prediction:
             zero = np.zeros((len(poses), 3, 3))
             return Prediction(
-                zero[:, 0], zero, Turn(np.tile([0.0, 0.0, 1e-3], (len(poses), 1)), zero)
+                zero[:, 0],
+                zero,
+                PredictedOrientation(np.tile([0.0, 0.0, 1e-3], (len(poses), 1)), zero),
             )
 
     target = poses_at(drawn_mm(1, 1))
@@ -141,18 +145,20 @@ def test_unseen_poses_are_predicted_in_orientation_within_their_bounds(known: Kn
     (model, seats), arm = known, crooked(3)
     poses = poses_at(drawn_mm(9, 60))
     found = model.predict(poses)
-    assert found.turn is not None
+    assert found.orientation is not None
     # As a tracker without noise would see it, by the reflectors where they were identified.
     R = orientations(seats, seen_mm(arm, poses))
     turned = to_rotvec(R @ np.swapaxes(poses[:, :3, :3], 1, 2))
-    left = turned - found.turn.error_rad
+    left = turned - found.orientation.error_rad
     assert lengths_mm(turned).mean() > 1.5e-4
     assert lengths_mm(left).mean() < 3e-5
     squares = np.einsum(
-        "ni,ni->n", left, np.linalg.solve(found.turn.covariance_rad2, left[..., None])[..., 0]
+        "ni,ni->n",
+        left,
+        np.linalg.solve(found.orientation.covariance_rad2, left[..., None])[..., 0],
     )
     assert squares.mean() / 3 < 2.0
-    assert np.sqrt(np.trace(found.turn.covariance_rad2, axis1=1, axis2=2)).max() < 3e-4
+    assert np.sqrt(np.trace(found.orientation.covariance_rad2, axis1=1, axis2=2)).max() < 3e-4
 
 
 def test_the_tool_s_orientation_is_that_of_the_flange(known: Known) -> None:
@@ -173,7 +179,7 @@ def test_a_reflector_that_was_not_seen_at_a_pose_is_left_out() -> None:
     unseen[5, 2] = True
     readings = data.arm.readings.without(unseen)
     model = Kinematic.learn(replace(data, arm=replace(data.arm, readings=readings)))
-    assert model.predict(poses_at(drawn_mm(2, 1))).turn is not None
+    assert model.predict(poses_at(drawn_mm(2, 1))).orientation is not None
 
 
 def test_a_model_of_three_reflectors_comes_back_from_its_file(known: Known) -> None:
@@ -182,11 +188,13 @@ def test_a_model_of_three_reflectors_comes_back_from_its_file(known: Known) -> N
     again = Kinematic.restore(GRID, np.zeros((3, 3, 3, 3)), kept)
     poses = poses_at(drawn_mm(2, 5))
     one, other = model.predict(poses), again.predict(poses)
-    assert one.turn is not None
-    assert other.turn is not None
+    assert one.orientation is not None
+    assert other.orientation is not None
     np.testing.assert_array_equal(one.error_mm, other.error_mm)
-    np.testing.assert_array_equal(one.turn.error_rad, other.turn.error_rad)
-    np.testing.assert_allclose(one.turn.covariance_rad2, other.turn.covariance_rad2, rtol=1e-12)
+    np.testing.assert_array_equal(one.orientation.error_rad, other.orientation.error_rad)
+    np.testing.assert_allclose(
+        one.orientation.covariance_rad2, other.orientation.covariance_rad2, rtol=1e-12
+    )
     assert again.parameters() == model.parameters()
     kept["more_reflectors_mm"][1] = kept["more_reflectors_mm"][0] = kept["reflector_mm"]
     with pytest.raises(ModelError, match="triangle"):
@@ -197,7 +205,10 @@ def test_targets_folded_in_leave_the_orientation() -> None:
     model, poses = Exact(crooked(1)), poses_at(drawn_mm(2, 3))
     zeros = np.zeros((3, 3))
     remainder = Remainder([Pass(poses, zeros, np.tile(np.eye(3), (3, 1, 1)), np.eye(7))], 1.0)
-    found, wanted = WithRemainder(model, remainder).predict(poses).turn, model.predict(poses).turn
+    found, wanted = (
+        WithRemainder(model, remainder).predict(poses).orientation,
+        model.predict(poses).orientation,
+    )
     assert found is not None
     assert wanted is not None
     np.testing.assert_array_equal(found.error_rad, wanted.error_rad)
@@ -210,7 +221,7 @@ def test_one_reflector_tells_no_orientation_and_no_more_of_the_position(known: K
                   covariance_mm2=data.arm.readings.covariance_mm2[:, :1])  # fmt: skip
     alone = Kinematic.learn(replace(data, arm=MeasuredArm(ROBOT, one, NOMINAL_MM[:1])))
     poses, arm = poses_at(drawn_mm(9, 60)), crooked(3)
-    assert alone.predict(poses).turn is None
+    assert alone.predict(poses).orientation is None
     wanted_mm = seen_mm(arm, poses)[:, 0] - poses[:, :3, 3]
     one_mm, three_mm = (
         lengths_mm(model.predict(poses).error_mm - wanted_mm).mean() for model in (alone, known[0])

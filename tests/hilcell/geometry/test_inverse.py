@@ -15,7 +15,7 @@ from hilcell.geometry.inverse import (
     ReachError,
     inverse_kinematics,
     joint_jacobian,
-    nearest_turns,
+    nearest_revolutions,
     refined,
     status_of,
 )
@@ -131,7 +131,7 @@ def test_status_out_of_range_is_refused() -> None:
 def test_turns_are_the_nearest_within_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     joints, reference = rng.uniform(-np.pi, np.pi, 6), rng.uniform(LIMITS[0], LIMITS[1])
-    turned = nearest_turns(joints, LIMITS, reference)
+    turned = nearest_revolutions(joints, LIMITS, reference)
     np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * joints), atol=1e-12)
     for joint in range(6):
         options = joints[joint] + 2 * np.pi * np.arange(-3, 4)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.geometry.frames import from_rotvec, orientations, to_rotvec, turn_levers
+from hilcell.geometry.frames import from_rotvec, orientations, rotation_levers, to_rotvec
 
 PLACES_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 120.0]])
 seeds = st.integers(0, 2**32 - 1)
@@ -25,7 +25,7 @@ def test_levers_are_the_derivative_of_the_orientation(seed: int) -> None:
     seen_mm = np.einsum("nij,kj->nki", R, PLACES_MM)
     off_mm = rng.normal(0.0, 1e-3, seen_mm.shape)
     turned = to_rotvec(orientations(PLACES_MM, seen_mm + off_mm) @ np.swapaxes(R, 1, 2))
-    wanted = np.einsum("nkij,nkj->ni", turn_levers(PLACES_MM, R), off_mm)
+    wanted = np.einsum("nkij,nkj->ni", rotation_levers(PLACES_MM, R), off_mm)
     np.testing.assert_allclose(turned, wanted, atol=1e-9)
 
 

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.calibration_status import Standing, current_of, standings
+from hilcell.journal.calibration_status import CalibrationStatus, current_of, statuses
 from hilcell.journal.index import RunRow
 
 REVOKED = CalibrationFacts(kind="base", used="01", doubt="a slip", revoked="it had slipped")
@@ -27,12 +27,12 @@ def made(name: str, **more: Any) -> RunRow:
 
 
 def states(*rows: RunRow) -> dict[str, str]:
-    return {name: each.text for name, each in sorted(standings(rows).items())}
+    return {name: each.text for name, each in sorted(statuses(rows).items())}
 
 
 def test_a_later_one_supersedes() -> None:
     assert states(made("02"), made("01")) == {"01": "superseded by 02", "02": "current"}
-    assert standings([made("01"), made("02")])["01"].current == "02"
+    assert statuses([made("01"), made("02")])["01"].current == "02"
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_doubt_goes_on_to_what_is_made_of_it() -> None:
     runs = [made("01"), doubted, row("03", kind="targets", used="02")]
     in_doubt = "in doubt: a slip explains it as well"
     assert states(*runs[:2]) == {"01": "superseded by 02", "02": in_doubt}
-    assert not any(each.usable or each.current for each in standings(runs[:2]).values())
+    assert not any(each.usable or each.current for each in statuses(runs[:2]).values())
     assert states(*runs)["03"] == in_doubt
     assert states(*runs, made("04"))["04"] == "current"
     assert states(made("01"), msgspec.structs.replace(doubted, facts=REVOKED))["01"] == "current"
@@ -70,9 +70,9 @@ def test_an_update_of_the_current_one_supersedes_it(kind: str) -> None:
 
 
 def test_a_re_check_with_redo_revokes_what_it_judged() -> None:
-    found = standings([made("01"), made("02"), row("03", recheck="redo", used="02", code=1)])
-    assert found["02"] == Standing("revoked", "03", "its re-check says redo")
-    assert found["01"] == Standing("superseded", "02")  # the robot has changed since
+    found = statuses([made("01"), made("02"), row("03", recheck="redo", used="02", code=1)])
+    assert found["02"] == CalibrationStatus("revoked", "03", "its re-check says redo")
+    assert found["01"] == CalibrationStatus("superseded", "02")  # the robot has changed since
     assert (
         states(row("02", state="aborted", recheck="redo", used="01"), made("01"))["01"] == "current"
     )
@@ -80,7 +80,7 @@ def test_a_re_check_with_redo_revokes_what_it_judged() -> None:
 
 def test_what_is_based_on_a_revoked_one_is_revoked() -> None:
     update = row("02", kind="base", used="01", code=1)
-    found = standings([made("01", revoked="wrong reflector"), update])
+    found = statuses([made("01", revoked="wrong reflector"), update])
     assert found["01"].text == "revoked: wrong reflector"
     assert found["02"].state == "revoked"
     assert "it is based on one revoked: wrong reflector" in found["02"].text
@@ -97,9 +97,9 @@ def test_a_redo_of_an_older_one_leaves_its_update() -> None:
 
 
 def test_one_that_was_revoked_supersedes_nothing() -> None:
-    found = standings([made("01"), made("02", revoked="nest was loose")])
-    assert found["01"] == Standing("current", current="01")
-    assert found["02"] == Standing("revoked", "", "nest was loose", "01")
+    found = statuses([made("01"), made("02", revoked="nest was loose")])
+    assert found["01"] == CalibrationStatus("current", current="01")
+    assert found["02"] == CalibrationStatus("revoked", "", "nest was loose", "01")
 
 
 def test_a_revoked_re_check_revokes_nothing() -> None:
@@ -136,8 +136,8 @@ def test_cells_and_machines_are_apart() -> None:
 )
 def test_a_replay_changes_nothing(replay: RunRow) -> None:
     replay = msgspec.structs.replace(replay, replayed=True)
-    found = standings([made("01"), replay])
-    assert found["01"] == Standing("current", current="01")
+    found = statuses([made("01"), replay])
+    assert found["01"] == CalibrationStatus("current", current="01")
     assert current_of([made("01"), replay], "paper", "P-1", False, None) == "01"
     assert not replay.calibrates
     if replay.facts.kind:
@@ -152,7 +152,7 @@ def test_a_replay_changes_nothing(replay: RunRow) -> None:
 def test_a_simulated_run_never_supersedes_a_real_one(real_first: bool) -> None:
     first, second = ("01", "02") if real_first else ("02", "01")
     rows = [made(first), simulated(made(second), 1), simulated(row("03", recheck="redo"), None)]
-    found = standings(rows)
+    found = statuses(rows)
     assert (found[first].state, found[first].current) == ("current", first)
     assert current_of(rows, "paper", "P-1", False, None) == first
 
@@ -172,7 +172,7 @@ def test_the_run_whose_calibration_is_current() -> None:
     assert current_of(rows, "paper", "P-1", False, None) == "02"
     assert current_of(rows, "paper", "P-2", False, None) == ""
     revoked = [made("01"), made("02", revoked="a nest was moved")]
-    assert current_of(revoked, "paper", "P-1", False, None) == standings(revoked)["01"].current
+    assert current_of(revoked, "paper", "P-1", False, None) == statuses(revoked)["01"].current
     machines = [simulated(made(f"0{seed}"), seed) for seed in (1, 2)]
     assert current_of(machines, "paper", "P-1", True, 1) == "01"
     assert current_of(machines, "paper", "P-1", True, 3) == ""
@@ -183,7 +183,7 @@ DIFFERS = {"validated": True, "suspected": True, "changed_since": "01"}
 
 def test_one_that_differs_from_the_current_one_supersedes_it_only_when_that_is_revoked() -> None:
     second = made("02", code=1, **DIFFERS)
-    found = standings([made("01"), second])
+    found = statuses([made("01"), second])
     assert (found["01"].state, found["02"].state, found["02"].current) == (
         "current", "suspected", "01",
     )  # fmt: skip
@@ -212,10 +212,10 @@ def test_a_copy_of_a_folder_supersedes_nothing_and_hides_no_revocation() -> None
     run, backup = (msgspec.structs.replace(made(name), origin="a") for name in ("01", "01-old"))
     copied = "copy: the run is 01"
     assert states(backup, run) == {"01": "current", "01-old": copied}
-    assert standings([backup, run])["01-old"].current == "01"
+    assert statuses([backup, run])["01-old"].current == "01"
     revoked = msgspec.structs.replace(backup, facts=made("01", revoked="a wrong ball").facts)
     assert states(revoked, run) == {"01": "revoked: a wrong ball", "01-old": copied}
-    assert not any(each.usable for each in standings([revoked, run]).values())
+    assert not any(each.usable for each in statuses([revoked, run]).values())
     late = row("02", kind="base", used="01-old", code=1)
     assert states(late, run, backup) == {
         "01": "copy: the run is 01-old",

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.journal.calibration_status import standings
+from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, in_order, next_order, row_of
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL, read_records
@@ -31,15 +31,15 @@ def names(*rows: RunRow) -> list[str]:
 def test_the_order_of_a_folder_decides_which_calibration_is_current() -> None:
     """The first was made with the clock ahead."""
     ahead, later = numbered(made("59"), 1), numbered(made("02"), 2)
-    found = standings([later, ahead])
+    found = statuses([later, ahead])
     assert found["02"].state == "current"
     assert (found["59"].state, found["59"].by) == ("superseded", "02")
 
 
 def test_a_touched_base_is_out_of_date_by_a_run_of_an_earlier_clock() -> None:
     first, touch = numbered(made("01"), 1), numbered(row("03", kind="touch", used="01"), 2)
-    assert standings([first, touch])["03"].state == "current"
-    assert standings([first, touch, numbered(row("02"), 3)])["03"].state == "out of date"
+    assert statuses([first, touch])["03"].state == "current"
+    assert statuses([first, touch, numbered(row("02"), 3)])["03"].state == "out of date"
 
 
 def test_runs_of_another_folder_are_merged_by_the_clock() -> None:

@@ -38,7 +38,7 @@ def stored(index: Path) -> tuple[int, int]:
 
 
 def flips(folder: Path, step: int) -> list[str | None]:
-    """Return the standings that were found with one bit of the row flipped."""
+    """Return the statuses that were found with one bit of the row flipped."""
     index = folder.parent / NAME
     sound = index.read_bytes()
     first, last = stored(index)

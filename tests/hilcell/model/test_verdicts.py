@@ -194,8 +194,8 @@ def test_an_orientation_that_is_not_known_keeps_no_limit() -> None:
     read = verdict_of("targets", msgspec.json.decode(msgspec.json.encode(written)))
     assert isinstance(read, Judged)
     assert read.max_deg is None
-    assert read.turn is not None
-    assert math.isnan(read.turn.max_deg)
+    assert read.orientation is not None
+    assert math.isnan(read.orientation.max_deg)
     assert read.figures[-1].outcome is Outcome.REJECTED
     assert "orientation not known" in read.words
 

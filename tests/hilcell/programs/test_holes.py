@@ -11,7 +11,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.programs import holes as module
-from hilcell.programs.holes import NORMALS, TURNS, Holes, read_holes, tools_against
+from hilcell.programs.holes import NORMALS, TOOL_ROTATIONS, Holes, read_holes, tools_against
 
 
 def file_of(folder: Path, *lines: str) -> Path:
@@ -33,10 +33,14 @@ def test_holes_with_normals(tmp_path: Path) -> None:
     assert holes.names == ["H1", "H2"]
     np.testing.assert_array_equal(holes.points_mm, [[1, 2, 3], [4, 5, 6]])
     poses = holes.poses()
-    assert poses.shape == (2, TURNS, 4, 4)
+    assert poses.shape == (2, TOOL_ROTATIONS, 4, 4)
     np.testing.assert_array_equal(poses[1, 5, :3, 3], [4, 5, 6])
-    np.testing.assert_allclose(poses[0, :, :3, 2], np.tile([1.0, 0, 0], (TURNS, 1)), atol=1e-15)
-    np.testing.assert_allclose(poses[1, :, :3, 2], np.tile([0, 0, -1.0], (TURNS, 1)), atol=1e-15)
+    np.testing.assert_allclose(
+        poses[0, :, :3, 2], np.tile([1.0, 0, 0], (TOOL_ROTATIONS, 1)), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        poses[1, :, :3, 2], np.tile([0, 0, -1.0], (TOOL_ROTATIONS, 1)), atol=1e-15
+    )
 
 
 def test_targets_keep_their_whole_orientation(tmp_path: Path) -> None:
@@ -55,9 +59,11 @@ def test_tools_are_right_handed_and_turn_evenly(seed: int) -> None:
         tools @ np.swapaxes(tools, -1, -2), np.broadcast_to(np.eye(3), tools.shape), atol=1e-12
     )
     along = np.einsum("nki,ni->nk", tools[..., 2], normals)
-    np.testing.assert_allclose(along, -np.linalg.norm(normals, axis=1)[:, None] * np.ones(TURNS))
+    np.testing.assert_allclose(
+        along, -np.linalg.norm(normals, axis=1)[:, None] * np.ones(TOOL_ROTATIONS)
+    )
     step = np.einsum("nki,nki->nk", tools[..., 0], np.roll(tools[..., 0], 1, axis=1))
-    np.testing.assert_allclose(step, np.cos(2 * np.pi / TURNS))
+    np.testing.assert_allclose(step, np.cos(2 * np.pi / TOOL_ROTATIONS))
 
 
 def test_all_problems_are_reported_with_their_lines(tmp_path: Path) -> None:
@@ -101,11 +107,11 @@ def test_the_turn_nearest_to_an_orientation() -> None:
     R = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # z along x
     normals = np.array([[-1.0, 0.0, 0.0], [-1.0, 0.02, 0.0], [1.0, 0.0, 0.0]])
     holes = Holes(["A", "B", "C"], np.zeros((3, 3)), tools_against(normals))
-    found = holes.with_turn_near(R).tools
+    found = holes.with_rotation_near(R).tools
     assert found.shape[1] == holes.tools.shape[1] + 1
     z = -normals / np.linalg.norm(normals, axis=1, keepdims=True)
     np.testing.assert_allclose(found[:, -1, :, 2], z, atol=1e-12)
     cosine = (np.einsum("nij,ij->n", found[:, -1], R) - 1) / 2
     np.testing.assert_allclose(np.arccos(np.clip(cosine[:2], -1, 1)), [0.0, 0.02], atol=1e-5)
     fixed = Holes(["A"], np.zeros((1, 3)), R[None, None])
-    assert fixed.with_turn_near(np.eye(3)) is fixed
+    assert fixed.with_rotation_near(np.eye(3)) is fixed

@@ -52,7 +52,7 @@ def test_columns_are_those_that_have_figures(jobs: StationJobs) -> None:
     assert "&lt;none stated&gt;" in page
     assert "95 % bound mm" not in page
     assert 'colspan="7"' in page
-    page = with_targets(jobs, turns_deg=np.array([0.01234, 0.02, 0.03])).sheet()
+    page = with_targets(jobs, bounds_deg=np.array([0.01234, 0.02, 0.03])).sheet()
     assert "<td>0.0123</td>" in page
     assert 'colspan="9"' in page
 
@@ -64,7 +64,7 @@ def test_bounds_are_on_the_sheet_where_every_station_states_them(jobs: StationJo
     page = replace(jobs, stations=[job, without]).sheet()
     assert "No bounds are stated" in page
     assert "95 % bound mm" not in page
-    (turned,) = with_targets(jobs, turns_deg=np.array([0.01, 0.02, 0.03])).stations
+    (turned,) = with_targets(jobs, bounds_deg=np.array([0.01, 0.02, 0.03])).stations
     page = replace(jobs, stations=[job, turned]).sheet()
     assert page.count("95 % bound mm") == 2
     assert "95 % bound °" not in page

@@ -15,7 +15,7 @@ from hilcell.atomic_files import NotWritten
 from hilcell.calibration.budget import Coverage
 from hilcell.calibration.decision_rule import guard_of
 from hilcell.model.outcome import Outcome
-from hilcell.model.results import Turns
+from hilcell.model.results import OrientationFigures
 from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, quantity
@@ -215,7 +215,7 @@ def test_orientations_where_they_were_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Turned:
-        figures: ClassVar = Turns(mean_deg=0.0123, p95_deg=0.02, max_deg=0.03)
+        figures: ClassVar = OrientationFigures(mean_deg=0.0123, p95_deg=0.02, max_deg=0.03)
 
         def __len__(self) -> int:
             return 4

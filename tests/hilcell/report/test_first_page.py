@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
-from hilcell.journal.calibration_status import Standing
+from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.journal.index import row_of
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
@@ -296,7 +296,7 @@ def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Pat
     facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
     assert FirstPage(facts).verdict_word() == "SUSPECTED"
     assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", sentence(facts))
-    cleared = dataclasses.replace(facts, stands=Standing("current"))
+    cleared = dataclasses.replace(facts, status=CalibrationStatus("current"))
     assert facts.suspected
     assert not cleared.suspected
 

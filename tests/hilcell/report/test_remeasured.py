@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.orientation import validated_turns
+from hilcell.calibration.orientation import validated_orientation_errors
 from hilcell.calibration.position_errors import validation
 from hilcell.geometry.frames import from_rotvec
 from hilcell.model.point import PointId, Sent
@@ -163,7 +163,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
     assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
         ("0.0573", "0.0115"), ("0.0115", "0.0172"),
     }  # fmt: skip
-    turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
+    turned = validated_orientation_errors(facts.log, ["S1100"])[Sent.CHOSEN]
     assert turned.figures.max_deg == pytest.approx(0.0573, abs=1e-4)
     assert "Orientation ." not in Tables(facts).orientation().note
 
