@@ -201,23 +201,23 @@ class _Certificate:
         |e| of a target changes by no more than its position, so U of the largest is that of the
         95 % quantile, too.
         """
-        found, guard = row.errors.figures, guard_of(self.facts.log, len(row.errors))
+        figures, guard = row.errors.figures, guard_of(self.facts.log, len(row.errors))
         return [
             quantity("targets", len(row.errors), ONE, "hilcell_targets"),
-            quantity("mean", found.mean, MM, "hilcell_mean", guard.mean_mm, mean),
-            quantity("95 % below", found.p95, MM, "hilcell_p95", guard.max_mm),
-            quantity("largest", found.max, MM, "hilcell_largest", guard.max_mm, largest),
+            quantity("mean", figures.mean, MM, "hilcell_mean", guard.mean_mm, mean),
+            quantity("95 % below", figures.p95, MM, "hilcell_p95", guard.max_mm),
+            quantity("largest", figures.max, MM, "hilcell_largest", guard.max_mm, largest),
         ]
 
     def turns(self) -> Iterator[Series]:
         """Yield the angle from the nominal orientation by series, where it was measured."""
         for place, way, turned in Tables(self.facts).oriented():
-            found = turned.figures
+            angles = turned.figures
             figures = [
                 quantity("targets", len(turned), ONE, "hilcell_targets"),
-                quantity("mean", found.mean_deg, DEGREE, "hilcell_mean"),
-                quantity("95 % below", found.p95_deg, DEGREE, "hilcell_p95"),
-                quantity("largest", found.max_deg, DEGREE, "hilcell_largest"),
+                quantity("mean", angles.mean_deg, DEGREE, "hilcell_mean"),
+                quantity("95 % below", angles.p95_deg, DEGREE, "hilcell_p95"),
+                quantity("largest", angles.max_deg, DEGREE, "hilcell_largest"),
             ]
             yield _series(place, way, self.facts.series_name(way), figures)
 

@@ -105,17 +105,17 @@ def points(facts: Facts) -> list[Measured]:
     world = facts.log.matrix("world") if "world" in facts.log.frames else None
     bounds_mm = target_budget(facts.log, facts.run).points_mm
     turns_deg = _turns_deg(facts.log)
-    found = []
+    rows = []
     for key, point in facts.log.points.items():
         record = wrote[key]
         world_mm = None if world is None else apply(world, np.array([point.xyz_mm]))[0]
         known = world_mm is not None and point.nominal_mm is not None
         error_mm = world_mm - np.array(point.nominal_mm) if known else None
-        said = record.body.get("pose")
-        zyx = None if said is None else zyx_from_pose(np.array(said))
+        pose = record.body.get("pose")
+        zyx = None if pose is None else zyx_from_pose(np.array(pose))
         figures = bounds_mm.get(key), turns_deg.get(key)
-        found.append(Measured(record, point, world_mm, error_mm, zyx, *figures))
-    return found
+        rows.append(Measured(record, point, world_mm, error_mm, zyx, *figures))
+    return rows
 
 
 def _turns_deg(log: Log) -> dict[str, float]:

@@ -71,9 +71,9 @@ class Facts:
     @property
     def revoked(self) -> str:
         """Return why the run's calibration was revoked, "" where it was not."""
-        found = [r.fact.reason for r in self.records if isinstance(r.fact, CalibrationRevoked)]
-        if found:
-            return found[-1]
+        reasons = [r.fact.reason for r in self.records if isinstance(r.fact, CalibrationRevoked)]
+        if reasons:
+            return reasons[-1]
         status = self.status
         if status is None or status.state != "revoked":
             return ""

@@ -129,24 +129,26 @@ class FirstPage:
 
     def _shown(self) -> list[str]:
         """Return the stations on the page: those nearest to a limit, in the cell's order."""
-        found = self.judged_places()
-        nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
+        judged = self.judged_places()
+        nearest = sorted(
+            judged, key=lambda name: judged[name].max_mm / judged[name].max_tolerance_mm
+        )
         kept = set(nearest[-most_places(self.facts.cell) :])
-        return [name for name in found if name in kept]
+        return [name for name in judged if name in kept]
 
     def nearest_results(self, targets: TargetBudget) -> list[tuple[str, Result]]:
         """Return mean and largest error nearest to their limits, and the largest bound, named."""
         pairs = {name: self.results_at(name) for name in self.judged_places()}
         if not pairs:
             return []
-        found = []
+        results = []
         for n, word in enumerate(("Mean", "Largest")):
             shares = {name: pair[n].after / pair[n].limit for name, pair in pairs.items()}
             name = max(shares, key=shares.__getitem__)
-            found.append((f"{word}, {name}", pairs[name][n]))
+            results.append((f"{word}, {name}", pairs[name][n]))
         if (bound := self.bound_result(targets)) is not None:
-            found.append(("95 % bound", bound))
-        return found
+            results.append(("95 % bound", bound))
+        return results
 
     def bound_result(self, targets: TargetBudget) -> Result | None:
         """Return the largest 95 % bound of a corrected target, None where none is stated."""
@@ -183,12 +185,12 @@ class FirstPage:
             return "revoked"
         if not self.facts.finished or self.facts.log.end is None:
             return "unfinished"
-        found, said = self.facts.log.decided, self.facts.log.facts
-        if found is None and said.verdict == SUSPECTED:
+        outcome, facts = self.facts.log.decided, self.facts.log.facts
+        if outcome is None and facts.verdict == SUSPECTED:
             return "suspected"
-        if not said.judged:
-            return "failed check" if found is Outcome.REJECTED else "not judged"
-        return found or Outcome.REJECTED
+        if not facts.judged:
+            return "failed check" if outcome is Outcome.REJECTED else "not judged"
+        return outcome or Outcome.REJECTED
 
     def verdict_word(self) -> str:
         """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
@@ -214,13 +216,13 @@ class FirstPage:
         outcomes = [each.outcome for each in failed.values()]
         if not outcomes:
             return ""
-        found = [
+        reasons = [
             f"{place}, {with_signs(each.why)}"
             for place, each in failed.items() if each.outcome == gravest(outcomes)
         ]  # fmt: skip
         most = 2  # stations that the verdict's sentence names
-        more = f"; and at {len(found) - most} more stations" if found[most:] else ""
-        return f": at {'; at '.join(found[:most])}{more}"
+        more = f"; and at {len(reasons) - most} more stations" if reasons[most:] else ""
+        return f": at {'; at '.join(reasons[:most])}{more}"
 
     def uncertainty_words(self, budget: Budget | None) -> str:
         """Return U with its coverage factors, of one coordinate and of a 3-D position."""
@@ -296,22 +298,24 @@ class FirstPage:
         stated = self.facts.cell.uncertainty
         none = "none, simulated" if self.facts.inputs.simulated else ""
         unknown = none and NOT_APPLICABLE
-        found = [
+        instruments = [
             Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
             for each in self.facts.log.assets
             if each.kind == "tracker"
         ]
-        if not found:
+        if not instruments:
             return []
-        found.append(Instrument("Reflector", self.facts.cell.tracker.reflector, unknown,
+        instruments.append(Instrument("Reflector", self.facts.cell.tracker.reflector, unknown,
                                 none or stated.smr_certificate))  # fmt: skip
         if self.facts.log.temperatures_c():
-            found.append(Instrument("Weather station", "of the tracker", unknown,
+            instruments.append(Instrument("Weather station", "of the tracker", unknown,
                                     none or stated.weather_certificate))  # fmt: skip
         for each in self.facts.cell.layout.length:
             name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
-            found.append(Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate))
-        return found
+            instruments.append(
+                Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate)
+            )
+        return instruments
 
     def traceability(self) -> str:
         """Return in words whether the results are traceable."""
@@ -417,7 +421,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
     inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
     measured_air = bool(facts.log.temperatures_c())
     kinds = ("tracker", "strip")
-    found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
+    devices = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
     serial = "" if robot is None else f", serial {robot.serial}"
     begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
     dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
@@ -448,7 +452,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
         Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
-        Item("7.8.4.1 c", "Measured with", "; ".join(found)),
+        Item("7.8.4.1 c", "Measured with", "; ".join(devices)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
              + (", thermometer" if measured_air else "")),
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
@@ -502,19 +506,19 @@ def _correction_words(facts: Facts) -> str:
         measured += f", at {turned} in other orientations"
     if poses := len(log.select("pose")):
         measured += f" and at {poses} poses chosen by the errors found there"
-    found = [measured]
+    phrases = [measured]
     if log.curves:
         fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
         used = fit is not None and fit.curves.used and fit.method == Kinematic.name
         swept = f"{axes} {', '.join(map(str, sorted(log.curves)))}{'' if used else ' (not used)'}"
-        found.append(f"each gear's error by slow sweeps of {swept}")
-    found.append(MODELS[log.method].text if log.method in MODELS else "corrected")
+        phrases.append(f"each gear's error by slow sweeps of {swept}")
+    phrases.append(MODELS[log.method].text if log.method in MODELS else "corrected")
     if len(facts.cell.station) > 1:
-        found.append("transferred to the other stations by station frames")
+        phrases.append("transferred to the other stations by station frames")
     if touched := {point.station for point in log.select("touch")}:
         stations = ", ".join(sorted(touched))
-        found.append(f"the base found again by touch poses on the visit of {stations}")
-    return "; ".join([*found, "validated on targets sent and measured."])
+        phrases.append(f"the base found again by touch poses on the visit of {stations}")
+    return "; ".join([*phrases, "validated on targets sent and measured."])
 
 
 def _limits_of_validity(facts: Facts) -> str:

@@ -65,7 +65,7 @@ def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
     note = f"Tracker to corners: {far_m.min():.1f} to {far_m.max():.1f} m."
     lows = np.array([corners.min(axis=0) for corners in places.values()])
     highs = np.array([corners.max(axis=0) for corners in places.values()])
-    found = list[tuple[str, float, float]]()
+    extents = list[tuple[str, float, float]]()
     most_stations = 4  # one by one
     same_mm = 0.5
     for n, axis in enumerate("xyz"):
@@ -73,16 +73,16 @@ def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
         same = max(np.ptp(low), np.ptp(high)) <= same_mm
         if same or len(places) > most_stations:
             words = axis if same else f"{axis}, {len(places)} stations"
-            found.append((words, float(low.min()), float(high.max())))
+            extents.append((words, float(low.min()), float(high.max())))
         else:
             rows = zip(places, low.tolist(), high.tolist(), strict=True)
-            found += [(f"{axis}, {name}", *ends) for name, *ends in rows]
+            extents += [(f"{axis}, {name}", *ends) for name, *ends in rows]
     columns: tuple[Column[tuple[str, float, float]], ...] = (
         Column("in {W}, mm", itemgetter(0)),
         Column("from", itemgetter(1), form=".0f"),
         Column("to", itemgetter(2), form=".0f"),
     )
-    return Table(columns, found, "Calibrated volume", note)
+    return Table(columns, extents, "Calibrated volume", note)
 
 
 def _lines(record: CurveMeasured) -> str:

@@ -48,20 +48,20 @@ class PoseReport:
 
     def turn_results(self) -> Table:
         """Return the worst angles beside their limits, for the first page."""
-        found = self.tested().figures() if tests_poses(self.facts) else []
-        rows = [each for each in found if each.of.unit == "deg"]
+        figures = self.tested().figures() if tests_poses(self.facts) else []
+        rows = [each for each in figures if each.of.unit == "deg"]
         columns = self._columns("°", ".4f", attrgetter("symbol"))
         return Table(columns, rows, "Results, angles at the worst pose")
 
     def sentence(self) -> str:
-        found = self.tested()
+        test = self.tested()
         robot = "The robot as it is, not corrected,"
-        if found.corrected_by:
-            robot = f"The robot with the correction of run {found.corrected_by}"
-        end = "" if found.limits else " No limits are stated to judge it by."
+        if test.corrected_by:
+            robot = f"The robot with the correction of run {test.corrected_by}"
+        end = "" if test.limits else " No limits are stated to judge it by."
         return (
-            f"{robot} attains commanded positions to {found.worst.ap_mm:.3f} mm (AP) and returns "
-            f"to them to {found.worst.rp_mm:.3f} mm (RP) at the worst pose.{end}"
+            f"{robot} attains commanded positions to {test.worst.ap_mm:.3f} mm (AP) and returns "
+            f"to them to {test.worst.rp_mm:.3f} mm (RP) at the worst pose.{end}"
         )
 
     def conformity_words(self) -> str:
@@ -70,11 +70,11 @@ class PoseReport:
 
     def method_words(self) -> str:
         """Return cycle and approach in words."""
-        found = self.tested()
+        test = self.tested()
         return (
             f"ISO 9283:1998, clauses 7.2 and 7.3, positions of the reflector on the flange: "
-            f"{found.cycles} cycles {', '.join(CYCLE)} on the plane {found.cube.plane} of a "
-            f"cube of {found.cube.side_mm:g} mm, each pose approached directly from the one "
+            f"{test.cycles} cycles {', '.join(CYCLE)} on the plane {test.cube.plane} of a "
+            f"cube of {test.cube.side_mm:g} mm, each pose approached directly from the one "
             "before it, measured at rest by laser tracker."
         )
 
@@ -82,7 +82,7 @@ class PoseReport:
         """Return conditions, poses, angles and distance; none of a run that is no pose test."""
         if not tests_poses(self.facts):
             return []
-        found = self.tested()
+        test = self.tested()
         distance: tuple[Column[Distance], ...] = (
             Column("from", attrgetter("start")),
             Column("to", attrgetter("to")),
@@ -95,15 +95,15 @@ class PoseReport:
         )
         note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
         return [
-            Table(listed("condition", "in this test"), self._conditions(found), "Test conditions"),
-            Table(POSES, found.poses.items(), "Pose accuracy and repeatability", self.POSES_NOTE),
+            Table(listed("condition", "in this test"), self._conditions(test), "Test conditions"),
+            Table(POSES, test.poses.items(), "Pose accuracy and repeatability", self.POSES_NOTE),
             Table(
                 TURNS,
-                found.orientation.items(),
+                test.orientation.items(),
                 "Accuracy and repeatability of angles",
                 self.TURNS_NOTE,
             ),
-            Table(distance, [found.distance], "Distance accuracy and repeatability", note),
+            Table(distance, [test.distance], "Distance accuracy and repeatability", note),
         ]
 
     def departures(self) -> list[str]:
@@ -114,16 +114,16 @@ class PoseReport:
         """Return velocity, load and cycles of a pose test, for the first page."""
         if not tests_poses(self.facts):
             return []
-        found = self.tested()
-        load = ("Load", self._load(found))
-        return [("Velocity", self._velocity(found)), load, ("Cycles", str(found.cycles))]
+        test = self.tested()
+        load = ("Load", self._load(test))
+        return [("Velocity", self._velocity(test)), load, ("Cycles", str(test.cycles))]
 
     @staticmethod
-    def _velocity(found: PoseTest) -> str:
-        return f"{found.velocity_percent:g} % of the rated velocity"
+    def _velocity(test: PoseTest) -> str:
+        return f"{test.velocity_percent:g} % of the rated velocity"
 
-    def _load(self, found: PoseTest) -> str:
-        load_kg, rated_kg = found.load_kg, found.rated_load_kg
+    def _load(self, test: PoseTest) -> str:
+        load_kg, rated_kg = test.load_kg, test.rated_load_kg
         if load_kg is None or rated_kg is None:
             return self._stated(load_kg, "kg")
         share = f", {100 * load_kg / rated_kg:.0f} %" if rated_kg else ""
@@ -133,21 +133,21 @@ class PoseReport:
     def _stated(value: float | None, unit: str) -> str:
         return "not stated" if value is None else f"{value:g} {unit}"
 
-    def _conditions(self, found: PoseTest) -> Iterator[tuple[str, str]]:
-        cube, celsius, missing = found.cube, found.temperature_c, found.not_measured
+    def _conditions(self, test: PoseTest) -> Iterator[tuple[str, str]]:
+        cube, celsius, missing = test.cube, test.temperature_c, test.not_measured
         x, y, z = cube.centre_mm
-        corrected = f"corrected by run {found.corrected_by}" if found.corrected_by else "as it is"
+        corrected = f"corrected by run {test.corrected_by}" if test.corrected_by else "as it is"
         yield "Robot", corrected
         yield "Test cube", f"side {cube.side_mm:g} mm about x {x:g}, y {y:g}, z {z:g} mm in {{B}}"
-        yield "Plane, cycle", f"{cube.plane}; {', '.join(CYCLE)}, {found.cycles} times"
+        yield "Plane, cycle", f"{cube.plane}; {', '.join(CYCLE)}, {test.cycles} times"
         yield "Approach", "directly from the pose before, as the cycle has it"
-        yield "Velocity", self._velocity(found)
-        yield "Load", self._load(found)
-        yield "Warm-up", self._stated(found.warm_up_min, "min")
-        yield "Stabilisation", f"{found.stabilisation_s:g} s from the end of motion to measurement"
+        yield "Velocity", self._velocity(test)
+        yield "Load", self._load(test)
+        yield "Warm-up", self._stated(test.warm_up_min, "min")
+        yield "Stabilisation", f"{test.stabilisation_s:g} s from the end of motion to measurement"
         air = f"{celsius[0]:.1f} to {celsius[1]:.1f} °C at the tracker" if celsius else ""
         yield "Temperature", air or "not measured"
-        yield "Tracker noise", f"{found.tracker_noise_mm:.4f} mm of one coordinate, 1 σ"
+        yield "Tracker noise", f"{test.tracker_noise_mm:.4f} mm of one coordinate, 1 σ"
         yield "Orientations", f"not measured: {', '.join(missing)}" if missing else "measured"
 
     def _columns(

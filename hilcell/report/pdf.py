@@ -19,14 +19,14 @@ def find_browser() -> str:
     browsers = (
         "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge",
     )  # fmt: skip
-    found = next((path for path in map(shutil.which, browsers) if path), "")
-    if not found:
+    browser = next((path for path in map(shutil.which, browsers) if path), "")
+    if not browser:
         raise NotWritten(
             "report: no browser to print a PDF with, expected one of "
             f"{', '.join(browsers)}; install chromium, or write FILE.html, open it in any browser "
             "and print it to a file"
         )
-    return found
+    return browser
 
 
 def pdf_of(html: str, browser: str) -> bytes:
@@ -34,11 +34,11 @@ def pdf_of(html: str, browser: str) -> bytes:
     with TemporaryDirectory(prefix="hilcell-", ignore_cleanup_errors=True) as folder:
         page, paper = Path(folder, "report.html"), Path(folder, "report.pdf")
         page.write_text(html, "utf-8")
-        found = _print(browser, page, paper, Path(folder, "profile"))
+        output = _print(browser, page, paper, Path(folder, "profile"))
         content = paper.read_bytes() if paper.exists() else b""
     if not content.startswith(b"%PDF-"):
         raise NotWritten(
-            f"report: {browser} printed no PDF: {found.strip()[-300:] or 'it said nothing'}; "
+            f"report: {browser} printed no PDF: {output.strip()[-300:] or 'it said nothing'}; "
             "write FILE.html and print it in a browser"
         )
     return content
@@ -61,12 +61,12 @@ def _print(browser: str, page: Path, paper: Path, profile: Path) -> str:
     )
     limit_s = 60.0
     try:
-        said, _ = process.communicate(timeout=limit_s)
+        output, _ = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         return f"not within {limit_s:g} s"
-    return said.decode(errors="replace")
+    return output.decode(errors="replace")
 
 
 def pages_of(pdf: bytes, names: Iterable[str]) -> dict[str, int]:

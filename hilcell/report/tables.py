@@ -130,8 +130,8 @@ class Tables:
     def _framed(self, name: str, kind: type[T]) -> list[tuple[Station, T]]:
         """Return the stations that have a frame of a kind, with it: measured, not adopted."""
         frames = self.facts.log.frames
-        found = ((each, frames.get(f"{name}.{each.name}")) for each in self.facts.cell.station)
-        return [(station, frame) for station, frame in found if isinstance(frame, kind)]
+        pairs = ((each, frames.get(f"{name}.{each.name}")) for each in self.facts.cell.station)
+        return [(station, frame) for station, frame in pairs if isinstance(frame, kind)]
 
     def stations(self) -> Table:
         """Return the quality of each station's frame that this run measured, of no adopted one."""
@@ -225,7 +225,7 @@ class Tables:
 
     def paper_rows(self) -> Table:
         """Return the paper's figures beside this run's, where the procedure compares them."""
-        found = self.facts.part("rows", list[PaperRow]) or []
+        rows = self.facts.part("rows", list[PaperRow]) or []
         note = (
             "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
         )
@@ -239,21 +239,21 @@ class Tables:
             Column("holds if", attrgetter("criterion")),
             Column("verdict", attrgetter("verdict")),
         )
-        return Table(columns, found, "The paper, row by row", note)
+        return Table(columns, rows, "The paper, row by row", note)
 
     def own_table(self) -> Table:
         """Return the procedure's own table of its result."""
         procedure, result = self.facts.procedure, self.facts.result
         if not result:
             return Table((), ())
-        found = procedure.table(result)
-        found.title, found.note = procedure.summary.capitalize(), procedure.words(result)
-        return found
+        table = procedure.table(result)
+        table.title, table.note = procedure.summary.capitalize(), procedure.words(result)
+        return table
 
     def remeasured(self) -> Table:
         """Return the points that were measured more than once, with both values."""
-        found = self.repeats()
-        turned = any(each.again_deg is not None for each in found)
+        repeats = self.repeats()
+        turned = any(each.again_deg is not None for each in repeats)
         what = "error of position and that of orientation count" if turned else "error counts"
         note = (
             f"Every value stays in the journal. Of a target the larger {what}, whatever the "
@@ -266,11 +266,11 @@ class Tables:
         )
         keys = Column[Repeat]("key", attrgetter("again.key"), small=True)
         columns = (*REPEATS, *turns, keys) if turned else (*REPEATS, keys)
-        return Table(columns, found, "Points measured more than once", note)
+        return Table(columns, repeats, "Points measured more than once", note)
 
     def repeats(self) -> list[Repeat]:
         """Return each two successive measurements of a point, in the order of the later ones."""
-        before, reasons, found = dict[str, Point](), dict[str, str](), list[Repeat]()
+        before, reasons, repeats = dict[str, Point](), dict[str, str](), list[Repeat]()
         seats, times = seats_of(self.facts.log), Counter[str]()
         for record in self.facts.records:
             match record.fact:
@@ -284,13 +284,13 @@ class Tables:
             if (first := before.get(key)) is not None:
                 turns_deg = self._turns_deg(key, seats)[times[key] :][:2]
                 times[key] += 1
-                found.append(Repeat(
+                repeats.append(Repeat(
                     first, again, reasons.pop(key, "the run was resumed"),
                     self._error_mm(first), self._error_mm(again), self._counts(first, again),
                     *(turns_deg if len(turns_deg) == 2 else ()),
                 ))  # fmt: skip
             before[key] = again
-        return found
+        return repeats
 
     def _turns_deg(self, key: str, seats: Array | None) -> list[float]:
         """Return by how much a target's tool was turned, each time that it was measured."""
@@ -408,8 +408,8 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
     if "world" not in log.frames:
         return Table((), ())
     stations, most = [station.name for station in log.cell.station], 10
-    found = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
-    order = np.argsort(-errors_of(log, found).norms_mm, kind="stable")[:most]
+    points = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
+    order = np.argsort(-errors_of(log, points).norms_mm, kind="stable")[:most]
     before = {
         (point.station, point.id.number): float(errors_of(log, [point]).norms_mm[0])
         for name in stations
@@ -417,7 +417,7 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
     }
     rows = list[tuple[Value, ...]]()
     for rank, n in enumerate(order, start=1):
-        point, errors = found[n], errors_of(log, [found[n]])
+        point, errors = points[n], errors_of(log, [points[n]])
         norm_mm, bound_mm = float(errors.norms_mm[0]), budget.points_mm.get(point.key)
         others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
                   if p.xyz_mm != point.xyz_mm]  # fmt: skip
@@ -437,7 +437,7 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
         "targets are expected to be. Where a target was measured again, the larger value counts."
     )
     if rows:
-        key = found[order[0]].key
+        key = points[order[0]].key
         note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
     title = "The ten worst targets" if len(rows) == most else "The worst targets"
     shown = (

@@ -77,30 +77,30 @@ class _Course:
 
     def lines(self) -> list[Line]:
         """Return each line with its time in the journal; a step says how many points it gave."""
-        log, last, known, found = Log(), "", set[str](), list[Line]()
+        log, last, known, lines = Log(), "", set[str](), list[Line]()
         step: Line | None = None  # that is under way
         # of the next session, and written before it
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
             fact, starts = record.fact, self._starts(record.fact)
             if starts and log.session and not log.over:
-                found.append(Line(last, self._cut_off(log), stop=True))
-            found += [Line(record.t, each, self._stops(fact)) for each in self._words(log, fact)]
+                lines.append(Line(last, self._cut_off(log), stop=True))
+            lines += [Line(record.t, each, self._stops(fact)) for each in self._words(log, fact)]
             if isinstance(fact, StepBegun):
-                step, moves = found[-1], fact.name == "home"  # at every start
+                step, moves = lines[-1], fact.name == "home"  # at every start
                 optional = fact.name.startswith("two-face")  # a plan may leave it out
                 step.idle = optional or (fact.name in known and not moves)
                 known.add(fact.name)
             step = None if starts else step
             if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
                 again = key_words(record.key, self.facts.log)
-                found.append(Line(record.t, f"Measured again: {again}."))
+                lines.append(Line(record.t, f"Measured again: {again}."))
             elif step is not None:
                 step.take(record, log)
             if not isinstance(fact, before_it_goes_on):
                 last = record.t
             log.take(record)
-        return [line for line in found if line.text]
+        return [line for line in lines if line.text]
 
     def _words(self, log: Log, fact: Fact) -> list[str]:
         """Return a record as sentences; the state of the calibration follows from the steps."""

@@ -34,8 +34,8 @@ from hilcell.tui.driver import LATE_S, StopDriver, WithoutColours
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
 from hilcell.tui.process import GarbageCollector, run_in_thread
 from hilcell.tui.screens.base import Application, BaseScreen, Options
-from hilcell.tui.themes import IN_SIXTEEN, NAMES, PALETTES
-from hilcell.tui.widgets import CellScrollBar, Choice, TextPanel
+from hilcell.tui.themes import NAMES, PALETTES, SIXTEEN_COLOURS
+from hilcell.tui.widgets import Choice, PlainScrollBar, TextPanel
 
 if TYPE_CHECKING:
     from subprocess import Popen
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
 BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
-ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
+ScrollBar.renderer = PlainScrollBar  # Textual's way to choose: a class, for all of its bars
 
 
 class OpeningScreen(BaseScreen):
@@ -74,7 +74,7 @@ class OpeningScreen(BaseScreen):
         super().begin()
 
 
-def run_to_open(runs: Path, name: str) -> Path | None:
+def folder_to_open(runs: Path, name: str) -> Path | None:
     """Return the folder of the run to show; raises `HilcellError` where the name means none.
 
     Loads, in the caller's thread, everything that reads a journal.
@@ -135,9 +135,9 @@ class Palette(CommandPalette):
 
     async def action_page(self, name: str) -> None:
         """Go a page up or down, where the terminal has room for a page: else Textual raises."""
-        found = self.query_one(CommandList)
-        if found.scrollable_content_region.height:
-            await found.run_action(name)
+        commands = self.query_one(CommandList)
+        if commands.scrollable_content_region.height:
+            await commands.run_action(name)
 
     def action_erase(self) -> None:
         box = self.query_one(Input)
@@ -201,7 +201,7 @@ class HilcellApp(Application):
         self._was_late = False  # whether the driver has covered something since
         self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
-        for palette in (*PALETTES, IN_SIXTEEN):
+        for palette in (*PALETTES, SIXTEEN_COLOURS):
             self.register_theme(palette.theme())
         self.theme = options.theme
         self.animation_level = "none"
@@ -258,14 +258,14 @@ class HilcellApp(Application):
     async def _open(self) -> None:
         """Open the run asked for, or the one that is live, or the form for a new one."""
         try:
-            found = await run_in_thread(run_to_open, self.options.runs, self.options.run)
+            folder = await run_in_thread(folder_to_open, self.options.runs, self.options.run)
         except HilcellError as error:
             self.refused = error
             self.exit()
             return
         self._collector = GarbageCollector(time.monotonic())
-        if found is not None:
-            self.attach(found)
+        if folder is not None:
+            self.attach(folder)
         else:
             self.do_new()
 
@@ -398,7 +398,7 @@ class HilcellApp(Application):
         if live or (sent and not over):
             self._close_questions()
             # The key's own thread has stopped already: its engine may be gone by now.
-            heard = sent or self.open_runs.stop_heard
+            heard = sent or self.open_runs.stop_received
             notice = "STOP: no engine is there to hear it"
             if heard:
                 notice = "STOP sent" if sent else "stopped: the engine has ended"

@@ -27,11 +27,11 @@ from textual.color import Color
 from textual.drivers.linux_driver import LinuxDriver
 from textual.filter import LineFilter
 
-from hilcell.tui.themes import IN_SIXTEEN, PALETTES, ROLES
+from hilcell.tui.themes import PALETTES, ROLES, SIXTEEN_COLOURS
 
 TICK_S = 0.05
 LATE_S = 2.0
-LATE = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
+LATE_TEXT = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
 
 
 def has_escape(read: bytes) -> bool:
@@ -71,7 +71,7 @@ class StopDriver(LinuxDriver):
         """Cover the state once, when what is painted has become too old."""
         late = self.is_late is not None and self.is_late()
         if late and not self._covered:
-            self.write(LATE)
+            self.write(LATE_TEXT)
         self._covered = late
 
     def _read(self) -> bytes:
@@ -95,7 +95,7 @@ class WithoutColours(LineFilter):
 
     def __init__(self, theme: str) -> None:
         super().__init__()
-        palette = next(each for each in (*PALETTES, IN_SIXTEEN) if each.name == theme)
+        palette = next(each for each in (*PALETTES, SIXTEEN_COLOURS) if each.name == theme)
         box = Color.parse(palette.cursor)
         focused = box.tint(Color.parse(palette.text).with_alpha(0.05))  # Textual's `Input:focus`
         fills = map(Color.parse, (palette.text, palette.badge, *map(palette.fill, ROLES)))

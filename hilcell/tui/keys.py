@@ -109,7 +109,7 @@ def load_keys(path: Path | None) -> Keymap:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(str(file), [f"cannot be read as TOML: {error}"]) from error
     problems = [f"{name}: only [keys] is known" for name in table if name != "keys"]
-    keys, found = table.get("keys", {}), dict(defaults)
+    keys, keymap = table.get("keys", {}), dict(defaults)
     if not isinstance(keys, dict):
         problems.append(f"keys: expected a table, got {keys!r}")
         keys = {}
@@ -118,12 +118,12 @@ def load_keys(path: Path | None) -> Keymap:
             hint = did_you_mean(name, BY_NAME) or f"; actions: {', '.join(BY_NAME)}"
             problems.append(f"keys.{name}: no such action{hint}")
             continue
-        found[name] = _keys_of(name, value, problems)
-    found["stop"] = tuple(dict.fromkeys((*found["stop"], ESCAPE)))
-    problems += conflicts(found)
+        keymap[name] = _keys_of(name, value, problems)
+    keymap["stop"] = tuple(dict.fromkeys((*keymap["stop"], ESCAPE)))
+    problems += conflicts(keymap)
     if problems:
         raise SettingsError(str(file), problems)
-    return found
+    return keymap
 
 
 def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:

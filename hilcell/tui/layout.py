@@ -18,7 +18,7 @@ from hilcell.tui.terminal import Glyphs
 BLANK = Content("")
 
 
-def look_of(part: object) -> object:
+def appearance(part: object) -> object:
     """Return a value that is equal where two parts look the same.
 
     Contents compare by their text alone, and NaN is not equal to itself.
@@ -29,7 +29,7 @@ def look_of(part: object) -> object:
         case Part():
             return part.state
         case list() | tuple():
-            return [look_of(each) for each in part]
+            return [appearance(each) for each in part]
         case float():
             return repr(part)
     return part
@@ -41,7 +41,7 @@ class Part:
     @property
     def state(self) -> object:
         """Return a value that is equal where two parts look the same."""
-        return look_of([*vars(self).values()])
+        return appearance([*vars(self).values()])
 
 
 class Lines(Part):
@@ -121,7 +121,7 @@ class Grid(Lines):
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the rows, each in as many lines as its longest cell needs."""
-        widths, found = self._widths(width) if self._rows else [], []
+        widths, lines = self._widths(width) if self._rows else [], []
         for number, row in enumerate(self._rows):
             cells = [
                 self._cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)
@@ -132,8 +132,8 @@ class Grid(Lines):
                     for cell, room in zip(cells, widths, strict=True)
                 )
                 line = Content(" " * self._gap).join(parts).truncate(width)
-                found.append(line.stylize_before(self._styles.get(number, "")))
-        return found
+                lines.append(line.stylize_before(self._styles.get(number, "")))
+        return lines
 
     @staticmethod
     def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
@@ -155,7 +155,7 @@ def ends(left: Cell, right: Cell) -> Grid:
     return Grid([(left, right)], Col(grows=True), Col())
 
 
-def facts_grid(facts: Iterable[tuple[str, Text]], width: int = 12) -> Grid:
+def labelled_rows(facts: Iterable[tuple[str, Text]], width: int = 12) -> Grid:
     """Return names with their texts, which wrap beside them."""
     rows = [((name, "$label"), text) for name, text in facts]
     return Grid(rows, Col(width), Col(grows=True, wraps=True))

@@ -44,8 +44,8 @@ class Scale:
     @classmethod
     def log(cls, values: Array, limits: Sequence[float] = (), before: Self | None = None) -> Self:
         """Return a log scale for values (N,) in mm, of whole steps of 1, 2 and 5."""
-        found = np.asarray(values, dtype=float).tolist()
-        known = [each for each in found if cls.LEAST <= each <= cls.MOST]
+        numbers = np.asarray(values, dtype=float).tolist()
+        known = [each for each in numbers if cls.LEAST <= each <= cls.MOST]
         lows, highs = [cls.LOG_LOW], [cls.LOG_HIGH]
         lows += [step_at_most(each) for each in known]
         lows += [max(s for s in _around(each) if s < each * (1 - ROUNDING)) for each in limits]
@@ -63,11 +63,11 @@ class Scale:
         before: Self | None = None,
     ) -> Self:
         """Return an even scale for values (N,), zero among them; its step is 1, 2 or 5."""
-        found = np.asarray(values, dtype=float)
-        held = [0.0, *limits, *found[np.abs(found) <= cls.LARGEST].tolist()]
+        numbers = np.asarray(values, dtype=float)
+        included = [0.0, *limits, *numbers[np.abs(numbers) <= cls.LARGEST].tolist()]
         if before is not None and not before.is_log:
-            held += [before.low, before.high]
-        low, high = min(held), max(held)
+            included += [before.low, before.high]
+        low, high = min(included), max(included)
         step = step_at_least(max((high - low or 1.0) / max(2, height // 3), cls.FINEST))
         first, last = math.floor(low / step + ROUNDING), math.ceil(high / step - ROUNDING)
         first -= any(not first * step < each for each in limits)
@@ -102,14 +102,14 @@ class Scale:
 
     def ticks(self, height: int) -> list[tuple[int, float]]:
         """Return row and value of each tick, from the top; fewer where rows are few."""
-        found: list[tuple[int, float]] = []
+        ticks: list[tuple[int, float]] = []
         for values in self._ladders():
             at = np.floor(self.rows(np.array(values), height)).astype(int).tolist()
-            found = sorted(zip(at, values, strict=True))
-            apart = all(a[0] < b[0] for a, b in pairwise(found))
-            if apart and found[-1][0] - found[0][0] >= self.ROOM * (len(found) - 1):
-                return found
-        return found[:1]
+            ticks = sorted(zip(at, values, strict=True))
+            apart = all(a[0] < b[0] for a, b in pairwise(ticks))
+            if apart and ticks[-1][0] - ticks[0][0] >= self.ROOM * (len(ticks) - 1):
+                return ticks
+        return ticks[:1]
 
     def _ladders(self) -> Iterable[list[float]]:
         """Yield the ticks, fewer each time."""
@@ -263,7 +263,7 @@ class Plot:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PlotStyle:
     """Shapes that the terminal has: ``letters`` in place of half blocks, ``plain`` ASCII alone."""
 
     letters: bool = False
@@ -271,10 +271,10 @@ class Look:
 
 
 def draw(
-    plot: Plot, scale: Scale, width: int, height: int, look: Look, *, named: bool = True
+    plot: Plot, scale: Scale, width: int, height: int, style: PlotStyle, *, named: bool = True
 ) -> list[Content]:
     """Return a plot in exactly so many rows; ``named``: each series has its name at its line."""
-    return _Drawing(plot, scale, width, height, look).lines(named=named)
+    return _Drawing(plot, scale, width, height, style).lines(named=named)
 
 
 class _Drawing:
@@ -283,9 +283,9 @@ class _Drawing:
     FRAME, TICK = "$stale", "$label"
     BEGIN = (0.3, 0.6, 0.5, 0.4)  # of the names, in shares of the width: apart from each other
 
-    def __init__(self, plot: Plot, scale: Scale, width: int, height: int, look: Look) -> None:
-        self._plot, self._scale, self._look = plot, scale, look
-        self._canvas = Canvas(width, height, letters=look.letters)
+    def __init__(self, plot: Plot, scale: Scale, width: int, height: int, style: PlotStyle) -> None:
+        self._plot, self._scale, self._style = plot, scale, style
+        self._canvas = Canvas(width, height, letters=style.letters)
         self._height = max(height - BELOW, 2)
         limit_rows = np.floor(scale.rows(np.array(plot.limits), self._height)).astype(int).tolist()
         self._limits = [*zip(limit_rows, plot.limits, strict=True)]
@@ -325,7 +325,7 @@ class _Drawing:
             canvas.text(row, left - 1 - len(label), label, self.TICK)
             canvas.text(row, left - 1, "┤", self.FRAME)
             for column in range(left, left + self._width, 4):
-                canvas.text(row, column, "." if self._look.plain else "·", "$track")
+                canvas.text(row, column, "." if self._style.plain else "·", "$track")
         for row, label in self._bold.items():
             canvas.text(row, 0, " " * (left - 1))
             canvas.text(row, left - 1 - len(label), f"{label}┤", "bold $foreground")
@@ -350,7 +350,7 @@ class _Drawing:
         A letter fills both halves: it stands in the row above or under the line.
         """
         halves: Ints = np.floor(2.0 * self._scale.rows(values, self._height)).astype(int)
-        room = int(self._look.letters)
+        room = int(self._style.letters)
         for row, limit in self._limits:
             over, under = 2 * row - room, 2 * row + 1 + room
             halves = np.where(values <= limit, np.maximum(halves, under), np.minimum(halves, over))
@@ -372,11 +372,11 @@ class _Drawing:
         """Return column, first and last half of each stroke: of a point, or of a line's step."""
         if not series.joined:
             return [(c, h, h) for c, h in zip(columns.tolist(), halves.tolist(), strict=True)]
-        found = []
+        strokes = []
         for column in range(int(columns[0]) if len(columns) else self._width, self._width):
             here = [*halves[columns == column].tolist(), *halves[columns < column][-1:].tolist()]
-            found.append((column, min(here), max(here)))
-        return found
+            strokes.append((column, min(here), max(here)))
+        return strokes
 
     def _mark(self, mark: Mark, taken: Bools, words: Bools) -> None:
         """Write a word above its value and all that is ``taken`` there; add it to ``words``."""
@@ -400,8 +400,8 @@ class _Drawing:
                 [*styles, "$foreground"],
                 [*lines, line],
             )
-        wanted = [*self.BEGIN[: len(self._plot.series)], 0.0]
-        spots = place(names, [*lines, words], wanted)
+        preferred = [*self.BEGIN[: len(self._plot.series)], 0.0]
+        spots = place(names, [*lines, words], preferred)
         for name, style, spot in zip(names, styles, spots, strict=True):
             if spot is not None:
                 self._canvas.text(spot[0], self._left + spot[1], name, style)
@@ -413,7 +413,7 @@ ENOUGH = 4  # rows to another line, beyond which more are no better
 
 
 def place(
-    names: Sequence[str], lines: Sequence[Bools], wanted: Sequence[float]
+    names: Sequence[str], lines: Sequence[Bools], preferred: Sequence[float]
 ) -> list[tuple[int, int] | None]:
     """Return row and column of the first letter of each name, or None where there is no room.
 
@@ -425,7 +425,7 @@ def place(
     spots: list[tuple[int, int] | None] = []
     for number, name in enumerate(names):
         others = [each for n, each in enumerate(away) if n != number]
-        spot = _spot(len(name), lines[number], others, taken, wanted[number])
+        spot = _spot(len(name), lines[number], others, taken, preferred[number])
         if spot is not None:
             row, column = spot
             taken[row, max(column - EDGE, 0) : column + len(name) + EDGE] = True
@@ -442,7 +442,7 @@ def _rows_away(line: Bools) -> Ints:
 
 
 def _spot(
-    length: int, own: Bools, others: Sequence[Ints], taken: Bools, wanted: float
+    length: int, own: Bools, others: Sequence[Ints], taken: Bools, preferred: float
 ) -> tuple[int, int] | None:
     height, width = own.shape
     span = length + 2 * EDGE
@@ -457,7 +457,7 @@ def _spot(
         foreign = np.minimum(foreign, sliding_window_view(away, span, axis=1).min(axis=2))
     top, bottom = covered.argmax(axis=0), height - 1 - covered[::-1].argmax(axis=0)
     starts = np.arange(covered.shape[1])
-    aside = abs(starts / width - wanted) * height / 3
+    aside = abs(starts / width - preferred) * height / 3
     best, least = None, np.inf
     for far, side in product(range(1, FARTHEST + 1), (-1, 1)):
         rows = (top if side < 0 else bottom) + side * far

@@ -46,52 +46,52 @@ REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 @dataclass(frozen=True, slots=True)
 class RunUpdate:
-    """The result of one look, or of several that nobody has seen yet."""
+    """The result of one poll, or of several that are not shown yet."""
 
     records: list[Record] = field(default_factory=list)
     engine: EngineState = EngineState.NONE
     status: Status | None = None
     trouble: str = ""
-    calibrated: bool = True  # whether a calibration has its file; looked at after the engine's end
+    calibrated: bool = True  # whether a calibration has its file; checked after the engine's end
     answered: datetime | None = None  # when the status came; None: just now
 
     def followed_by(self, later: RunUpdate) -> RunUpdate:
         """Return both as one: the records of both, everything else as it is now."""
-        heard = self if later.status is None else later
+        newest = self if later.status is None else later
         return replace(
             later,
             records=[*self.records, *later.records],
-            status=heard.status,
-            answered=heard.answered,
+            status=newest.status,
+            answered=newest.answered,
         )
 
 
 class Inbox:
-    """Holds what waits to be shown as one update, however many looks it came with.
+    """Merges what waits to be shown into one update, however many polls it came with.
 
     A screen that is slower than its feed falls behind by one update, and never by more.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._waits: RunUpdate | None = None
+        self._pending: RunUpdate | None = None
 
     def put(self, update: RunUpdate) -> bool:
         """Add an update, from any thread; return whether none waited before."""
         with self._lock:
-            before = self._waits
-            self._waits = update if before is None else before.followed_by(update)
+            before = self._pending
+            self._pending = update if before is None else before.followed_by(update)
         return before is None
 
     def take(self) -> RunUpdate | None:
         """Return all that waits, and hold nothing."""
         with self._lock:
-            update, self._waits = self._waits, None
+            update, self._pending = self._pending, None
         return update
 
 
 class Feed:
-    """Looks at a run every ``period_s`` and hands over what is new."""
+    """Polls a run every ``period_s`` and hands over what is new."""
 
     def __init__(
         self, folder: Path, deliver: Callable[[RunUpdate], object], period_s: float
@@ -99,25 +99,25 @@ class Feed:
         self.folder = folder
         self.client: EngineClient | None = None
         self._deliver, self._period_s = deliver, period_s
-        self._seen = 0
+        self._records_read = 0
         self._answered_s = 0.0
         self._leave = False
         self._ended = threading.Event()
-        self._soon = threading.Event()
+        self._wake = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="feed", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
-    def look_now(self) -> None:
-        """Look at once: a command was sent."""
-        self._soon.set()
+    def poll_now(self) -> None:
+        """Poll at once: a command was sent."""
+        self._wake.set()
 
     def close(self, *, leave: bool) -> None:
-        """Stop looking. ``leave``: report to the engine that this screen leaves on purpose."""
+        """Stop polling. ``leave``: report to the engine that this screen leaves on purpose."""
         self._leave = leave
         self._ended.set()
-        self._soon.set()
+        self._wake.set()
         self._disconnect()
 
     def _disconnect(self) -> None:
@@ -129,30 +129,30 @@ class Feed:
 
     def _follow(self) -> None:
         while not self._ended.is_set():
-            began_s = time.monotonic()
-            update = self._look()
+            start_s = time.monotonic()
+            update = self._poll()
             if not self._ended.is_set():
                 self._deliver(update)
                 quiet = update.engine is EngineState.NONE
                 period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
-                self._soon.wait(max(period_s - (time.monotonic() - began_s), 0.02))
-                self._soon.clear()
+                self._wake.wait(max(period_s - (time.monotonic() - start_s), 0.02))
+                self._wake.clear()
         self._disconnect()  # a line that was being opened when the end came
 
-    def _look(self) -> RunUpdate:
+    def _poll(self) -> RunUpdate:
         engine, status = self._ask_status()
         answered = None if status is None else utc_now()
         try:
-            records = read_journal(self.folder / JOURNAL, after=self._seen)
+            records = read_journal(self.folder / JOURNAL, after=self._records_read)
         except StorageError as error:
-            waits = engine is not EngineState.NONE or self._lacks(JOURNAL)
-            trouble = "" if waits and not self._seen else str(error)
+            starting = engine is not EngineState.NONE or self._is_missing(JOURNAL)
+            trouble = "" if starting and not self._records_read else str(error)
             return RunUpdate([], engine, status, trouble, answered=answered)
-        self._seen += len(records)
-        calibrated = engine is not EngineState.NONE or not self._lacks(CALIBRATION)
+        self._records_read += len(records)
+        calibrated = engine is not EngineState.NONE or not self._is_missing(CALIBRATION)
         return RunUpdate(records, engine, status, calibrated=calibrated, answered=answered)
 
-    def _lacks(self, name: str) -> bool:
+    def _is_missing(self, name: str) -> bool:
         """Whether a file is missing, as far as that is known."""
         try:
             return not is_there(self.folder / name)
@@ -192,7 +192,7 @@ def utc_now() -> datetime:
     return datetime.now(UTC)
 
 
-PATIENCE_S: dict[Command, float] = {"answer": 30.0}  # the tracker looks first
+TIMEOUT_S: dict[Command, float] = {"answer": 30.0}  # the tracker measures first
 
 
 class Session:
@@ -211,7 +211,7 @@ class Session:
             folder.name, engine=EngineState.STARTING if process else EngineState.UNKNOWN
         )
         self.latch = Latch()
-        self.stop_heard = False  # whether an engine of the run that is live now received a stop
+        self.stop_received = False  # whether an engine of the run that is live now received a stop
         self.process = process  # the engine, where this screen has started it
         self._go_on = go_on
         self._unreadable = ""  # why the journal's records cannot be applied
@@ -235,12 +235,12 @@ class Session:
             present = view.engine is not EngineState.NONE
             lost = not view.calibrated
             view.alarms = alarms_of(view.log, view.run, live=present, go_on=self._go_on, lost=lost)
-            self.latch.take(view.alarms, self._went_on_at, acknowledged_in(view.log))
+            self.latch.take(view.alarms, self._continued_at, acknowledged_in(view.log))
         self.tick(now)
 
-    def _engine(self, found: EngineState) -> EngineState:
-        if found is not EngineState.NONE:
-            return found
+    def _engine(self, reported: EngineState) -> EngineState:
+        if reported is not EngineState.NONE:
+            return reported
         begins = self.view.engine is EngineState.STARTING
         running = self.process is not None and self.process.poll() is None
         return EngineState.STARTING if begins and running else EngineState.NONE
@@ -258,15 +258,15 @@ class Session:
             self.view = RunView(view.run)
 
     @property
-    def _went_on_at(self) -> str:
-        """Return the time of the newest record, where the run went on and so has proven something.
+    def _continued_at(self) -> str:
+        """Return the time of the newest record, where the run went on, so that causes are gone.
 
         Where it was opened again, aborted or lost its engine, causes are not known to be gone.
         """
         log = self.view.log
         went_on = ("running", "pausing", "paused", "suspended", "finished")
-        proven = log.state in went_on and (self.view.live or log.over)
-        return log.newest.t if proven and log.newest is not None else ""
+        went_well = log.state in went_on and (self.view.live or log.over)
+        return log.newest.t if went_well and log.newest is not None else ""
 
     def tick(self, now: datetime) -> None:
         view = self.view
@@ -279,7 +279,7 @@ class Session:
         view.elapsed_s = self._forecast.elapsed_s(at)
         view.remaining_s = self._forecast.remaining_s(at)
         view.ahead = self._forecast.ahead(at) if view.live else []
-        self.stop_heard = self.stop_heard and view.live
+        self.stop_received = self.stop_received and view.live
         view.span = self._forecast.span
 
     def stop(self) -> bool:
@@ -294,12 +294,12 @@ class Session:
             if self.process is None or self.view.engine is not EngineState.STARTING:
                 return False
             self.process.terminate()  # does nothing where it has ended
-        self.stop_heard = True
+        self.stop_received = True
         return True
 
     def ask(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
-        patience_s = PATIENCE_S.get(command)
+        patience_s = TIMEOUT_S.get(command)
         apart = patience_s is not None  # so that the lamps do not wait for it
         client = EngineClient.of_run(self.folder, patience_s) if apart else self.feed.client
         if client is None:
@@ -312,7 +312,7 @@ class Session:
         finally:
             if apart:
                 client.close()
-        self.feed.look_now()
+        self.feed.poll_now()
 
     def acknowledge(self) -> AlarmsAcknowledged:
         """Acknowledge every alarm on this screen; return that, to be sent to the engine."""

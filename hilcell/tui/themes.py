@@ -45,8 +45,8 @@ class Palette:
 
     def ink(self, role: str) -> str:
         """Return the colour of a role's letters on the ground."""
-        found: str = getattr(self, role)
-        return found
+        colour: str = getattr(self, role)
+        return colour
 
     def fill(self, role: str) -> str:
         """Return the colour of a role's blocks and bars."""
@@ -107,7 +107,7 @@ PALETTES = (
 )  # fmt: skip
 NAMES = tuple(palette.name for palette in PALETTES)
 # The colours as Rich has them, so that it finds each by itself: bright black is grey.
-IN_SIXTEEN = Palette(
+SIXTEEN_COLOURS = Palette(
     name=SIXTEEN, dark=True, ground="#000000", panel="#000000", badge="#0000aa", track="#555555",
     cursor="#0000aa", text="#ffffff", label="#aaaaaa", stale="#aaaaaa", live="#55ffff",
     passed="#55ff55", ask="#ffff55", fault="#ff5555", sim="#ff55ff", sim_fill="#ff55ff",

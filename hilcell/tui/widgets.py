@@ -28,7 +28,7 @@ from textual.widget import Widget
 from textual.widgets import Input, Static
 
 from hilcell.sanitize import UNSAFE, clean
-from hilcell.tui.layout import Lines, look_of
+from hilcell.tui.layout import Lines, appearance
 from hilcell.tui.terminal import to_ascii
 
 
@@ -79,7 +79,7 @@ class TextPanel(Static):
         content = Content(text) if isinstance(text, str) else text
         visual: Visual
         if isinstance(content, Content):
-            state, visual = look_of(content), _safe(content, plain=plain)
+            state, visual = appearance(content), _safe(content, plain=plain)
         else:
             state, visual = content.state, Shown(content, plain=plain)
         if state != self._state:
@@ -96,19 +96,19 @@ class TextPanel(Static):
         return not size.width or visual.get_height(rules, size.width) != size.height
 
 
-class Titled(Widget):
+class TitledBox(Widget):
     """A box with a title in its border, and a note in the one below; painted when they change."""
 
     _titles: object = None
 
     def show_titles(self, title: Content, note: str) -> None:
-        if (state := (look_of(title), note)) != self._titles:
+        if (state := (appearance(title), note)) != self._titles:
             self._titles = state
             self.border_title = _safe(title, plain=_is_plain(self))
             self.border_subtitle = note
 
 
-class CellScrollBar(ScrollBarRender):
+class PlainScrollBar(ScrollBarRender):
     """Draws the bar as reversed spaces, so that it is seen without colours, too."""
 
     VERTICAL_BARS: ClassVar[list[str]] = [" "]
@@ -253,8 +253,8 @@ class Table(ScrollView, can_focus=True):
         if self.follow and self.cursor >= len(self.rows) - 1:
             self.cursor = last
         elif self.cursor > last or not rows or rows[self.cursor].key != key:
-            found = (n for n, row in enumerate(rows) if row.key == key)
-            self.cursor = next(found, min(self.cursor, last))
+            matches = (n for n, row in enumerate(rows) if row.key == key)
+            self.cursor = next(matches, min(self.cursor, last))
         self.rows = rows
         self.on_resize()
         self.refresh()
@@ -264,9 +264,9 @@ class Table(ScrollView, can_focus=True):
         self._show_cursor()
 
     def choose(self, key: str) -> None:
-        found = next((n for n, row in enumerate(self.rows) if row.key == key), None)
-        if found is not None:
-            self._move(found)
+        index = next((n for n, row in enumerate(self.rows) if row.key == key), None)
+        if index is not None:
+            self._move(index)
 
     def action_by(self, step: int) -> None:
         self._move(self.cursor + step)

@@ -8,15 +8,15 @@ import numpy as np
 
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
-from hilcell.tui.plots import Look
+from hilcell.tui.plots import PlotStyle
 from hilcell.tui.run_view import RunView
-from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_of
+from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_for
 from hilcell.tui.text.points import point_page, row_of
 from hilcell.tui.text.side import side_lines
 from tests.whole.bench import SMALL, command, sets
 from tests.whole.golden import GoldenRuns
 
-LOOK = Look()
+LOOK = PlotStyle()
 
 
 def view_of(runs: Path, procedure: str, cell: str, values: dict[str, str]) -> RunView:
@@ -54,7 +54,7 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     assert found.keys() == wanted.keys()
     for name, figures in found.items():
         np.testing.assert_allclose(figures, (wanted[name]["ap_mm"], wanted[name]["rp_mm"]))
-    assert [tab.name for tab in tabs_of(log)] == ["pose accuracy", "repeatability"]
+    assert [tab.name for tab in tabs_for(log)] == ["pose accuracy", "repeatability"]
     for words in ("pose accuracy AP_p, mm", "P5", "limit of AP_p", "limit      3.000"):
         assert words in page(of), words
     assert "pose P3" in page(of, 1)
@@ -74,7 +74,7 @@ def test_a_recheck_shows_each_target_with_its_bound(golden: GoldenRuns, tmp_path
     now_mm, bounds_mm = of.rechecked_mm
     np.testing.assert_allclose(now_mm, [each["error_mm"] for each in wanted])
     np.testing.assert_allclose(bounds_mm, [each["bound_mm"] for each in wanted])
-    assert [tab.name for tab in tabs_of(log)] == ["re-check", "strip"]
+    assert [tab.name for tab in tabs_for(log)] == ["re-check", "strip"]
     for text in ("|e| of the re-checked targets, mm", "95 % bound", "worst targets"):
         assert text in page(of), text
     assert "map: |e| re-checked" in beside(view)

@@ -114,11 +114,11 @@ def circle(x: float, y: float, r: float, fill: str, colour: str) -> str:
 
 def hatched(x: float, y: float, width: float, height: float) -> str:
     """Return a hatched box: out of tolerance, or a time in which nothing ran."""
-    found: list[tuple[float, float]] = []
+    strokes: list[tuple[float, float]] = []
     for c in np.arange(2.0, width + height, 2.0):
         low, high = max(0.0, c - height), min(width, c)
-        found += [(x + low, y + c - low), (x + high, y + c - high), (math.nan, math.nan)]
-    return path(found, HATCH, 0.15)
+        strokes += [(x + low, y + c - low), (x + high, y + c - high), (math.nan, math.nan)]
+    return path(strokes, HATCH, 0.15)
 
 
 def apart(
@@ -162,8 +162,8 @@ class Scale:
         low, high = self.low, self.high
         if self.logarithmic:
             shown, low, high = np.log(shown), math.log(low), math.log(high)
-        found: Array = self.begin + (shown - low) / (high - low) * (self.end - self.begin)
-        return found
+        places: Array = self.begin + (shown - low) / (high - low) * (self.end - self.begin)
+        return places
 
     def one(self, value: float) -> float:
         return float(self.at(value))
@@ -172,12 +172,12 @@ class Scale:
         """Return 1-2-5 values, at most seven of a linear scale."""
         if self.logarithmic:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-            found = [step * 10.0**n for n in powers for step in (1, 2, 5)]
+            values = [step * 10.0**n for n in powers for step in (1, 2, 5)]
         else:
             step = round_up((self.high - self.low) / 6)
             first = math.ceil(self.low / step - 1e-9)
-            found = [step * n for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
-        return [each for each in found if self.low * 0.999 <= each <= self.high * 1.001]
+            values = [step * n for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
+        return [each for each in values if self.low * 0.999 <= each <= self.high * 1.001]
 
 
 @dataclass(frozen=True, slots=True)

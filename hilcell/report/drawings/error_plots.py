@@ -84,20 +84,20 @@ def in_order(facts: Facts) -> str:
 
 def enlarged(facts: Facts, budget: TargetBudget) -> str:
     """Return the errors after correction by station, linear; "" without any."""
-    found = {
+    norms_mm = {
         station.name: errors[Sent.CHOSEN].norms_mm
         for station in facts.cell.station
         for errors in (validation(facts.log, [station.name]),)
         if Sent.CHOSEN in errors
     }
-    if not found:
+    if not norms_mm:
         return ""
     dashes = ("", "1.6 0.9", "0.4 0.8")  # of the stations
     most_lines = len(dashes)
-    nearest = sorted(found, key=lambda name: -float(found[name].max()))[:most_lines]
+    nearest = sorted(norms_mm, key=lambda name: -float(norms_mm[name].max()))[:most_lines]
     judged = [budget.coverage.get(each.name) for each in facts.cell.station]
     bounds_mm = np.concatenate([each.bounds_mm for each in judged if each] or [np.empty(0)])
-    largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
+    largest = max(*(float(norms_mm[name].max()) for name in nearest), *bounds_mm, 0.01)
     frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
     parts = []
     if len(bounds_mm):
@@ -108,8 +108,8 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
     named, room_mm = [], RIGHT_MM - 1.0
     for name, dash in zip(nearest, dashes, strict=False):
-        parts.append(_curve(frame, found[name], AFTER, dash))
-        high = float(found[name].max())
+        parts.append(_curve(frame, norms_mm[name], AFTER, dash))
+        high = float(norms_mm[name].max())
         figure = f" {high:.3f}"
         shown = shortened(name, room_mm - wide_mm(figure))
         named.append((frame.y.one(high), shown + figure, AFTER))
@@ -146,8 +146,8 @@ def over_bound(facts: Facts, budget: TargetBudget) -> str:
     at, beyond = x.one(1.0), int((ratios > 1.0).sum())
     parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
     share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"
-    said = (f"{beyond} of {len(ratios)} beyond it", share, "dashed: predicted")
-    for n, words in enumerate(said):
+    texts = (f"{beyond} of {len(ratios)} beyond it", share, "dashed: predicted")
+    for n, words in enumerate(texts):
         parts.append(text(at + 1.5, TOP_MM + 3.0 + 4.0 * n, words, bold=n == 0))
     return svg(WIDTH_MM, HEIGHT_MM, "Errors as shares of their own bounds", parts,
                facts.inputs.simulated)  # fmt: skip
@@ -329,10 +329,10 @@ def variance_bar(budget: TargetBudget, simulated: bool) -> str:
 
 def _shares(budget: TargetBudget, most: int) -> list[tuple[str, float, float]]:
     """Return name, share in percent and u of the largest contributions; the last may be others."""
-    found: list[Row] = [each for each in target_rows(budget.in_use[budget.worst]) if each.percent]
-    found.sort(key=lambda each: -each.percent)
-    shown = [(each.source, each.percent, each.u_mm) for each in found[: most - 1]]
-    others = found[most - 1 :]
+    rows: list[Row] = [each for each in target_rows(budget.in_use[budget.worst]) if each.percent]
+    rows.sort(key=lambda each: -each.percent)
+    shown = [(each.source, each.percent, each.u_mm) for each in rows[: most - 1]]
+    others = rows[most - 1 :]
     if others:
         u_mm = sum(each.u_mm**2 for each in others) ** 0.5
         shown.append((f"{len(others)} others", sum(each.percent for each in others), u_mm))
@@ -416,10 +416,12 @@ def air(facts: Facts) -> str:
     """Return the air's temperature at the tracker; "" without a weather station."""
     time_axis = _Times(facts)
     times, points = time_axis.times(), facts.log.points.values()
-    found = sorted((times[p.key], p.temperature_c) for p in points if p.temperature_c is not None)
-    if not found:
+    readings = sorted(
+        (times[p.key], p.temperature_c) for p in points if p.temperature_c is not None
+    )
+    if not readings:
         return ""
-    at_s, celsius = np.array(found).T
+    at_s, celsius = np.array(readings).T
     calibration = calibration_so_far(facts.log, facts.run)
     range_c = calibration.validity.temperature_c if calibration is not None else None
     margin_k = TEMPERATURE_MARGIN_K

@@ -55,7 +55,7 @@ Drawn = tuple["Figure", str]  # with the caption that belongs to it
 
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
-    found: list[tuple[str, str, str, Callable[[Facts], Drawn | None]]] = [
+    figures: list[tuple[str, str, str, Callable[[Facts], Drawn | None]]] = [
         ("targets", "Error at each target, station of the grid", " (Fig 12)", fig_12),
         ("transferred", "Error at each target, other stations", " (Fig 13)", fig_13),
         ("pose-test", "Pose accuracy and repeatability (ISO 9283)", "", fig_poses),
@@ -72,7 +72,7 @@ def drawings(facts: Facts) -> list[Drawing]:
         return []  # and no library of figures is loaded
     drawn = []
     with in_style():
-        for name, title, in_paper, draw in found:
+        for name, title, in_paper, draw in figures:
             if (made := draw(facts)) is None:
                 continue
             figure, caption = made
@@ -227,27 +227,27 @@ def fig_similarity(facts: Facts) -> Drawn | None:
 
 def fig_8(facts: Facts) -> Drawn | None:
     """Draw how far slide points came out from where the reference's frames have them."""
-    found = facts.part("frame_repeatability", FramesRepeated)
-    if found is None:
+    repeated = facts.part("frame_repeatability", FramesRepeated)
+    if repeated is None:
         return None
-    stations = list(found.base)
+    stations = list(repeated.base)
     figure, axes = axes_sheet(2.5, 1, len(stations), sharey=True)
     for ax, station in zip(axes[0], stations, strict=True):
         for kind, off_mm, how, shift in (
-            ("base", found.base[station], Sent.BEFORE, -0.2),
-            ("station", found.station[station], Sent.CHOSEN, 0.2),
+            ("base", repeated.base[station], Sent.BEFORE, -0.2),
+            ("station", repeated.station[station], Sent.CHOSEN, 0.2),
         ):
             at = np.arange(1, len(off_mm) + 1) + shift
             ax.bar(at, off_mm, 0.38, color=COLOURS[how], label=f"{kind} frame")
-        ticks = np.arange(1, len(found.base[station]) + 1)
+        ticks = np.arange(1, len(repeated.base[station]) + 1)
         ax.set(title=f"station {station}", xlabel="slide point", xticks=ticks)
         ax.grid(visible=False, axis="x")
     axes[0, 0].set_ylabel("deviation, mm")
     _legend_above(axes[0, -1])
-    low, high = found.ratio_interval
+    low, high = repeated.ratio_interval
     return figure, (
         f"Against station {facts.cell.grid.station}. The station frame repeats "
-        f"{found.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
+        f"{repeated.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
         + facts.of_paper("The paper: about 4 times.")
     )
 
@@ -292,21 +292,21 @@ def fig_poses(facts: Facts) -> Drawn | None:
     """Draw the test cube with its poses, and AP and RP of each."""
     if not tests_poses(facts):
         return None
-    found = PoseReport(facts).tested()
+    test = PoseReport(facts).tested()
     figure, axes = axes_sheet(2.6, 1, 3)
-    _test_cube(axes[0, 0], found.cube, found.poses)
-    poses = found.poses.values()
+    _test_cube(axes[0, 0], test.cube, test.poses)
+    poses = test.poses.values()
     for ax, of, how, bars in (
         (axes[0, 1], AP, Sent.BEFORE, [(each.ap_mm, each.ap_u95_mm) for each in poses]),
         (axes[0, 2], RP, Sent.CHOSEN, [(each.rp_mm, each.rp_u95_mm) for each in poses]),
     ):
         values, u95_mm = zip(*bars, strict=True)
-        ax.bar(list(found.poses), values, width=0.6, color=COLOURS[how], yerr=u95_mm,
+        ax.bar(list(test.poses), values, width=0.6, color=COLOURS[how], yerr=u95_mm,
                error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
         ax.set_title(f"{of.symbol}, {of.unit}")
         ax.set_ylim(bottom=0.0)
         ax.grid(visible=False, axis="x")
-        if limit_mm := found.limits.get(of.limit):
+        if limit_mm := test.limits.get(of.limit):
             ax.axhline(limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
     return figure, (
         "Left: the test cube in {B} and the cycle on its plane. Bars: U, k = 2. Dashed: the limit, "
@@ -404,15 +404,15 @@ def svg_of(figure: Figure, name: str) -> str:
     dropped = r"<metadata>.*?</metadata>|<!--.*?-->|\n\s*"
     svg = re.sub(dropped, " ", text[text.index("<svg") :], flags=re.DOTALL)
     link = re.compile(r'(url\(#|href="#)([^")]+)')
-    linked = {found[1] for found in link.findall(svg)}
+    linked = {match[1] for match in link.findall(svg)}
 
-    def one_id(found: re.Match[str]) -> str:
-        return f' id="{name}-{found[1]}"' if found[1] in linked else ""
+    def one_id(match: re.Match[str]) -> str:
+        return f' id="{name}-{match[1]}"' if match[1] in linked else ""
 
     id_of, long_number = re.compile(r' id="([^"]+)"'), re.compile(r"-?\d+\.\d{3,}")
 
-    def one_tag(found: re.Match[str]) -> str:
-        tag = id_of.sub(one_id, found[0])
+    def one_tag(match: re.Match[str]) -> str:
+        tag = id_of.sub(one_id, match[0])
         tag = link.sub(rf"\g<1>{name}-\g<2>", tag).replace("xlink:href", "href")
         tag = re.sub(r' xmlns(:xlink)?="[^"]*"', "", tag)
         return long_number.sub(lambda number: f"{float(number[0]):.2f}", tag)

@@ -96,9 +96,9 @@ class OpenRuns:
         return any(sent)
 
     @property
-    def stop_heard(self) -> bool:
+    def stop_received(self) -> bool:
         """Whether the engine of each live run received a stop, which may have ended it since."""
-        return bool(self.live) and all(each.stop_heard for each in self.live)
+        return bool(self.live) and all(each.stop_received for each in self.live)
 
     def leave(self) -> None:
         """Detach from every run; live ones go on."""
@@ -323,7 +323,7 @@ class BaseScreen(Screen[None]):
 
     footer: ClassVar[tuple[str, ...]] = ()  # actions, in the order of their weight
     fixed: ClassVar[tuple[tuple[str, str], ...]] = ()  # keys that cannot be rebound
-    in_box: ClassVar[tuple[tuple[str, str], ...]] = ()  # those of a text box
+    in_text_box: ClassVar[tuple[tuple[str, str], ...]] = ()  # those of a text box
 
     def __init__(self) -> None:
         super().__init__()
@@ -415,11 +415,11 @@ class BaseScreen(Screen[None]):
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
         typing = isinstance(self.focused, Input)
-        fixed = self.in_box if typing else self.fixed_keys()
-        parts = [(self._key_words(key, label), label == BACK) for key, label in fixed]
+        fixed = self.in_text_box if typing else self.fixed_keys()
+        parts = [(self._key_text(key, label), label == BACK) for key, label in fixed]
         parts += [
             (
-                self._key_words(shown(self.application.keymap[name][0]), self.label(name)),
+                self._key_text(shown(self.application.keymap[name][0]), self.label(name)),
                 name in ("stop", "alarms"),
             )
             for name in self.footer
@@ -457,7 +457,7 @@ class BaseScreen(Screen[None]):
         return BY_NAME[name].label
 
     @staticmethod
-    def _key_words(key: str, label: str) -> Content:
+    def _key_text(key: str, label: str) -> Content:
         return Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
 
     @staticmethod

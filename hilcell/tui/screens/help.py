@@ -82,11 +82,11 @@ class HelpPage(TextPage):
     footer = ("stop", "quit")
 
     def text(self, view: RunView | None) -> Lines:
-        fixed = {title: keys_of(each) for title, each in SCREENS.items()}
+        fixed = {title: fixed_keys_of(each) for title, each in SCREENS.items()}
         return help_lines(self.application.keymap, self.application.glyphs, fixed)
 
 
-def keys_of(screen: type[BaseScreen]) -> list[tuple[str, str]]:
+def fixed_keys_of(screen: type[BaseScreen]) -> list[tuple[str, str]]:
     """Return the keys of a screen that cannot be rebound, and those of its filter."""
-    of_filter = [each for each in screen.in_box if each not in screen.fixed]
+    of_filter = [each for each in screen.in_text_box if each not in screen.fixed]
     return [*screen.fixed, *((key, f"in the filter: {words}") for key, words in of_filter)]

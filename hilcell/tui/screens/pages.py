@@ -37,13 +37,13 @@ from hilcell.report.comparison import CHANGES, Change, Setting
 from hilcell.tui import process
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import BLANK, Lines, Stack
-from hilcell.tui.plots import Look
+from hilcell.tui.plots import PlotStyle
 from hilcell.tui.process import run_in_thread
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
-from hilcell.tui.text.devices import interlock_page
+from hilcell.tui.text.devices import interlock_text
 from hilcell.tui.text.finished import report_lines
-from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_of
+from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_for
 from hilcell.tui.text.points import point_page
 from hilcell.tui.themes import SIXTEEN
 from hilcell.tui.widgets import Column, Row, Table, TextField, TextPanel
@@ -90,7 +90,7 @@ class InterlockPage(TextPage):
     footer = ("stop", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content:
-        return interlock_page(view, self.application.glyphs) if view is not None else Content("")
+        return interlock_text(view, self.application.glyphs) if view is not None else Content("")
 
 
 class DetailPage(TextPage):
@@ -117,7 +117,7 @@ CHOOSE = ("▲▼", "move")
 class FilterScreen(BaseScreen):
     """A screen with rows and a filter; ``filter_text`` is what was typed."""
 
-    in_box = (("Enter", "to the rows"),)  # from the filter
+    in_text_box = (("Enter", "to the rows"),)  # from the filter
     filter_text = ""
 
     def filter_box(self, hint: str) -> Input:
@@ -182,10 +182,12 @@ class LogPage(FilterScreen, Page):
 
     def filter_rows(self) -> None:
         words = self.filter_text.lower().split()
-        wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
+        matching = [
+            row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)
+        ]
         view = self.application.view
         begun = view.records[0].t if view is not None and view.records else BEGIN
-        self.query_one(Table).show_rows(wanted, log_columns(begun))
+        self.query_one(Table).show_rows(matching, log_columns(begun))
 
 
 class ReportPage(TextPage):
@@ -240,11 +242,11 @@ class ReportPage(TextPage):
         self.show_again()
 
 
-def plot_look(screen: BaseScreen) -> Look:
+def plot_style(screen: BaseScreen) -> PlotStyle:
     """Return what the terminal shows of a plot: letters where colours tell nothing."""
     plain = screen.application.glyphs.plain
     few = screen.app.theme == SIXTEEN or bool(screen.app.no_color)
-    return Look(letters=plain or few, plain=plain)
+    return PlotStyle(letters=plain or few, plain=plain)
 
 
 class Pace:
@@ -317,9 +319,9 @@ class PlotPage(Page):
         self.panel("plot").show(self._lines(Measured(view.log), size.width, size.height))
 
     def _lines(self, of: Measured, width: int, height: int) -> Content:
-        look, gap = plot_look(self), [Content("")] if height >= self.TALL else []
-        tabs = [*gap, tab_line(of, self._choice, width, look), *gap]
-        lines = plot_lines(of, self._choice, width, height - len(tabs) - len(gap), look)
+        style, gap = plot_style(self), [Content("")] if height >= self.TALL else []
+        tabs = [*gap, tab_line(of, self._choice, width, style), *gap]
+        lines = plot_lines(of, self._choice, width, height - len(tabs) - len(gap), style)
         return Content("\n").join([*tabs, *lines])
 
     def action_turn(self, step: int) -> None:
@@ -335,7 +337,7 @@ class PlotPage(Page):
         view = self.application.view
         if view is None or view.log.plan is None:
             return
-        tab = tabs_of(view.log)[self._choice.tab]
+        tab = tabs_for(view.log)[self._choice.tab]
         if part == "pick":
             self._choice.picks[self._choice.tab] += 1
         elif part == "series":
@@ -354,7 +356,7 @@ class PlotPage(Page):
     @property
     def _count(self) -> int:
         view = self.application.view
-        return len(tabs_of(view.log)) if view is not None and view.log.plan is not None else 0
+        return len(tabs_for(view.log)) if view is not None and view.log.plan is not None else 0
 
 
 _ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
@@ -411,10 +413,10 @@ def _columns_in(width: int) -> list[_Column]:
 def columns_for(width: int) -> tuple[Column, ...]:
     """Return the columns that fit; mean |e| before and after in mm."""
     begun = Column("begun UTC", 16) if width >= _ALWAYS else Column("begun", 10)
-    found = (
+    columns = (
         Column(shown.header, each, right=bool(shown.form)) for each, shown, _ in _columns_in(width)
     )
-    return Column("", 1), begun, *found
+    return Column("", 1), begun, *columns
 
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
@@ -441,11 +443,11 @@ def record_row(record: Record) -> Row:
     tone = tones.get(fact.to, "") if isinstance(fact, StateChanged) else ""
     moment = in_zone(record.t)
     time = f"{moment:%H:%M:%S} ({record.t[11:19]})" if moment.utcoffset() else record.t[11:23]
-    what = record_words(record.key, fact).replace("\n", " ")
+    what = record_text(record.key, fact).replace("\n", " ")
     return Row(str(record.seq), (str(record.seq), time, record.kind, what), tone)
 
 
-def record_words(key: str, fact: Fact) -> str:
+def record_text(key: str, fact: Fact) -> str:
     """Return the content of a record in words, points by their keys."""
     match fact:
         case PlanRecord(seed=seed, machine_seed=machine):
@@ -470,10 +472,10 @@ def record_words(key: str, fact: Fact) -> str:
         case Ended():
             return f"{fact.state}, exit {fact.exit}"
         case _:
-            return _event_words(fact)
+            return _event_text(fact)
 
 
-def _event_words(event: Event | OtherEvent) -> str:
+def _event_text(event: Event | OtherEvent) -> str:
     """Return an event's own words, and such facts of it as they leave out."""
     match event:
         case Connected(devices=devices):
@@ -543,11 +545,11 @@ class HistoryPage(FilterScreen, Page):
     def filter_rows(self) -> None:
         from hilcell.journal.index import matches
 
-        found = [run for run in self._runs if matches(run, self.filter_text)]
+        runs = [run for run in self._runs if matches(run, self.filter_text)]
         wide = self.line_width
-        rows = [history_row(run, self._marked, wide) for run in found]
+        rows = [history_row(run, self._marked, wide) for run in runs]
         self.query_one(Table).show_rows(rows, columns_for(wide))
-        title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"
+        title = f"History: {len(runs)} of {len(self._runs)} runs; errors in mm"
         self.panel("title").show(Content.styled(title, "bold"))
 
     def on_table_row_selected(self, message: Table.RowSelected) -> None:
@@ -605,15 +607,15 @@ class ComparePage(Page):
         runs = str(self.application.options.runs)
         command = ("compare", self._first, self._second, "--runs", runs, "--json")
         try:
-            found = decoded(await process.run_command(*command), Compared)
+            comparison = decoded(await process.run_command(*command), Compared)
         except HilcellError:
             if self.is_shown:
                 self.query_one(Table).empty = "nothing to compare"
                 self.query_one(Table).refresh()
             raise
         if self.is_shown:
-            self.panel("comparison_text").show(found.words)
-            self.query_one(Table).show_rows(found.rows)
+            self.panel("comparison_text").show(comparison.words)
+            self.query_one(Table).show_rows(comparison.rows)
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):

@@ -17,12 +17,12 @@ from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Scale
 from hilcell.tui.process import run_in_thread
 from hilcell.tui.run_view import RunView
-from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_look
+from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_style
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.actions import ACTS, VIEWS, KeyOf, footer_lines
-from hilcell.tui.text.actions import WORDS as FOOTER_WORDS
-from hilcell.tui.text.alarms import AlarmBox, kept_words, newest_line, panel_is_due
+from hilcell.tui.text.actions import ACTS, VIEWS, FooterKey, footer_lines
+from hilcell.tui.text.actions import WORDS as SHORT_LABELS
+from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
 from hilcell.tui.text.finished import Result, result_of, verdict_of
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
@@ -125,7 +125,7 @@ class RunScreen(FilterScreen):
         self._show_middle(view)
 
     @property
-    def _standing(self) -> list[Latched]:
+    def _latched(self) -> list[Latched]:
         return self.application.shown_session.latch.standing()
 
     @property
@@ -136,7 +136,7 @@ class RunScreen(FilterScreen):
             return "prompt" if view is not None else ""
         if self.points_open:
             return ""
-        if panel_is_due(view, self._standing):
+        if panel_is_due(view, self._latched):
             return "alarm"
         known = verdict_of(view) is not None or self._result_of(view) is not None
         return "verdict" if known else ""
@@ -153,13 +153,13 @@ class RunScreen(FilterScreen):
     async def _read_result(self, view: RunView) -> None:
         """Read the result off the thread that takes keys: its procedure is imported."""
         end = view.log.end
-        found = await run_in_thread(result_of, view)
+        result = await run_in_thread(result_of, view)
         if view.log.end is end:
-            self._result = (end, found)
+            self._result = (end, result)
             self.show_again()
 
     def _show_middle(self, view: RunView) -> None:
-        instead, standing = self.instead, self._standing
+        instead, standing = self.instead, self._latched
         glyphs, height = self.application.glyphs, self.app.size.height
         for name in self.BOXES:
             self.query_one(f"#{name}").display = name == (instead or "deviation")
@@ -168,7 +168,7 @@ class RunScreen(FilterScreen):
                 if view.prompt is not None:
                     self.query_one(PromptBox).show(view.prompt, view, glyphs, low=height < self.LOW)
             case "alarm":
-                kept, context = kept_words(view.log), self.alarm_context()
+                kept, context = saved_text(view.log), self.alarm_context()
                 self.query_one(AlarmBox).show(standing, kept, context, low=height < self.LOW)
             case "verdict":
                 self._show_verdict(view)
@@ -184,7 +184,7 @@ class RunScreen(FilterScreen):
 
     def _status(self, view: RunView) -> Lines:
         """Return the worst alarm that is not shown, or that there is none and what comes next."""
-        standing, context = self._standing, self.alarm_context()
+        standing, context = self._latched, self.alarm_context()
         if self.instead == "alarm":
             return Stack(context.line(standing, skip=1), newest_line(view))
         if standing:
@@ -203,7 +203,7 @@ class RunScreen(FilterScreen):
     def _show_verdict(self, view: RunView) -> None:
         glyphs, verdict, result = self.application.glyphs, verdict_of(view), self._result_of(view)
         if verdict is not None:
-            lines = verdict.lines(view, glyphs, len(self._standing))
+            lines = verdict.lines(view, glyphs, len(self._latched))
             self.panel("verdict").show(lines)
         elif result is not None:
             self.panel("verdict").show(result.lines(view, glyphs))
@@ -235,14 +235,14 @@ class RunScreen(FilterScreen):
         self._points_seen = state
         self._rows = self._table.rows(view.log)
         order = {"bad_only": self.bad_only, "worst": self.worst_first}
-        found = filtered(self._rows, self.filter_text, **order)
+        matching = filtered(self._rows, self.filter_text, **order)
         rows.empty = "no such point" if self.filter_text else "no points yet"
         if self.bad_only and view.log.points:
             all_key = shown(self.application.keymap["bad"][0])
             rows.empty = f"no such point is bad; {all_key} shows all"
         rows.follow = not self.worst_first
         rows.show_rows(
-            [self._table.drawn(each, waiting, wide) for each in found],
+            [self._table.drawn(each, waiting, wide) for each in matching],
             columns_for(wide, **order),
         )
         if self._chosen in view.log.points:
@@ -252,14 +252,14 @@ class RunScreen(FilterScreen):
     def _show_wide(self, view: RunView) -> None:
         """Show map and plot, and interlocks, next steps and events, where there is room."""
         side, below = self.panel("side"), self.panel("below")
-        look = plot_look(self)
+        style = plot_style(self)
 
         def draw(width: int, height: int) -> list[Content]:
-            lines, self._scale = side_lines(view, self._rows, width, height, look, self._scale)
+            lines, self._scale = side_lines(view, self._rows, width, height, style, self._scale)
             return lines
 
         if side.display and self._side_pace.is_due():
-            state = self.app.theme, look, len(view.log.points), view.last
+            state = self.app.theme, style, len(view.log.points), view.last
             side.show(Drawing(state, draw))
         room = block_rows(self.app.size.height, live=view.live)
         below.display = room > 0 and view.log.plan is not None
@@ -279,19 +279,19 @@ class RunScreen(FilterScreen):
         """Return the footer: slots that keep their places; in a text box, its own keys."""
         if isinstance(self.focused, Input):
             return super().key_line()
-        slots = {name: self.key_of(name) for name in ("stop", *ACTS, *VIEWS)}
+        slots = {name: self.footer_key(name) for name in ("stop", *ACTS, *VIEWS)}
         state = (slots, self.line_width)
         if state != self._footer[0]:
             self._footer = (state, footer_lines(slots.__getitem__, self.line_width))
         return self._footer[1]
 
-    def key_of(self, name: str) -> KeyOf:
+    def footer_key(self, name: str) -> FooterKey:
         """Return one slot of the footer as it is now."""
         if name == "detach" and not self.application.allowed(name):
             name = "new"
         key = shown(self.application.keymap[name][0])
         label = self.label(name)
-        return KeyOf(key, FOOTER_WORDS.get(label, label), self.application.allowed(name))
+        return FooterKey(key, SHORT_LABELS.get(label, label), self.application.allowed(name))
 
     def action_enter(self) -> None:
         self._enter(self.query_one(Table).key)

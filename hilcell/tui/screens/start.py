@@ -37,8 +37,8 @@ from hilcell.tui.process import DryRun, run_in_thread
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.terminal import Glyphs
-from hilcell.tui.text.actions import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
-from hilcell.tui.text.actions import WORDS as FOOTER_WORDS
+from hilcell.tui.text.actions import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, FooterKey, form_footer
+from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.run import badge, duration, moves, simulation_block
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
@@ -93,7 +93,7 @@ class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
     footer = ("help", "history", "theme", "quit")
-    fixed = in_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
+    fixed = in_text_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (77, "-planned")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
@@ -192,7 +192,8 @@ class StartScreen(BaseScreen):
         if not self._is_roomy:
             return super().key_line()
         acts = [
-            KeyOf(key, word, works=True) for key, word in (*self.fixed, (PALETTE_KEY, EVERY_ACTION))
+            FooterKey(key, label, works=True)
+            for key, label in (*self.fixed, (PALETTE_KEY, EVERY_ACTION))
         ]
         views = []
         typing = isinstance(self.focused, Input)
@@ -200,7 +201,7 @@ class StartScreen(BaseScreen):
             label = self.label(name)
             works = self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
             key = shown(self.application.keymap[name][0])
-            views.append(KeyOf(key, FOOTER_WORDS.get(label, label), works))
+            views.append(FooterKey(key, SHORT_LABELS.get(label, label), works))
         return form_footer(acts, views, self.line_width)
 
     async def _read_summaries(self) -> None:
@@ -210,14 +211,14 @@ class StartScreen(BaseScreen):
     # -- fields ---------------------------------------------------------------------------------
 
     def entries(self) -> Entries:
-        found = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
+        texts = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
         return Entries(
-            cell=found["cell"],
+            cell=texts["cell"],
             procedure=self.query_one("#procedure", Choice).value,
-            operator=found["operator"],
-            job=found["job"],
-            seed=found["seed"] or "1",
+            operator=texts["operator"],
+            job=texts["job"],
+            seed=texts["seed"] or "1",
             speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
         )
@@ -352,13 +353,13 @@ class PlanSummary(Confirm):
 def summaries(names: list[str]) -> dict[str, str]:
     from hilcell.cell.devices import load_entry
 
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for name in names:
         try:
-            found[name] = load_entry("procedures", name).summary
+            texts[name] = load_entry("procedures", name).summary
         except HilcellError as error:
-            found[name] = str(error)
-    return found
+            texts[name] = str(error)
+    return texts
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,19 +425,19 @@ class Checked:
         """Return what has been checked, or every refusal with its reason."""
         if self.plan is None:
             return self._without_plan("checks", glyphs)
-        said = ["cell file and options are sound"]
-        said += ["poses in reach, in limits, in sight"] if self.plan.points else []
-        said += ["the slide's way is clear"] if self.has_rail else []
-        done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
+        checks = ["cell file and options are sound"]
+        checks += ["poses in reach, in limits, in sight"] if self.plan.points else []
+        checks += ["the slide's way is clear"] if self.has_rail else []
+        done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in checks]
         at = "" if self.at is None else f" at {self.at:%H:%M}"
-        return Stack(section("checks", f"{len(said)} of {len(said)}{at}"), *done)
+        return Stack(section("checks", f"{len(checks)} of {len(checks)}{at}"), *done)
 
     def _without_plan(self, title: str, glyphs: Glyphs) -> Lines:
         """Return each line of a refusal whole, where there are rows enough; else its beginning."""
         if not self.refused:
             return Stack(section(title), ("  being checked ...", "$label"))
         rows = [
-            ((glyphs.warned, "bold $ask"), harmless(text)) for text in self.refused_words if text
+            ((glyphs.warned, "bold $ask"), harmless(text)) for text in self.refusal_lines if text
         ]
         whole, cut = (Grid(rows, Col(), Col(grows=True, wraps=wraps)) for wraps in (True, False))
 
@@ -447,7 +448,7 @@ class Checked:
         return Stack(section(title, "refused"), Drawing(whole.state, draw))
 
     @property
-    def refused_words(self) -> list[str]:
+    def refusal_lines(self) -> list[str]:
         """Return the lines of a refusal, with procedure, steps and points in words."""
         first, *rest = map(str.strip, self.refused.splitlines() or [""])
         name, refused, why = first.partition(" refused before anything moves")

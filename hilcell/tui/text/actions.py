@@ -111,7 +111,7 @@ FULL_WIDTH = 79
 
 
 @dataclass(frozen=True, slots=True)
-class KeyOf:
+class FooterKey:
     """One slot as it is now: its key, its word, and whether it would do something."""
 
     key: str
@@ -125,7 +125,7 @@ class KeyOf:
         return Content.assemble((key, style), (shown, "" if self.works else "$stale"))
 
 
-def footer_lines(state: Callable[[str], KeyOf], width: int) -> Content:
+def footer_lines(state: Callable[[str], FooterKey], width: int) -> Content:
     """Return both rows; ``state`` tells each action's key, word and whether it works."""
     stop = state("stop")
     style = "bold $background on $foreground" if stop.works else "bold $stale"
@@ -136,11 +136,11 @@ def footer_lines(state: Callable[[str], KeyOf], width: int) -> Content:
     return Content("\n").join(rows).truncate(2 * width)
 
 
-def _row(state: Callable[[str], KeyOf], slots: Mapping[str, int], pad: str = "") -> Content:
+def _row(state: Callable[[str], FooterKey], slots: Mapping[str, int], pad: str = "") -> Content:
     return Content(" ").join(state(name).drawn(word, pad) for name, word in slots.items())
 
 
-def form_footer(acts: Sequence[KeyOf], views: Sequence[KeyOf], width: int) -> Content:
+def form_footer(acts: Sequence[FooterKey], views: Sequence[FooterKey], width: int) -> Content:
     """Return the two rows of a form: its own keys, then the actions from there."""
     rows = (
         Content("  ").join(each.drawn(pad=" ") for each in acts),

@@ -22,9 +22,13 @@ from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.points import deviation_of
 from hilcell.tui.text.run import duration
-from hilcell.tui.widgets import TextPanel, Titled
+from hilcell.tui.widgets import TextPanel, TitledBox
 
-LOOKS = {"fault": ("lost", "fault"), "warning": ("warned", "ask"), "notice": ("stale", "label")}
+SEVERITY_STYLES = {
+    "fault": ("lost", "fault"),
+    "warning": ("warned", "ask"),
+    "notice": ("stale", "label"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +71,10 @@ class AlarmContext:
         standing = {each.alarm.code: each for each in latch.standing()}
         parts: list[Lines | Text] = []
         for alarm in reversed(alarms):
-            found = standing.get(alarm.code)
-            if found is None or found.alarm != alarm:  # one that stands no more is acknowledged
-                found = Latched(alarm, alarm.severity, 1, acknowledged=found is None)
-            parts += self._whole(found)
+            latched = standing.get(alarm.code)
+            if latched is None or latched.alarm != alarm:  # one that stands no more is acknowledged
+                latched = Latched(alarm, alarm.severity, 1, acknowledged=latched is None)
+            parts += self._whole(latched)
         raised = {alarm.code for alarm in alarms}
         for code, each in standing.items():
             parts += [] if code in raised else self._whole(each)
@@ -81,7 +85,7 @@ class AlarmContext:
 
     def title(self, latched: Latched) -> Content:
         """Return an alarm's shape, code and title, inverse."""
-        alarm, (shape, tone) = latched.alarm, LOOKS[latched.severity]
+        alarm, (shape, tone) = latched.alarm, SEVERITY_STYLES[latched.severity]
         times = f" ({latched.count} times)" if latched.count > 1 else ""
         words = f" {getattr(self.glyphs, shape)} {alarm.code}  {alarm.title}{times} "
         return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
@@ -99,7 +103,7 @@ class AlarmContext:
         state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
         facts: list[tuple[Cell, Cell]] = [
             (("What", "$label"), alarm.means),
-            (("Where", "$label"), where_words(alarm, self.log)),
+            (("Where", "$label"), location_text(alarm, self.log)),
             (("Found", "$label"), (in_words(alarm.found, self.log), "$label" if kept else "")),
         ]
         facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
@@ -110,14 +114,14 @@ class AlarmContext:
 
     def _cause(self, latched: Latched) -> Content:
         """Return whether an alarm's cause is gone, as far as it is known."""
-        glyphs, found = self.glyphs, (f"{self.glyphs.stale} not watched", "bold $ask")
+        glyphs, cause = self.glyphs, (f"{self.glyphs.stale} not watched", "bold $ask")
         if latched.gone:
-            found = f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed"
+            cause = f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed"
         elif latched.alarm.cause == "over" or latched.settled:
-            found = f"{glyphs.gone} over", "$label"
+            cause = f"{glyphs.gone} over", "$label"
         elif latched.alarm.cause == "watched":
-            found = f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill"
-        return Content.assemble(("cause ", "$label"), found)
+            cause = f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill"
+        return Content.assemble(("cause ", "$label"), cause)
 
     def steps(self, latched: Latched, *, in_box: bool = False, low: bool = False) -> Lines:
         """Return the steps, each with its mark and who checks it; ``low``: the present one alone.
@@ -155,7 +159,7 @@ class AlarmContext:
         key = Content.assemble((shown(self.keymap["alarms"][0]), "bold"), f"  {count}")
         at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
         acknowledged = ", acknowledged" if latched.acknowledged else ""
-        shape, tone = LOOKS[latched.severity]
+        shape, tone = SEVERITY_STYLES[latched.severity]
         left = Content.assemble(
             (f"{getattr(glyphs, shape)} {latched.alarm.code} ", f"bold ${tone}"),
             latched.alarm.title,
@@ -170,7 +174,7 @@ def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
     return ended and bool(standing) and standing[0].severity == "fault"
 
 
-class AlarmBox(Vertical, Titled):
+class AlarmBox(Vertical, TitledBox):
     """The alarm that has ended a run, where the points are while it works."""
 
     def compose(self) -> ComposeResult:
@@ -186,7 +190,7 @@ class AlarmBox(Vertical, Titled):
         steps.show(context.steps(latched, in_box=True, low=low))
 
 
-def where_words(alarm: Alarm, log: Log) -> str:
+def location_text(alarm: Alarm, log: Log) -> str:
     """Return the place of an alarm; of a motion, where the journal's last order has sent it."""
     order = log.order
     crashed = alarm.where == "Cell: crash"  # the engine was lost
@@ -224,7 +228,7 @@ def _step_done(latched: Latched, index: int) -> bool:
     return bool(latched.gone) and alarm.by[index] == "controller"
 
 
-def kept_words(log: Log) -> str:
+def saved_text(log: Log) -> str:
     """Return how much is measured, and how the devices were left, as the journal has it."""
     of = f" of {log.plan.points}" if log.plan is not None and log.plan.points else ""
     problems = {
@@ -232,7 +236,7 @@ def kept_words(log: Log) -> str:
         for each in log.events
         if each.seq > log.began and isinstance(each.fact, Closing)
     }
-    failed = sorted({name for found in problems.values() for name in found})
+    failed = sorted({name for names in problems.values() for name in names})
     if failed:
         left = f"look at {' and '.join(failed)}: not stopped or closed as it should be"
     elif not log.was_connected:
@@ -240,8 +244,8 @@ def kept_words(log: Log) -> str:
     elif "closed" not in problems:
         left = "how the devices were left is not recorded"
     else:
-        held = "slide held, " if log.plan is None or log.cell.has_rail else ""
-        left = f"{held}robot at rest; nothing moves"
+        rail = "slide held, " if log.plan is None or log.cell.has_rail else ""
+        left = f"{rail}robot at rest; nothing moves"
     return f"{log.counted}{of} points; {left}"
 
 
@@ -250,8 +254,8 @@ def newest_line(view: RunView) -> Lines:
     point = view.newest
     if point is None:
         return ends(("no point is measured yet", "$label"), "")
-    found = deviation_of(view.log, point)
-    error = "" if found is None else f"|e| {found.norm_mm:.3f} mm, "
+    deviation = deviation_of(view.log, point)
+    error = "" if deviation is None else f"|e| {deviation.norm_mm:.3f} mm, "
     name = point.id.words(point.station)
     age = f"{error}{short_age(view.newest_age_s)} ago"
     return ends((f"newest good point: {name}", "$label"), (age, "$stale"))

@@ -18,7 +18,7 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
 
 
-def end_remark(view: RunView) -> str:
+def end_note(view: RunView) -> str:
     """Return the outcome, else that there is no verdict and after how many points.
 
     Nothing where the validation's verdict is shown, or the run has not ended.
@@ -46,16 +46,18 @@ REASONS = {  # in short, by the code of the interlock; the whole one is on the i
 NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 
-def lamps_of(view: RunView) -> tuple[str, ...]:
+def device_names(view: RunView) -> tuple[str, ...]:
     return (*(("rail", "strip") if view.has_rail else ()), "robot", "tracker")
 
 
 def lamps(view: RunView, glyphs: Glyphs) -> Lines:
     """Return the lamps with the age of their readings, and the air."""
     devices = view.status.devices if view.status is not None and view.live else {}
-    found = [lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)]
-    columns = Col(13), *[Col(14)] * (len(found) - 2), Col(), Col(1, right=True, grows=True)
-    return Grid([[*found, air(view, glyphs)]], *columns)
+    drawn = [
+        lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in device_names(view)
+    ]
+    columns = Col(13), *[Col(14)] * (len(drawn) - 2), Col(), Col(1, right=True, grows=True)
+    return Grid([[*drawn, air(view, glyphs)]], *columns)
 
 
 def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
@@ -104,17 +106,17 @@ def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
     """Return what may move and, in short, why not; of a run that is over, that nothing may."""
     if not view.live:
         closed = Fitting((*_nothing_moves(view, glyphs), BLANK))
-        return Grid([(closed, end_remark(view))], Col(grows=True), Col(), gap=3)
-    found = locks(view, glyphs)
-    if not found:
+        return Grid([(closed, end_note(view))], Col(grows=True), Col(), gap=3)
+    locked = locks(view, glyphs)
+    if not locked:
         known = view.status is not None and bool(view.status.interlocks)
         age = f" for {short_age(view.status_age_s)}" if known else ""
         return ends((f"{glyphs.stale} interlocks: no reading{age}", "$stale"), "")
     parts = [
-        Content.assemble((each.shape, each.tone), f" {each.name} {each.word}") for each in found
+        Content.assemble((each.shape, each.tone), f" {each.name} {each.word}") for each in locked
     ]
-    if why := found[0].short:
-        parts[0] = parts[0].append(Content.styled(f": {why}", found[0].tone))
+    if why := locked[0].short:
+        parts[0] = parts[0].append(Content.styled(f": {why}", locked[0].tone))
     columns = Col(43), *[Col(14)] * (len(parts) - 2), *[Col()] * (len(parts) > 1)
     return Grid([parts], *columns)
 
@@ -171,7 +173,7 @@ def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
     return [Lock.of(each, person, glyphs) for each in view.status.interlocks]
 
 
-def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
+def interlock_text(view: RunView, glyphs: Glyphs) -> Content:
     """Return element 15 whole: each condition, then each device's last reading."""
     status = view.status
     if status is None or not view.live:
@@ -184,7 +186,7 @@ def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
         for each in locks(view, glyphs)
     ] or [Content.styled(f"{glyphs.stale} no reading", "$stale")]
     lines.append(BLANK)
-    for name in lamps_of(view):
+    for name in device_names(view):
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
         detail = device.reason or device.text

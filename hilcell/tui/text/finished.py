@@ -55,14 +55,14 @@ from hilcell.tui.layout import (
     Lines,
     Stack,
     Text,
-    facts_grid,
     figure,
+    labelled_rows,
     large,
     large_rows,
 )
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
-from hilcell.tui.text.plots import places_of
+from hilcell.tui.text.plots import validated_places
 from hilcell.tui.text.run import SAID, is_simulated, simulation_block
 
 LEAST_WIDTH, LEAST_ROWS = 78, 14
@@ -258,11 +258,11 @@ class Finished:
     def words(self) -> tuple[str, str]:
         """Return the verdict in one word, and what it states."""
         undecided = self.outcome is Outcome.UNDECIDED
-        said = "neither pass nor fail" if undecided else self.outcome.words
-        return self.outcome.short.upper(), said
+        meaning = "neither pass nor fail" if undecided else self.outcome.words
+        return self.outcome.short.upper(), meaning
 
     @property
-    def reason_words(self) -> str:
+    def reasons(self) -> str:
         """Return which stations do not keep which limit, the worst first.
 
         Of those that are only not shown to keep it the first says why: the table has their figures.
@@ -322,12 +322,12 @@ class Finished:
 
         def draw(width: int, height: int) -> list[Content]:
             rows = height or TALL
-            lines, said = self.head.lines(view, glyphs, width, rows), facts.lines(width)
+            lines, fact_lines = self.head.lines(view, glyphs, width, rows), facts.lines(width)
             if is_small(width, rows):
-                return [*lines, *said]
-            said = said[: max(rows - len(lines) - len(self.stations) - 2, 2)]
-            room = max(rows - len(lines) - len(said), 3)
-            return [*lines, *self.table(glyphs, room).lines(width), *said]
+                return [*lines, *fact_lines]
+            fact_lines = fact_lines[: max(rows - len(lines) - len(self.stations) - 2, 2)]
+            room = max(rows - len(lines) - len(fact_lines), 3)
+            return [*lines, *self.table(glyphs, room).lines(width), *fact_lines]
 
         return Drawing((repr(self), glyphs.plain, facts.state), draw)
 
@@ -352,7 +352,7 @@ class Finished:
         where = f"{alarm.where}: " if alarm.where else ""
         words = in_words(f"{where}{alarm.found}", view.log)
         if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
-            words = self.reason_words or words
+            words = self.reasons or words
         why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
         rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
         rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
@@ -378,7 +378,7 @@ def verdict_of(view: RunView) -> Finished | None:
     """
     if view.state not in ("done", "intolerant"):
         return None
-    places = places_of(view.log)
+    places = validated_places(view.log)
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
     stations = [
@@ -463,39 +463,39 @@ class Result:
         return cls(Head(*words, figures), cls._distance_words(test), Table(columns, rows))
 
     @classmethod
-    def of_recheck(cls, found: RecheckResult, log: Log) -> Self:
+    def of_recheck(cls, result: RecheckResult, log: Log) -> Self:
         """Return that of a re-check: what to do, and each target, the worst first."""
-        worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
+        worst = sorted(result.poses, key=lambda each: -gravest(each.error_mm))
         columns: list[Column[CheckedPose]] = [
             Column("worst first", lambda each: id_of(each.pose, log).short),
             Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
             Column("now", lambda each: figure(each.error_mm), "mm", "s"),
             Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
         ]
-        limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
+        limits_mm = result.mean_tolerance_mm, result.max_tolerance_mm
         at = id_of(worst[0].pose, log).short if worst else "its target"
         figures = (
-            Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
-            Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
+            Figure("mean |e| now, mm", result.mean_mm, "all", limits_mm[0], result.mean_U_mm),
+            Figure("largest |e| now, mm", result.max_mm, at, limits_mm[1], result.max_U_mm),
         )
         words = {
             "valid": (("STILL", "VALID"), "still valid", "passed"),
             "update": (("UPDATE",), "base moved, updated", "ask"),
             "redo": (("REDO",), "calibrate again", "fault"),
         }
-        head = Head(*words[found.verdict], figures)
-        return cls(head, found.text, Table(columns, worst))
+        head = Head(*words[result.verdict], figures)
+        return cls(head, result.text, Table(columns, worst))
 
     def lines(self, view: RunView, glyphs: Glyphs) -> Lines:
         """Return the word and its figures, the sentence, and as many rows of the table as fit."""
-        table = sheet_lines(self.table, view.log)
+        table = table_lines(self.table, view.log)
 
         def draw(width: int, height: int) -> list[Content]:
             rows = height or 40  # which hold most results whole
             lines = self.head.lines(view, glyphs, width, rows)
             if self.text:
-                said: list[Cell] = ["", (harmless(self.text), "$label")]
-                lines += Grid([said], Col(), Col(grows=True, wraps=True)).lines(width)
+                sentence: list[Cell] = ["", (harmless(self.text), "$label")]
+                lines += Grid([sentence], Col(), Col(grows=True, wraps=True)).lines(width)
             lines += table.lines(width)
             if len(lines) > rows:
                 more = Content.styled(" o report: all of the table", "$label")
@@ -508,19 +508,19 @@ class Result:
 
     @staticmethod
     def _distance_words(test: PoseTest) -> str:
-        found = test.distance
+        pair = test.distance
         stated = ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
         limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
-        said = f"; limits {', '.join(limits)} mm" if limits else ""
+        limits_text = f"; limits {', '.join(limits)} mm" if limits else ""
         return (
-            f"distance {found.start}-{found.to}: AD {found.ad_mm:+z.3f} mm (U "
-            f"{found.ad_u95_mm:.3f}), RD ±{found.rd_mm:.3f} mm (U {found.rd_u95_mm:.3f}){said}"
+            f"distance {pair.start}-{pair.to}: AD {pair.ad_mm:+z.3f} mm (U {pair.ad_u95_mm:.3f}), "
+            f"RD ±{pair.rd_mm:.3f} mm (U {pair.rd_u95_mm:.3f}){limits_text}"
         )
 
     @staticmethod
-    def _worst_angles(found: Angles | None) -> tuple[str, str]:
+    def _worst_angles(angles: Angles | None) -> tuple[str, str]:
         """Return the largest AP and RP of a pose's angles, as far as they were measured."""
-        parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
+        parts = ({}, {}) if angles is None else (angles.ap_deg, angles.rp_deg)
         ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
         return ap, rp
 
@@ -529,29 +529,29 @@ def result_of(view: RunView) -> Result | None:
     """Return the result of a run that has come to its end; None for every other, or for none."""
     if view.state not in ("done", "intolerant") or view.log.plan is None:
         return None
-    found = None if view.log.end is None else view.log.result
-    if not isinstance(found, dict):
+    result = None if view.log.end is None else view.log.result
+    if not isinstance(result, dict):
         return None
-    test = _converted(found.get(ISO), PoseTest)
+    test = _converted(result.get(ISO), PoseTest)
     if test is not None and test.poses:
         return Result.of_test(test, passed=view.state == "done")
-    checked = _converted(found.get(RECHECK), RecheckResult)
+    checked = _converted(result.get(RECHECK), RecheckResult)
     if checked is not None:
         return Result.of_recheck(checked, view.log)
-    table, text = own_words(view.log.plan.procedure, found)
+    table, text = procedure_table(view.log.plan.procedure, result)
     nothing = "" if table else "Finished. This procedure measures nothing that is judged."
     return Result(Head((), "", "label", ()), text or nothing, table)
 
 
-def _converted(found: object, kind: type[T]) -> T | None:
+def _converted(value: object, kind: type[T]) -> T | None:
     """Return a part of a result; None of another procedure's, or of another version's."""
     try:
-        return typed(found, kind)
+        return typed(value, kind)
     except msgspec.ValidationError:
         return None
 
 
-def own_words(name: str, result: Json) -> tuple[Table, str]:
+def procedure_table(name: str, result: Json) -> tuple[Table, str]:
     """Return a procedure's own table and words of a result; nothing of what it cannot read."""
     if not result:
         return Table((), ()), ""
@@ -575,23 +575,23 @@ NAMES = {  # of the summary, by the name shown
 }  # fmt: skip
 
 
-def report_lines(found: Mapping[str, object], log: Log | None) -> Lines:
+def report_lines(summary: Mapping[str, object], log: Log | None) -> Lines:
     """Return the facts of a run, its own table and its sentence."""
-    procedure, standing = str(found.get("procedure", "")), found.get("standing")
+    procedure, standing = str(summary.get("procedure", "")), summary.get("standing")
     facts = [
-        ("run", str(found.get("run", ""))),
+        ("run", str(summary.get("run", ""))),
         ("procedure", procedure_words(procedure)),
-        ("cell", str(found.get("cell", ""))),
-        ("simulated", "yes, no device moved" if found.get("simulated") else "no"),
-        *((shown, _words(found[name])) for name, shown in NAMES.items() if found.get(name)),
+        ("cell", str(summary.get("cell", ""))),
+        ("simulated", "yes, no device moved" if summary.get("simulated") else "no"),
+        *((shown, _words(summary[name])) for name, shown in NAMES.items() if summary.get(name)),
     ]
     if isinstance(standing, Mapping):
         facts.append(("calibration", str(standing.get("text", ""))))
-    parts: list[Lines | Text] = [facts_grid((name, harmless(text)) for name, text in facts)]
-    result = found.get("result")
-    if found.get("state") == "finished" and isinstance(result, dict):
-        table, text = own_words(procedure, result)
-        parts += [BLANK, sheet_lines(table, log)] if table else []
+    parts: list[Lines | Text] = [labelled_rows((name, harmless(text)) for name, text in facts)]
+    result = summary.get("result")
+    if summary.get("state") == "finished" and isinstance(result, dict):
+        table, text = procedure_table(procedure, result)
+        parts += [BLANK, table_lines(table, log)] if table else []
         parts += [BLANK, harmless(text)] if text else []
     return Stack(*parts)
 
@@ -607,7 +607,7 @@ GAP = 2
 WIDEST = 30  # columns of a cell; a longer text wraps
 
 
-def sheet_lines(table: Table, log: Log | None = None) -> Lines:
+def table_lines(table: Table, log: Log | None = None) -> Lines:
     """Return the table in as many blocks as it needs, each with its header.
 
     Names of the program, and keys of the points of ``log``, are in words.

@@ -31,7 +31,7 @@ from hilcell.model.results import Floor, Place
 from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
-from hilcell.tui.plots import Ink, Look, Mark, Plot, Scale, Series, draw, step_at_least
+from hilcell.tui.plots import Ink, Mark, Plot, PlotStyle, Scale, Series, draw, step_at_least
 
 STROKE = 80  # marks of a line from the bottom of a spectrum
 AS_SENT = Ink("$label", "o", "$label")
@@ -88,8 +88,8 @@ class Errors3D:
     @property
     def corrected(self) -> dict[str, Array]:
         """Return the corrected ones by station, where there are any."""
-        found = {name: self.at(name).by_how.get(Sent.CHOSEN) for name in self.stations}
-        return {name: errors for name, errors in found.items() if errors is not None}
+        by_station = {name: self.at(name).by_how.get(Sent.CHOSEN) for name in self.stations}
+        return {name: errors for name, errors in by_station.items() if errors is not None}
 
 
 class Measured:
@@ -122,25 +122,25 @@ class Measured:
     @cached_property
     def strip_mm(self) -> dict[str, Array]:
         """Return the strip's readings less the stations' by station, at every point."""
-        wanted_mm = {each.name: each.strip_mm for each in self.log.cell.station}
-        found: dict[str, list[float]] = {}
+        nominal_mm = {each.name: each.strip_mm for each in self.log.cell.station}
+        offsets_mm: dict[str, list[float]] = {}
         for point in self.log.points.values():
-            if point.strip_mm is not None and point.station in wanted_mm:
-                off_mm = point.strip_mm - wanted_mm[point.station]
-                found.setdefault(point.station, []).append(off_mm)
-        return {name: np.array(values) for name, values in found.items()}
+            if point.strip_mm is not None and point.station in nominal_mm:
+                off_mm = point.strip_mm - nominal_mm[point.station]
+                offsets_mm.setdefault(point.station, []).append(off_mm)
+        return {name: np.array(values) for name, values in offsets_mm.items()}
 
     @cached_property
     def visits_mm(self) -> dict[str, Array]:
         """Return the distances of repeated readings from their mean, by place."""
-        groups: dict[str, list[Point]] = {}
+        by_place: dict[str, list[Point]] = {}
         for kind in ("repeat", "repeatability", ISO):
             for point in self.log.measured(kind):
                 id, place = point.id, f"place {(point.id.place or 0) + 1}"
                 if id.kind in (ISO, "repeat"):
                     place = f"pose {id.pose}" if id.kind == ISO else f"{id.how} {id.way}"
-                groups.setdefault(place, []).append(point)
-        return {name: from_mean_mm(positions_mm(points)) for name, points in groups.items()}
+                by_place.setdefault(place, []).append(point)
+        return {name: from_mean_mm(positions_mm(points)) for name, points in by_place.items()}
 
     @cached_property
     def poses(self) -> dict[str, Errors]:
@@ -150,12 +150,12 @@ class Measured:
     @cached_property
     def figures_by_pose(self) -> dict[str, tuple[float, float]]:
         """Return AP_p and RP_l (mm) by pose; RP_l is NaN before the second visit."""
-        found = {}
+        figures = {}
         for name, each in self.poses.items():
             distances_mm = from_mean_mm(each.error_mm)
             rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else math.nan
-            found[name] = (float(np.linalg.norm(each.error_mm.mean(axis=0))), rp_mm)
-        return found
+            figures[name] = (float(np.linalg.norm(each.error_mm.mean(axis=0))), rp_mm)
+        return figures
 
     @cached_property
     def rechecked_mm(self) -> tuple[Array, Array]:
@@ -167,10 +167,10 @@ class Measured:
         if not points or "world" not in self.log.frames:
             return np.zeros(0), np.zeros(0)
         try:
-            found = rechecked(self.log)
+            result = rechecked(self.log)
         except HilcellError:
             return errors_of(self.log, points).norms_mm, np.zeros(0)
-        return np.linalg.norm(found.errors_mm, axis=1), bounds95_mm(found.each_mm2)
+        return np.linalg.norm(result.errors_mm, axis=1), bounds95_mm(result.each_mm2)
 
     @property
     def swept(self) -> tuple[str, ...]:
@@ -179,25 +179,25 @@ class Measured:
 
     def errors_plot(self, pick: str = "") -> Plot:
         """Return |e| target by target."""
-        found = self.errors.at(pick)
-        return target_plot(found, *self._limit(found))
+        errors = self.errors.at(pick)
+        return target_plot(errors, *self._limit(errors))
 
     def sorted_plot(self, pick: str = "") -> Plot:
         """Return |e| in rising order, over the share of the targets that have less."""
-        found = self.errors.at(pick)
+        errors = self.errors.at(pick)
         series = []
-        for how, y in found.by_how.items():
+        for how, y in errors.by_how.items():
             known = np.sort(y[np.isfinite(y)])
             x = np.arange(len(known)) / max(len(known), 1)
             series.append(Series(how.text, INKS[how], x, known, joined=True))
-        what = "grid points" if found.grid else "targets"
+        what = "grid points" if errors.grid else "targets"
         ticks = tuple((share / 100, f"{share} %") for share in (0, 25, 50, 75, 95))
         x_title = f"share of the {what} that have less than this error"
-        return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *self._limit(found))
+        return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *self._limit(errors))
 
-    def _limit(self, found: Errors3D) -> tuple[tuple[float, ...], str]:
+    def _limit(self, errors: Errors3D) -> tuple[tuple[float, ...], str]:
         """Return the limit and its name; there is none before anything is corrected."""
-        corrected = bool(found.by_how) and not found.grid
+        corrected = bool(errors.by_how) and not errors.grid
         limits = (self.log.cell.validation.max_tolerance_mm,) if corrected else ()
         return limits, "limit of each target"
 
@@ -205,7 +205,7 @@ class Measured:
         """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
         poses, limit_mm = self.poses, self.log.cell.iso9283.ap_limit_mm
         middles = _middles(len(poses))
-        norms_mm = [np.linalg.norm(found.error_mm, axis=1) for found in poses.values()]
+        norms_mm = [np.linalg.norm(errors.error_mm, axis=1) for errors in poses.values()]
         x = [
             middle + np.linspace(-0.3, 0.3, len(each)) / len(poses)  # visits, around the middle
             for middle, each in zip(middles, norms_mm, strict=True)
@@ -276,10 +276,10 @@ class Measured:
                     marks=marks)  # fmt: skip
 
 
-def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
-    count, x = max(len(found.targets), 1), _middles(len(found.targets))
-    series = [Series(how.text, INKS[how], x, y) for how, y in found.by_how.items()]
-    what = "grid point" if found.grid else "target"
+def target_plot(errors: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
+    count, x = max(len(errors.targets), 1), _middles(len(errors.targets))
+    series = [Series(how.text, INKS[how], x, y) for how, y in errors.by_how.items()]
+    what = "grid point" if errors.grid else "target"
     title = f"|e| {what} by {what}, mm"
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
 
@@ -296,20 +296,20 @@ def _counted(count: int) -> tuple[tuple[float, str], ...]:
     return tuple(((n - 0.5) / max(count, 1), str(n)) for n in dict.fromkeys(numbers))
 
 
-def mark_of(look: Look, ink: Ink) -> Content:
+def legend_mark(style: PlotStyle, ink: Ink) -> Content:
     """Return the mark of a series in a key."""
     words = ink.letter, ink.words
-    return Content.styled(*words) if look.letters else Content.styled("■", ink.colour)
+    return Content.styled(*words) if style.letters else Content.styled("■", ink.colour)
 
 
-def places_of(log: Log) -> dict[str, Place]:
+def validated_places(log: Log) -> dict[str, Place]:
     """Return the places of a validation that has ended; none of another procedure's result."""
     with suppress(msgspec.ValidationError):
         return typed(log.result.get("validation", {}), dict[str, Place])
     return {}
 
 
-def mean_of(values: Array) -> float:
+def finite_mean(values: Array) -> float:
     """Return the mean of the values (N,) that are numbers; NaN where there are none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else math.nan
@@ -363,23 +363,23 @@ class Choice:
         """Return a scale for all series of a plot, which holds all that it held before."""
         is_log = self.is_log(tab)
         name = (tab.name, is_log, pick if tab is SWEEPS else "")
-        held = plot.values, plot.limits
+        included = plot.values, plot.limits
         before = self.scales.get(name)
-        found = Scale.log(*held, before) if is_log else Scale.even(*held, height, before)
-        self.scales[name] = found
-        return found
+        scale = Scale.log(*included, before) if is_log else Scale.even(*included, height, before)
+        self.scales[name] = scale
+        return scale
 
 
-def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
+def tab_line(of: Measured, choice: Choice, width: int, style: PlotStyle) -> Content:
     """Return the tabs, and at the right the station and how many targets it has."""
-    parts, tabs = list[Content](), tabs_of(of.log)
+    parts, tabs = list[Content](), tabs_for(of.log)
     for n, tab in enumerate(tabs):
         text = f" {n + 1} {tab.name} "
         if n == choice.tab:
-            text = f"[{text[1:-1]}]" if look.plain else text
+            text = f"[{text[1:-1]}]" if style.plain else text
             parts.append(Content.styled(text, "bold $background on $foreground"))
         else:
-            parts.append(Content.styled(text, "$label" if look.letters else "$label on $panel"))
+            parts.append(Content.styled(text, "$label" if style.letters else "$label on $panel"))
     tab, right = tabs[choice.tab], BLANK
     if len(tab.picks(of)) > 1:
         pick = choice.pick(of, tab) or "all stations"
@@ -388,12 +388,14 @@ def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
     return Grid([(left, right)], Col(grows=True), Col()).lines(width)[0]
 
 
-def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look) -> list[Content]:
+def plot_lines(
+    of: Measured, choice: Choice, width: int, height: int, style: PlotStyle
+) -> list[Content]:
     """Return title, plot and figures in at most so many rows."""
     beside = width >= BESIDE
     figures_rows = height // 3 if not beside and height >= 34 else 0
     rows = max(height - 1 - (figures_rows and figures_rows + 1), LEAST)
-    tab = tabs_of(of.log)[choice.tab]
+    tab = tabs_for(of.log)[choice.tab]
     pick = choice.pick(of, tab)
     plot = tab.make(of, pick)
     scale = choice.scale(tab, plot, pick, rows)
@@ -404,14 +406,15 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
         plot = replace(plot, series=plot.series[choice.series - 1 : choice.series])
     across = width - WIDTH - GAP if beside else width
     named = tuple(replace(each, name=_short(each)) for each in plot.series)
-    drawn = draw(replace(plot, series=named), scale, across, rows, look)
-    figures = tab.figures(Figures(of, pick, plot, look)).lines(WIDTH)
+    drawn = draw(replace(plot, series=named), scale, across, rows, style)
+    figures = tab.figures(Figures(of, pick, plot, style)).lines(WIDTH)
     if beside:
         figures += [BLANK] * (len(drawn) - len(figures))
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
         return [title, *both.lines(width)]
     names = Content("  ").join(
-        Content.assemble(mark_of(look, each.ink), (f" {each.name}", "$label")) for each in named
+        Content.assemble(legend_mark(style, each.ink), (f" {each.name}", "$label"))
+        for each in named
     )
     heading = Grid([(title, Fitting((names,)))], Col(), Col(right=True, grows=True))
     under = [BLANK, *figures[:figures_rows]] if figures_rows else []
@@ -464,14 +467,14 @@ class Figures:
     of: Measured
     pick: str
     plot: Plot
-    look: Look
+    style: PlotStyle
 
     def errors(self) -> Lines:
         """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
-        log, found = self.of.log, self.of.errors.at(self.pick)
-        by_name = {way.text: values for way, values in found.by_how.items()}
+        log, errors = self.of.log, self.of.errors.at(self.pick)
+        by_name = {how.text: values for how, values in errors.by_how.items()}
         rows = self._series(_three(by_name[each.name]) for each in self.plot.series)
-        place = places_of(log).get(log.cell.grid.station)
+        place = validated_places(log).get(log.cell.grid.station)
         floor = None if place is None else place.floor
         if floor is not None:
             rows.append(("", ("floor", "$label"), (floor.mean, floor.p95)))
@@ -482,8 +485,8 @@ class Figures:
             section("figures"),
             _table(*rows, heads=HEADS, bold=Sent.CHOSEN.text),
         ]
-        if Sent.CHOSEN in found.by_how:
-            parts += self._by_station() + self._worst(found) + self._words(found, floor)
+        if Sent.CHOSEN in errors.by_how:
+            parts += self._by_station() + self._worst(errors) + self._words(errors, floor)
         return Stack(*parts)
 
     def visits(self) -> Lines:
@@ -492,7 +495,7 @@ class Figures:
         for name, distances_mm in self.of.visits_mm.items():
             rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
             numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
-            rows.append((mark_of(self.look, inks.get(name, PLACES[0])), name, numbers))
+            rows.append((legend_mark(self.style, inks.get(name, PLACES[0])), name, numbers))
         words = f"RP: mean + 3 s of the distances from the mean (ISO 9283, {RP.clause})."
         return _figures(words, *rows, heads=("mean", "RP", "max"))
 
@@ -562,7 +565,7 @@ class Figures:
 
     def _series(self, numbers: Iterable[Numbers]) -> list[Row]:
         named = zip(self.plot.series, numbers, strict=True)
-        return [(mark_of(self.look, each.ink), _short(each), values) for each, values in named]
+        return [(legend_mark(self.style, each.ink), _short(each), values) for each, values in named]
 
     def _by_station(self) -> list[Lines | Text]:
         errors = self.of.errors
@@ -572,35 +575,35 @@ class Figures:
         return [BLANK, section("corrected, by station"), _table(*rows)]
 
     @staticmethod
-    def _worst(found: Errors3D) -> list[Lines | Text]:
-        errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
+    def _worst(errors: Errors3D) -> list[Lines | Text]:
+        norms_mm = np.nan_to_num(errors.by_how[Sent.CHOSEN], nan=-1.0)
         rows: list[Sequence[Cell]] = []
-        for at in np.argsort(-errors, kind="stable")[: Figures.MOST_WORST].tolist():
-            if errors[at] >= 0:
-                station, number = found.targets[at]
-                rows.append((f"target {number + 1}", (station, "$label"), f"{errors[at]:.3f}"))
+        for at in np.argsort(-norms_mm, kind="stable")[: Figures.MOST_WORST].tolist():
+            if norms_mm[at] >= 0:
+                station, number = errors.targets[at]
+                rows.append((f"target {number + 1}", (station, "$label"), f"{norms_mm[at]:.3f}"))
         grid = Grid(rows, Col(11), Col(12), Col(5, right=True))
         return [BLANK, section("worst targets"), grid]
 
-    def _words(self, found: Errors3D, floor: Floor | None) -> list[Lines | Text]:
+    def _words(self, errors: Errors3D, floor: Floor | None) -> list[Lines | Text]:
         limits = limits_of(self.of.log.cell)
-        known = np.isfinite(found.by_how[Sent.CHOSEN])
-        errors = found.by_how[Sent.CHOSEN][known]
-        over = int(np.sum(~(errors <= limits.max_mm)))
-        near = int(np.sum(errors > self.NEAR * limits.max_mm)) - over
-        said = "No target near its limit."
+        known = np.isfinite(errors.by_how[Sent.CHOSEN])
+        norms_mm = errors.by_how[Sent.CHOSEN][known]
+        over = int(np.sum(~(norms_mm <= limits.max_mm)))
+        near = int(np.sum(norms_mm > self.NEAR * limits.max_mm)) - over
+        sentence = "No target near its limit."
         if over or near:
-            said = f"{over} over the limit, {near} within {100 * (1 - self.NEAR):.0f} % of it."
-        means_mm = {name: mean_of(values) for name, values in found.corrected.items()}
+            sentence = f"{over} over the limit, {near} within {100 * (1 - self.NEAR):.0f} % of it."
+        means_mm = {name: finite_mean(values) for name, values in errors.corrected.items()}
         worst = max(means_mm, key=means_mm.__getitem__)
         of_means = "No station's mean near its limit."
         if not means_mm[worst] <= self.NEAR * limits.mean_mm:
             how = "near" if means_mm[worst] <= limits.mean_mm else "over"
             mean = f"Mean at {worst} {means_mm[worst]:.3f}"
             of_means = f"{mean}: {how} its limit {limits.mean_mm:.3f}."
-        sentences, mean_mm = [said, of_means], mean_of(errors)
-        if Sent.BEFORE in found.by_how and mean_mm > 0:
-            times = mean_of(found.by_how[Sent.BEFORE][known]) / mean_mm
+        sentences, mean_mm = [sentence, of_means], finite_mean(norms_mm)
+        if Sent.BEFORE in errors.by_how and mean_mm > 0:
+            times = finite_mean(errors.by_how[Sent.BEFORE][known]) / mean_mm
             sentences.append(f"Mean {times:.1f} times smaller.")
         if floor is not None and floor.mean > 0:
             sentences.append(
@@ -625,7 +628,7 @@ OF_PROCEDURE = {
 }
 
 
-def tabs_of(log: Log) -> tuple[Tab, ...]:
+def tabs_for(log: Log) -> tuple[Tab, ...]:
     """Return the plots of a run: of the strip where there is a rail, of sweeps that were made."""
     own = OF_PROCEDURE.get(log.plan.procedure) if log.plan is not None else None
     has_rail, swept = log.plan is None or log.cell.has_rail, own is None and log.curves

@@ -19,7 +19,7 @@ from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point, Sent
 from hilcell.ports import HilcellError
-from hilcell.tui.layout import Lines, Stack, facts_grid, figure
+from hilcell.tui.layout import Lines, Stack, figure, labelled_rows
 from hilcell.tui.run_view import RunView
 from hilcell.tui.widgets import Column, Row
 
@@ -52,7 +52,7 @@ class Deviation:
         return outcome_of(self.norm_mm, self.limit_mm, self.U_mm)
 
 
-def expanded_of(log: Log) -> float:
+def expanded_uncertainty_mm(log: Log) -> float:
     """Return U (mm) of a single error; NaN, which accepts nothing, where it cannot be stated."""
     with suppress(HilcellError):
         budget = budget_of(log)
@@ -67,7 +67,7 @@ def is_judged(point: Point) -> bool:
 
 def deviation_of(log: Log, point: Point) -> Deviation | None:
     """Return a point's deviation, as `deviations_of`, with U as the log has it now."""
-    U_mm = expanded_of(log) if is_judged(point) else 0.0
+    U_mm = expanded_uncertainty_mm(log) if is_judged(point) else 0.0
     return deviations_of(log, [point], U_mm)[0]
 
 
@@ -77,17 +77,17 @@ def deviations_of(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviat
     Of a target that was measured more than once, the measurement that counts: the larger error.
     ``U_mm`` is that of a single error.
     """
-    found: list[Deviation | None] = [None] * len(points)
+    deviations: list[Deviation | None] = [None] * len(points)
     known = [n for n, point in enumerate(points) if point.nominal_mm is not None]
     if not known or "world" not in log.frames:
-        return found
+        return deviations
     errors = errors_of(log, [counting(log, points[n]) for n in known])
     actual_mm = errors.nominal_mm + errors.error_mm
     limit_mm = log.cell.validation.max_tolerance_mm
     for n, error, actual in zip(known, errors.error_mm, actual_mm, strict=True):
         judged = (limit_mm, U_mm) if is_judged(points[n]) else (None, 0.0)
-        found[n] = Deviation(points[n].key, (*error.tolist(),), (*actual.tolist(),), *judged)
-    return found
+        deviations[n] = Deviation(points[n].key, (*error.tolist(),), (*actual.tolist(),), *judged)
+    return deviations
 
 
 def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
@@ -254,7 +254,7 @@ class PointRows:
         count, ended = len(log.points), log.end is not None
         if count < 1.1 * self._U_of[0] and ended == self._U_of[1]:
             return
-        self._U_mm, self._U_of = expanded_of(log), (count, ended)
+        self._U_mm, self._U_of = expanded_uncertainty_mm(log), (count, ended)
         for key, (number, row) in self._found.items():
             known = row.deviation
             if known is not None and known.limit_mm is not None and known.U_mm != self._U_mm:
@@ -266,27 +266,27 @@ class PointRows:
         row = self._row(point.key, log.changed.get(point.key, 0))
         return deviation_of(log, point) if row is None else row.deviation
 
-    def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
-        key, waits = found.point.key, found.point.key in waiting
+    def drawn(self, row: PointRow, waiting: Collection[str], width: int) -> Row:
+        key, waits = row.point.key, row.point.key in waiting
         known = self._drawn.get(key)
-        if known is None or known[0] is not found or known[1:3] != (waits, width):
-            known = self._drawn[key] = (found, waits, width, found.to_row(waiting, width))
+        if known is None or known[0] is not row or known[1:3] != (waits, width):
+            known = self._drawn[key] = (row, waits, width, row.to_row(waiting, width))
         return known[3]
 
 
 def filtered(
-    points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
+    points: Iterable[PointRow], filter_text: str, *, bad_only: bool, worst: bool
 ) -> list[PointRow]:
     """Return the points that match all words, only bad ones and worst first where asked."""
     # Letters match anywhere, a number as a whole only.
     words = [
         re.compile(rf"(?<!\d){re.escape(word)}(?!\d)" if word[0].isdecimal() else re.escape(word))
-        for word in wanted.lower().split()
+        for word in filter_text.lower().split()
     ]
 
     def searched(row: PointRow) -> str:
-        id, said = row.point.id, row.said()[0]
-        return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
+        id, label = row.point.id, row.said()[0]
+        return f"{id.short} {id.words()} {row.point.station} {row.state} {label}".lower()
 
     def badness(row: PointRow) -> tuple[bool, float]:  # raw errors are expected to be large
         norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
@@ -315,19 +315,19 @@ def point_page(view: RunView, key: str) -> Lines:
         ("group", point.group),
         ("station", point.station or "-"),
     ]
-    if (found := row.deviation) is not None:
+    if (deviation := row.deviation) is not None:
         facts += [
             ("nominal, world {W}, mm", _numbers(point.nominal_mm or (), 3)),
-            ("measured, world {W}, mm", _numbers(found.actual_mm, 3)),
-            ("e = actual - nominal, mm", _numbers(found.error_mm, 4, sign="+")),
-            ("|e|, mm", f"{found.norm_mm:.4f}"),
+            ("measured, world {W}, mm", _numbers(deviation.actual_mm, 3)),
+            ("e = actual - nominal, mm", _numbers(deviation.error_mm, 4, sign="+")),
+            ("|e|, mm", f"{deviation.norm_mm:.4f}"),
         ]
-        if found.limit_mm is not None:
-            facts.append(("limit, mm", f"{found.limit_mm:.3f}, U {found.U_mm:.3f} (k = 2)"))
+        if deviation.limit_mm is not None:
+            facts.append(("limit, mm", f"{deviation.limit_mm:.3f}, U {deviation.U_mm:.3f} (k = 2)"))
         facts += _repeated(view.log, point)
         point = counting(view.log, point)
     facts += _measured(point, has_rail=view.has_rail)
-    return facts_grid(facts, 27)
+    return labelled_rows(facts, 27)
 
 
 def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
@@ -344,9 +344,9 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
 
 def _measured(point: Point, *, has_rail: bool) -> list[tuple[str, str]]:
     air = "not measured"
-    if (found := point.air) is not None:
-        humidity = f"{found.humidity_percent:.0f} %"
-        air = f"{found.temperature_c:.2f} C  {found.pressure_mbar:.1f} mbar  {humidity}"
+    if (weather := point.air) is not None:
+        humidity = f"{weather.humidity_percent:.0f} %"
+        air = f"{weather.temperature_c:.2f} C  {weather.pressure_mbar:.1f} mbar  {humidity}"
     facts = [
         ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
         ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}"),

@@ -32,10 +32,10 @@ from hilcell.tui.plots import Canvas, step_at_most
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.devices import short_age
-from hilcell.tui.widgets import TextPanel, Titled
+from hilcell.tui.widgets import TextPanel, TitledBox
 
 
-class PromptBox(Horizontal, Titled):
+class PromptBox(Horizontal, TitledBox):
     """One prompt in a box: the plan or the words at the left, the task at the right."""
 
     def compose(self) -> ComposeResult:
@@ -55,11 +55,11 @@ class PromptBox(Horizontal, Titled):
         )
         picture, enter, reading = self.query(TextPanel)
         title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
-        said = PromptText(prompt, view, glyphs)
-        self.show_titles(title, said.count)
-        picture.show(said.picture())
-        enter.show(said.enter())
-        reading.show(said.task(low=low))
+        text = PromptText(prompt, view, glyphs)
+        self.show_titles(title, text.count)
+        picture.show(text.picture())
+        enter.show(text.enter())
+        reading.show(text.task(low=low))
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,8 +249,8 @@ class Site:
         nests = [self.wanted_mm, *self.nests.values()]
         views = ([*nests, self.robot_mm, self.tracker_mm], [*nests, self.robot_mm], nests)
         drawn = (_Drawing(self, places, columns, rows) for places in views)
-        found = next((each for each in drawn if not each.unnamed), None)
-        return (found or _Drawing(self, nests, columns, rows)).lines()
+        complete = next((each for each in drawn if not each.unnamed), None)
+        return (complete or _Drawing(self, nests, columns, rows)).lines()
 
 
 class _Drawing:

@@ -113,7 +113,7 @@ def state_of(view: RunView) -> tuple[str, str]:
     return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
 
 
-def role_of(view: RunView) -> str:
+def state_role(view: RunView) -> str:
     """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
     role = state_of(view)[1]
     return "label" if role == "live" and view.stale else role
@@ -124,7 +124,7 @@ def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> 
 
     ``background``: the live run that goes on while this one is shown.
     """
-    tone = role_of(view)
+    tone = state_role(view)
     fill = f"bold $on-{tone} on ${tone}-fill"
     ground = fill if tone in LOUD else ""
     parts = [Content.styled(f" {glyphs.states[view.state]} {state_of(view)[0]} ", fill)]
@@ -222,7 +222,7 @@ def sweeps_of(steps: Sequence[PlannedStep]) -> int:
 
 def progress(view: RunView) -> Lines:
     """Return the bar in the state's colour, the time worked, and the time left or of the end."""
-    tone = role_of(view)
+    tone = state_role(view)
     calm = not view.live and tone != "passed"
     done = Bar(share_done(view), "$label" if calm else f"${tone}-fill")
     # A point that is re-measured is beyond the plan, which has nothing left.
@@ -336,57 +336,58 @@ class Shown:
         judged = self.deviation.limit_mm is not None
         return f"${SAID[self.deviation.outcome][0]}" if judged else "$foreground"
 
-    def large(self, found: Deviation, glyphs: Glyphs) -> Lines:
+    def large(self, deviation: Deviation, glyphs: Glyphs) -> Lines:
         """Return |e| large, and its components with a signed bar each."""
         # The full scale of the signed bars grows so that no bar is cut.
-        least_mm = self.RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
-        known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
+        least_mm = self.RAW_SCALE_MM if deviation.limit_mm is None else deviation.limit_mm / 2
+        known_mm = (abs(each) for each in deviation.error_mm if math.isfinite(each))
         scale_mm = step_at_least(max([least_mm, *known_mm]))
         text = "bold $stale" if self.stale else "bold"
         fill = "$stale" if self.stale else "$foreground"
         units = [(unit, "$label") for unit in ("|e|", "mm", "")]
-        digits = large(figure(found.norm_mm), self.tone, glyphs)
+        digits = large(figure(deviation.norm_mm), self.tone, glyphs)
         components = [
             Content.assemble(
                 (f"{name} ", "$label"), (f"{self._signed(value_mm):>6}", text), (" mm", "$label")
             )
-            for name, value_mm in zip(("dx", "dy", "dz"), found.error_mm, strict=True)
+            for name, value_mm in zip(("dx", "dy", "dz"), deviation.error_mm, strict=True)
         ]
-        bars = [SignedBar(value_mm / scale_mm, fill) for value_mm in found.error_mm]
+        bars = [SignedBar(value_mm / scale_mm, fill) for value_mm in deviation.error_mm]
         scale = [(each, "$label") for each in (f"±{scale_mm:g}", "mm", "")]
         rows = zip(("", "", ""), units, digits, components, bars, scale, strict=True)
         return Grid(rows, Col(), Col(3), Col(21), Col(14), Col(28), Col())
 
-    def one_line(self, found: Deviation) -> Content:
-        dx, dy, dz = map(self._signed, found.error_mm)
+    def one_line(self, deviation: Deviation) -> Content:
+        dx, dy, dz = map(self._signed, deviation.error_mm)
         return Content.assemble(
             " ",
-            (f"|e| {figure(found.norm_mm)} mm", f"bold {self.tone}"),
+            (f"|e| {figure(deviation.norm_mm)} mm", f"bold {self.tone}"),
             (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if self.stale else "$label"),
         )
 
-    def tolerance(self, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
+    def tolerance(self, deviation: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
         """Return what is said of the limit with |e| against it, and under it the scale and U."""
-        if found.limit_mm is None:
+        if deviation.limit_mm is None:
             words = (f"{glyphs.stale} {self.word}", "$stale" if self.stale else "")
             return [["", words, ""], ["", "", ""]]
-        role, shape, word, was = SAID[found.outcome]
-        said = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
+        role, shape, word, was = SAID[deviation.outcome]
+        label = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
         if self.stale:
-            said = (f"{glyphs.stale} {was}", "$stale")
+            label = (f"{glyphs.stale} {was}", "$stale")
         share, guard = (
-            self.TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm)
+            self.TO_LIMIT * each / deviation.limit_mm
+            for each in (deviation.norm_mm, deviation.U_mm)
         )
         bar = Bar(share, self.tone, self.TO_LIMIT, guard)
-        digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
+        digits = 2 if math.isclose(100 * deviation.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
         ticks = [(0.0, Content.styled("0", "$label"))]
         for quarter in (1, 2, 3):
-            text = f"{found.limit_mm * quarter / 4:.{digits}f}"
+            text = f"{deviation.limit_mm * quarter / 4:.{digits}f}"
             ticks.append((self.TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
-        limit = Content.assemble((f"{found.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
+        limit = Content.assemble((f"{deviation.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
         ticks.append((self.TO_LIMIT, limit))
-        U = (f"U {found.U_mm:.3f} mm", "$label")
-        return [["", said, bar], ["", U, Ticks(tuple(ticks))]]
+        U = (f"U {deviation.U_mm:.3f} mm", "$label")
+        return [["", label, bar], ["", U, Ticks(tuple(ticks))]]
 
     @staticmethod
     def _signed(value_mm: float) -> str:
@@ -417,19 +418,19 @@ class Shown:
 
     def lines(self, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
         """Return at most ``rows`` rows; digits are one line where three have no room."""
-        found, remark = self.deviation, Content.styled(self.remark, "$label")
+        deviation, remark = self.deviation, Content.styled(self.remark, "$label")
         if self.stale and self.remark:
             remark = Content.styled(f"{glyphs.warned} {self.remark}", "$ask")
         head = Rule(Content.styled(self.name, "bold $label"), remark)
-        if found is None:
+        if deviation is None:
             none = "no nominal place, so no deviation" if self.remark else ""
             return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
-        said = self.tolerance(found, glyphs)
+        tolerance = self.tolerance(deviation, glyphs)
         columns = Col(), Col(17), Col(10, grows=True, most=55)
-        small = Stack(head, ends(self.one_line(found), ""), Grid(said[:1], *columns))
+        small = Stack(head, ends(self.one_line(deviation), ""), Grid(tolerance[:1], *columns))
         if rows < FULL_ROWS - 1:
             return small
-        whole = Stack(head, self.large(found, glyphs), Grid(said[: rows - 4], *columns))
+        whole = Stack(head, self.large(deviation, glyphs), Grid(tolerance[: rows - 4], *columns))
         state = whole.state, small.state
         return Drawing(
             state, lambda width, _: (small if width < self.LEAST_LARGE else whole).lines(width)
@@ -457,14 +458,14 @@ def _event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> li
     for record in reversed(view.records):
         if len(events) >= rows - 1:
             break
-        if words := event_words(view, record, errors_mm):
+        if words := event_text(view, record, errors_mm):
             style = "$label" if events else "$foreground"
             time = f" {in_zone(record.t):%H:%M:%S} "
             events.append([(time, "$label"), (harmless(words), style)])
     return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
 
 
-def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
+def event_text(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
     """Return an event in words; nothing for what other lines of the screen tell."""
     log = view.log
     match record.fact:
@@ -511,8 +512,8 @@ def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, r
     """Return the block in at most so many rows; a run that is over has events alone."""
     parts: list[Lines | Text] = []
     if view.live:
-        found = locks(view, glyphs)
-        parts, rows = interlock_lines(view, glyphs), rows - 1 - max(len(found), 1)
+        locked = locks(view, glyphs)
+        parts, rows = interlock_lines(view, glyphs), rows - 1 - max(len(locked), 1)
         if rows > 1:
             parts += step_lines(view, glyphs, rows)
             rows -= 1 + max(min(len(_parts(view)), MOST_STEPS), 1)
@@ -526,11 +527,11 @@ def interlock_lines(view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
 
     A reason that is too long for its line is the short one: no figure is cut.
     """
-    found = locks(view, glyphs)
-    if not found or view.status is None:
+    locked = locks(view, glyphs)
+    if not locked or view.status is None:
         return [section("interlocks"), (f" {glyphs.stale} no reading", "$stale")]
     rows: list[list[Cell]] = []
-    for each in found:
+    for each in locked:
         whys = each.whole or _reading(each.name, view.status.devices), each.short
         why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
         rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
@@ -554,8 +555,8 @@ def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
     steps: list[Sequence[Cell]] = []
     start, style, shape = "now", "$foreground", " " if view.at_rest else glyphs.moving
     for words, takes_s in _parts(view)[: min(rows - 1, MOST_STEPS)]:
-        said = ((text, style) for text in (words, start, duration(takes_s)))
-        steps.append(((f" {shape}", "$live"), *said, ""))
+        cells = ((text, style) for text in (words, start, duration(takes_s)))
+        steps.append(((f" {shape}", "$live"), *cells, ""))
         starts_s += takes_s
         start, style, shape = duration(starts_s), "$label", " "
     if not steps:
@@ -569,28 +570,28 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
     plan = view.log.plan
     if plan is None:
         return []
-    found: list[tuple[str, float]] = []
+    listed: list[tuple[str, float]] = []
     for number, parts in groupby(view.ahead, key=attrgetter("step")):
         step = step_words(plan.steps[number - 1].name, has_rail=view.has_rail)
-        if found:
-            found.append((step, sum(part.takes_s for part in parts)))
+        if listed:
+            listed.append((step, sum(part.takes_s for part in parts)))
         else:
             for part in _merged([*parts]):
                 other = "{step}: {count} readings" if part.measured else "{step}"
                 words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
-                found.append((words, part.takes_s))
-    return found
+                listed.append((words, part.takes_s))
+    return listed
 
 
 def _merged(parts: Sequence[Ahead]) -> list[Ahead]:
     """Return the parts that are listed; checks between two count for the one before them."""
-    found: list[Ahead] = []
+    merged: list[Ahead] = []
     for part in parts:
-        same = bool(found) and part.kind == found[-1].kind
-        if found and (same or part.kind not in PARTS):
-            before = found[-1]
+        same = bool(merged) and part.kind == merged[-1].kind
+        if merged and (same or part.kind not in PARTS):
+            before = merged[-1]
             count = before.measured + (part.measured if same else 0)
-            found[-1] = replace(before, measured=count, takes_s=before.takes_s + part.takes_s)
+            merged[-1] = replace(before, measured=count, takes_s=before.takes_s + part.takes_s)
         else:
-            found.append(part)
-    return found
+            merged.append(part)
+    return merged

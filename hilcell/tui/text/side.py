@@ -22,9 +22,9 @@ from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.layout import Col, Grid, Text, section
-from hilcell.tui.plots import Ints, Look, Plot, Scale, draw
+from hilcell.tui.plots import Ints, Plot, PlotStyle, Scale, draw
 from hilcell.tui.run_view import RunView
-from hilcell.tui.text.plots import Errors3D, Measured, mark_of, mean_of, target_plot
+from hilcell.tui.text.plots import Errors3D, Measured, finite_mean, legend_mark, target_plot
 from hilcell.tui.text.points import PointRow
 
 MAP_ROWS, LEAST_PLOT = 22, 9
@@ -42,7 +42,7 @@ def side_lines(
     rows: Iterable[PointRow],
     width: int,
     height: int,
-    look: Look,
+    style: PlotStyle,
     before: Scale | None = None,
 ) -> tuple[Lines, Scale | None]:
     """Return the lines, at most ``height``, and the plot's scale, for the next time."""
@@ -51,12 +51,12 @@ def side_lines(
         nothing = "the map and the errors appear with the first target"
         return Content.styled(nothing, "$label").wrap(width), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
-    above = Volume.of(view.log, targets).lines(width, room, plain=look.plain)
+    above = Volume.of(view.log, targets).lines(width, room, plain=style.plain)
     plot = _plot(view.log, targets)
     scale = Scale.log(plot.values, plot.limits, before)
     heading = section(plot.title).lines(width)
-    drawn = draw(plot, scale, width, max(height - len(above) - 2, 5), look, named=False)
-    return [*above, *heading, _means(plot, look, width), *drawn], scale
+    drawn = draw(plot, scale, width, max(height - len(above) - 2, 5), style, named=False)
+    return [*above, *heading, _means(plot, style, width), *drawn], scale
 
 
 def _plot(log: Log, targets: Rows) -> Plot:
@@ -68,15 +68,15 @@ def _plot(log: Log, targets: Rows) -> Plot:
     grid = all(row.point.id.kind == "grid" for row in rows)
     rows = [row for row in rows if grid or row.point.id.kind == "validate"]
     norms_mm = np.array([row.norm_mm for row in rows])
-    found = Errors3D.of([row.point for row in rows], norms_mm, grid=grid)
-    found = replace(found, by_how={how: e for how, e in found.by_how.items() if how in BOTH})
+    errors = Errors3D.of([row.point for row in rows], norms_mm, grid=grid)
+    errors = replace(errors, by_how={how: e for how, e in errors.by_how.items() if how in BOTH})
     limits = () if grid else (log.cell.validation.max_tolerance_mm,)
-    plot = target_plot(found, limits, "limit")
+    plot = target_plot(errors, limits, "limit")
     what = plot.x_title
     return replace(plot, title=f"|e| at {newest.station}, {what} by {what}, mm")
 
 
-def _means(plot: Plot, look: Look, width: int) -> Content:
+def _means(plot: Plot, style: PlotStyle, width: int) -> Content:
     """Return the means and the limit's mark, as far as there is room; no mean is cut."""
     limit = [(" ─ limit", "$foreground")] if plot.limits else []
     for series, named, rest in (
@@ -86,8 +86,8 @@ def _means(plot: Plot, look: Look, width: int) -> Content:
         line = Content("")
         for each in series:
             name = f"{each.name}: " if named else ""
-            words = f" {name}mean {mean_of(each.y):.3f} "
-            line = Content.assemble(line, " ", mark_of(look, each.ink), (words, "$label"))
+            words = f" {name}mean {finite_mean(each.y):.3f} "
+            line = Content.assemble(line, " ", legend_mark(style, each.ink), (words, "$label"))
         line = Content.assemble(line, *rest)
         if line.rstrip().cell_length <= width:
             return line.truncate(width)
@@ -119,8 +119,8 @@ class Grades:
 
     def grade(self, errors: Array) -> Ints:
         """Return the grade (N,) of errors (N,); NaN is beyond every bound."""
-        found: Ints = np.sum(~(errors[:, None] <= np.array(self.bounds)), axis=1)
-        return found
+        grades: Ints = np.sum(~(errors[:, None] <= np.array(self.bounds)), axis=1)
+        return grades
 
     def drawn(self, grade: int, *, plain: bool) -> tuple[str, str]:
         """Return the shape of a grade and its style.

@@ -8,7 +8,7 @@ from hilcell.present.renderers import csv_of, drawn
 from hilcell.present.table import Column, Named, Table
 from hilcell.report import tables
 from hilcell.report.html import report_html
-from hilcell.tui.text.finished import sheet_lines
+from hilcell.tui.text.finished import table_lines
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
 
@@ -43,7 +43,7 @@ def test_a_name_of_the_program_is_in_words_on_the_screen_only() -> None:
     assert table.texts() == [["before"]]
     assert csv_of(table) == b"error of\nbefore\n"
     assert "before" in drawn(table, None)
-    assert "as sent" in "".join(line.plain for line in sheet_lines(table).lines(80))
+    assert "as sent" in "".join(line.plain for line in table_lines(table).lines(80))
 
 
 def test_a_terminal_has_ascii() -> None:

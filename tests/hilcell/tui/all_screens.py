@@ -113,7 +113,7 @@ SAID = {
 }
 
 PATIENT_S = 60.0
-Look = Callable[[RecordingApp], str]
+Capture = Callable[[RecordingApp], str]
 
 
 class _Entry:
@@ -159,93 +159,93 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def screens_of(
-    app: RecordingApp, pilot: Pilot[int], look: Look = text_at_rest
+    app: RecordingApp, pilot: Pilot[int], capture: Capture = text_at_rest
 ) -> dict[str, str]:
-    """Return what every screen shows, or whatever ``look`` sees, by the screens' names."""
+    """Return what every screen shows, or whatever ``capture`` sees, by the screens' names."""
     await settle(pilot)
     home = app.screen
-    seen = {"run": look(app)}
+    seen = {"run": capture(app)}
     for name, key in PAGES.items():
         await press(pilot, key)
         if app.screen is not home:
-            seen[name] = look(app)
+            seen[name] = capture(app)
             await press(pilot, "q")
-    seen |= await _plots(app, pilot, look)
-    seen |= await _history(app, pilot, look)
-    seen |= await _questions(app, pilot, look)
-    seen |= await _point(app, pilot, look)
-    seen |= await _palette(app, pilot, look)
+    seen |= await _plots(app, pilot, capture)
+    seen |= await _history(app, pilot, capture)
+    seen |= await _questions(app, pilot, capture)
+    seen |= await _point(app, pilot, capture)
+    seen |= await _palette(app, pilot, capture)
     assert app.screen is home
     return seen
 
 
-async def _plots(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _plots(app: RecordingApp, pilot: Pilot[int], capture: Capture) -> dict[str, str]:
     seen, home = {}, app.screen
     await press(pilot, "p")
     if app.screen is not home:
         for number in "1234":
             await press(pilot, number)
-            seen[f"plot-{number}"] = look(app)
+            seen[f"plot-{number}"] = capture(app)
         await press(pilot, "q")
     return seen
 
 
-async def _history(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _history(app: RecordingApp, pilot: Pilot[int], capture: Capture) -> dict[str, str]:
     await press(pilot, "h")
-    seen = {"history": look(app)}
+    seen = {"history": capture(app)}
     await press(pilot, "x", "down", "x", "c")
-    seen["compare"] = look(app)
+    seen["compare"] = capture(app)
     await press(pilot, "q", "q")
     return seen
 
 
-async def _questions(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _questions(app: RecordingApp, pilot: Pilot[int], capture: Capture) -> dict[str, str]:
     seen = {}
     for name, key in QUESTIONS.items():
         if name == "quit" and not app.live:
             continue
         await press(pilot, key)
         if isinstance(app.screen, Confirm):
-            seen[f"asks-{name}"] = look(app)
+            seen[f"asks-{name}"] = capture(app)
             await press(pilot, "n")
     return seen
 
 
-async def _point(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _point(app: RecordingApp, pilot: Pilot[int], capture: Capture) -> dict[str, str]:
     seen = {}
     await press(pilot, "enter")
     if isinstance(app.screen, RunScreen) and app.screen.points_open:
-        seen["points"] = look(app)  # in place of the verdict, or of the alarm
+        seen["points"] = capture(app)  # in place of the verdict, or of the alarm
         await press(pilot, "enter")
     if isinstance(app.screen, DetailPage):
-        seen["point"] = look(app)
+        seen["point"] = capture(app)
         await press(pilot, "q")
     if isinstance(app.screen, RunScreen) and app.screen.points_open:
         await press(pilot, "q")
     return seen
 
 
-async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str, str]:
+async def _palette(app: RecordingApp, pilot: Pilot[int], capture: Capture) -> dict[str, str]:
     await press(pilot, "ctrl+p", *"alarm")
     assert isinstance(app.screen, CommandPalette)
     while not app.screen.query_one(CommandList).option_count:
         await settle(pilot)
     await settle(pilot)
-    seen = {"palette": look(app)}
+    seen = {"palette": capture(app)}
     app.pop_screen()
     await settle(pilot)
     return seen
 
 
 async def form_of(
-    app: RecordingApp, pilot: Pilot[int], look: Look = text_at_rest
+    app: RecordingApp, pilot: Pilot[int], capture: Capture = text_at_rest
 ) -> dict[str, str]:
     """Return what the form for a new run shows, and the summary of its plan."""
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)
-    seen = {"form": look(app)}
+    seen = {"form": capture(app)}
     await press(pilot, "enter")
     assert isinstance(app.screen, PlanSummary)
-    seen["plan"] = look(app)
+    seen["plan"] = capture(app)
     await press(pilot, "q")
     return seen

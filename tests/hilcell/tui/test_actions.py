@@ -95,10 +95,10 @@ def the_footer_shows_what_is_allowed_and_nothing_else(app: RecordingApp, state: 
     assert {action.name for action in ACTIONS if app.allowed(action.name)} == wanted
     for slot in (*ACTS, *VIEWS):
         name = "new" if slot == "detach" and "detach" not in wanted else slot
-        assert screen.key_of(slot).works == (name in wanted), slot
-    assert screen.key_of("stop").works == ("stop" in wanted)
+        assert screen.footer_key(slot).works == (name in wanted), slot
+    assert screen.footer_key("stop").works == ("stop" in wanted)
     space = SPACE[state]
-    assert space is None or screen.key_of("pause").word == space[2]
+    assert space is None or screen.footer_key("pause").word == space[2]
 
 
 async def the_space_bar_pauses_goes_on_or_resumes(
@@ -273,7 +273,7 @@ def test_a_stop_that_has_ended_its_engine_is_no_stop_that_nobody_hears(
     heard: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        app.recorded.stop_heard = heard  # by the stop of the key's own thread
+        app.recorded.stop_received = heard  # by the stop of the key's own thread
         await press(pilot, "escape")
         assert ("stopped: " in text_of(app)) is heard
         assert ("no engine" in text_of(app)) is not heard

@@ -15,11 +15,11 @@ from hilcell.model.point import PointId
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.alarms import (
     AlarmContext,
-    kept_words,
+    location_text,
     newest_line,
     panel_is_due,
     present_step,
-    where_words,
+    saved_text,
 )
 from tests.hilcell.alarms.journals import BEGUN, event, log_of, point, state
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingApp, run_app, text_of
@@ -40,7 +40,7 @@ GONE = replace(THERE, gone="2026-03-04T08:02:31.000+00:00")
 UNWATCHED = replace(THERE, alarm=replace(STOP, cause="not watched"))
 NOTICE = Latched(
     replace(STOP, code="HC-V05", title="Point measured again", severity="notice", cause="over",
-            do=("Look at the beam's way.",), by=("you",), goes_on=False), "notice", 1,
+            do=("PlotStyle at the beam's way.",), by=("you",), goes_on=False), "notice", 1,
 )  # fmt: skip
 
 
@@ -162,7 +162,7 @@ def test_a_place_is_where_the_last_order_sent_it(
 ) -> None:
     log = log_of(*BEGUN, ("intent", key, body))
     alarm = replace(STOP, where=where, seq=5)
-    assert where_words(alarm, log) == words
+    assert location_text(alarm, log) == words
     assert f"Where  {words}" in drawn(replace(CONTEXT, log=log).page([alarm], Latch()))
     for after, engine in (
         (point("validate/S300/chosen/050"), "between two motions"),
@@ -170,7 +170,7 @@ def test_a_place_is_where_the_last_order_sent_it(
         (state("suspended"), "between two motions"),
         (state("checking"), "earlier session"),
     ):
-        ended = where_words(alarm, log_of(*BEGUN, ("intent", key, body), after))
+        ended = location_text(alarm, log_of(*BEGUN, ("intent", key, body), after))
         assert ended == (f"Engine, {engine}" if "crash" in where else where)
 
 
@@ -190,16 +190,16 @@ def test_the_page_has_those_that_stand_and_those_that_are_over() -> None:
 def test_what_is_kept_is_what_the_journal_says() -> None:
     stopped = event("safe stop", problems={})
     closed = event("closed", problems={})
-    assert kept_words(log_of(*BEGUN)).endswith("how the devices were left is not recorded")
-    assert kept_words(log_of(*BEGUN, stopped, closed)).endswith("nothing moves")
+    assert saved_text(log_of(*BEGUN)).endswith("how the devices were left is not recorded")
+    assert saved_text(log_of(*BEGUN, stopped, closed)).endswith("nothing moves")
     failed = event("safe stop", problems={"robot": "no answer"})
-    assert "look at robot" in kept_words(log_of(*BEGUN, failed, closed))
+    assert "look at robot" in saved_text(log_of(*BEGUN, failed, closed))
 
 
 def test_devices_that_were_not_connected_are_not_said_to_stand() -> None:
     """A robot that plays another program was left alone, and may move."""
     ended = (event("safe stop", problems={}), event("closed", problems={}))
-    assert kept_words(log_of(BEGUN[0], *ended)).endswith("not known: look at the cell")
+    assert saved_text(log_of(BEGUN[0], *ended)).endswith("not known: look at the cell")
 
 
 def test_the_panel_is_of_runs_that_have_ended_by_a_fault() -> None:
@@ -221,4 +221,4 @@ def test_an_alarm_counts_points_as_the_line_of_the_kept_ones_does() -> None:
     log = Log(measuring().point(PointId("control", session=1, turn=0, nest="F1")).records)
     [alarm] = alarms_of(log, "r", live=False)
     assert alarm.found.endswith("with 8 points")
-    assert kept_words(log).startswith("8 of 21 points;")
+    assert saved_text(log).startswith("8 of 21 points;")

@@ -18,8 +18,8 @@ from hilcell.tui.layout import Stack
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text import devices
-from hilcell.tui.text.devices import interlock_page, locks
-from hilcell.tui.text.run import below_lines, event_words, interlock_lines, step_lines
+from hilcell.tui.text.devices import interlock_text, locks
+from hilcell.tui.text.run import below_lines, event_text, interlock_lines, step_lines
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 from tests.hilcell.tui.views import drawn
 from tests.hilcell.verdicts import BACKLASH, JUDGED, LENGTHS, REVISITED, plain
@@ -59,7 +59,7 @@ def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
     view = view_of(sample_run(name), name)
     row = drawn(devices.interlocks(view, UNICODE))
     panel = drawn(Stack(*interlock_lines(view, UNICODE))).splitlines()
-    page = interlock_page(view, UNICODE).plain.splitlines()
+    page = interlock_text(view, UNICODE).plain.splitlines()
     for number, lock in enumerate(locks(view, UNICODE)):
         assert f"{lock.shape} {lock.name} {lock.word}" in row
         assert panel[number + 1].split()[:3] == [lock.shape, lock.name, lock.word]
@@ -76,7 +76,7 @@ def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> N
     view.status = msgspec.structs.replace(view.status, interlocks=locked)
     lines = drawn(Stack(*interlock_lines(view, UNICODE)), width).splitlines()
     assert lines[1].rstrip() == " ■ Rail    locked robot not at safe pose"
-    assert "A2 −41.381 deg, expected −100.000 ±0.1 deg" in interlock_page(view, UNICODE).plain
+    assert "A2 −41.381 deg, expected −100.000 ±0.1 deg" in interlock_text(view, UNICODE).plain
 
 
 def test_a_stale_status_frees_nothing() -> None:
@@ -119,7 +119,7 @@ def test_events_are_told_in_words() -> None:
     story = validated()
     view = view_of(story)
     errors = {"validate/S1100/chosen/001": 0.1005}
-    words = [event_words(view, record, errors) for record in story.records]
+    words = [event_text(view, record, errors) for record in story.records]
     assert words[-1] == "measured corrected target 2 at S1100: |e| 0.101 mm"
     assert "rail held at S1100: 1100.00 mm by the strip, 2nd approach" in words
     assert "robot sent to grid point 0-0-3 at S1100" in words
@@ -131,9 +131,9 @@ def test_a_point_that_is_not_measured_yet_has_its_name() -> None:
     story = measuring()
     story.add("intent", "grid/9-9-9", action="robot.move")
     view = view_of(story)
-    assert event_words(view, story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
+    assert event_text(view, story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
     story.point(PointId("grid", vertex=(8, 8, 8)))
-    assert event_words(view, story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
+    assert event_text(view, story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
 
 
 def test_events_show_no_raw_keys() -> None:
@@ -150,11 +150,11 @@ def test_events_show_no_raw_keys() -> None:
     view = view_of(measuring())
     for body, token in happened:
         record = Record(1, "2026-03-04T08:00:00.000+00:00", "event", "", body)
-        words = event_words(view, record, {})
+        words = event_text(view, record, {})
         assert token in words
         assert not set("{}[]/_") & set(words)
     healthy = {"what": "link", "frames": 9, "bad_lines": 0, "refused": 0, "malformed": 0}
-    assert event_words(view, Record(1, "", "event", "", healthy), {}) == ""
+    assert event_text(view, Record(1, "", "event", "", healthy), {}) == ""
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_events_show_no_raw_keys() -> None:
 )  # fmt: skip
 def test_a_verdict_has_the_name_of_its_subject(key: str, verdict: Verdict, words: str) -> None:
     record = SampleRun().add("verdict", key, **plain(verdict)).records[-1]
-    assert event_words(view_of(measuring()), record, {}) == words
+    assert event_text(view_of(measuring()), record, {}) == words
 
 
 def test_a_run_of_which_only_the_plan_is_known_has_no_events_yet() -> None:

@@ -24,11 +24,11 @@ from tests.hilcell.tui.engine_peer import Peer
 from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine
 
-NEVER_S = 1e6  # a period in which only `look_now` looks
+NEVER_S = 1e6  # a period in which only `poll_now` looks
 
 
 class Screen:
-    """Takes what a feed delivers; each look is asked for."""
+    """Takes what a feed delivers; each poll is asked for."""
 
     def __init__(self, folder: Path) -> None:
         self._came: SimpleQueue[RunUpdate] = SimpleQueue()
@@ -36,13 +36,13 @@ class Screen:
         self.feed.start()
 
     def next(self) -> RunUpdate:
-        """Return what the look that is under way brings, and have the feed look again."""
+        """Return what the poll in progress brings, and have the feed poll again."""
         update = self._came.get()
-        self.feed.look_now()
+        self.feed.poll_now()
         return update
 
     def until(self, true: Callable[[RunUpdate], object]) -> RunUpdate:
-        """Look until a look brings something; return it."""
+        """Poll until a poll brings something; return it."""
         while not true(update := self.next()):
             continue
         return update
@@ -64,12 +64,12 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
 
 
 def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
-    """Of a run whose journal is written after the first look."""
+    """Of a run whose journal is written after the first poll."""
     screen = Screen(tmp_path / "r")
     assert screen.next().trouble == ""
     writer = Writer(tmp_path / "r").began()
     kinds: list[str] = []
-    while "frame" not in kinds:  # the last that began; a look may come between two records
+    while "frame" not in kinds:  # the last that began; a poll may come between two records
         update = screen.until(lambda update: update.records)
         assert (update.engine, update.status) == (EngineState.NONE, None)
         kinds += [record.kind for record in update.records]

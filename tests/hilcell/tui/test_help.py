@@ -9,7 +9,7 @@ from textual.pilot import Pilot
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import ACTIONS, shown
 from hilcell.tui.screens.base import BaseScreen
-from hilcell.tui.screens.help import SCREENS, help_lines, keys_of
+from hilcell.tui.screens.help import SCREENS, fixed_keys_of, help_lines
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.actions import ACTS, VIEWS, WORDS
 from hilcell.tui.text.plots import MOST_TABS
@@ -41,7 +41,7 @@ def bound(owner: type) -> set[str]:
 
 def explained(screen: type[BaseScreen]) -> set[str]:
     """Return the keys that the help explains for a screen."""
-    keys = [key for key, _ in keys_of(screen)]
+    keys = [key for key, _ in fixed_keys_of(screen)]
     return set().union(*(WRITTEN.get(key, {key if key == "S" else key.lower()}) for key in keys))
 
 
@@ -71,7 +71,7 @@ def test_no_line_of_the_help_is_wider_than_the_screen() -> None:
         assert "▲▼        choose a point" in text_of(app)
 
     run_app(act, "running", size=(80, 70))
-    fixed = {title: keys_of(each) for title, each in SCREENS.items()}
+    fixed = {title: fixed_keys_of(each) for title, each in SCREENS.items()}
     for width in (22, 39, 59, 79):
         lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, fixed), width).splitlines()
         assert max(map(len, lines)) <= width

@@ -11,7 +11,7 @@ import pytest
 
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
-from hilcell.tui.plots import Look
+from hilcell.tui.plots import PlotStyle
 from hilcell.tui.run_view import RunView
 from hilcell.tui.text.points import PointRows
 from hilcell.tui.text.side import MAP_ROWS, NO_POINT, Grades, Volume, side_lines
@@ -107,7 +107,7 @@ def rows_of(story: SampleRun) -> tuple[RunView, PointRows]:
 
 def side(story: SampleRun, width: int = WIDE, height: int = 42) -> str:
     view, table = rows_of(story)
-    lines, _ = side_lines(view, table.rows(view.log), width, height, Look())
+    lines, _ = side_lines(view, table.rows(view.log), width, height, PlotStyle())
     assert len(lines) <= height
     return "\n".join(line.plain for line in lines)
 
@@ -143,4 +143,4 @@ def test_the_map_spans_all_stations_from_the_first_point_on() -> None:
 
 def test_before_the_first_target_it_says_so() -> None:
     assert "first target" in side(begun())
-    assert side_lines(RunView("r", Log()), [], 20, 10, Look())[1] is None
+    assert side_lines(RunView("r", Log()), [], 20, 10, PlotStyle())[1] is None

@@ -120,7 +120,7 @@ def test_an_alarm_whose_cause_nobody_watches_stands_though_it_is_acknowledged() 
         await press(pilot, "k")
         assert "beam broken" in text_of(app)
         assert isinstance(app.screen, RunScreen)
-        assert not app.screen.key_of("acknowledge").works
+        assert not app.screen.footer_key("acknowledge").works
         await press(pilot, "e")
         assert "beam broken" in text_of(app)
         assert "not acknowledged" not in text_of(app)

@@ -14,7 +14,7 @@ import pytest
 from hilcell.calibration.position_errors import errors_of
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
-from hilcell.tui.plots import Look
+from hilcell.tui.plots import PlotStyle
 from hilcell.tui.text.plots import (
     BESIDE,
     STRIP,
@@ -24,13 +24,13 @@ from hilcell.tui.text.plots import (
     Measured,
     plot_lines,
     tab_line,
-    tabs_of,
+    tabs_for,
 )
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
 from tests.hilcell.tui.views import drawn
 
-LETTERS = Look(letters=True, plain=True)
+LETTERS = PlotStyle(letters=True, plain=True)
 
 
 def measured_of(story: SampleRun) -> Measured:
@@ -150,9 +150,11 @@ def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
 def test_every_plot_is_drawn_at_any_size(tab: Any) -> None:
     for story in (measuring(0), validated()):
         of = measured_of(story)
-        for size, look in product([(20, 8), (80, 20), (80, 40), (200, 60)], (Look(), LETTERS)):
+        for size, style in product(
+            [(20, 8), (80, 20), (80, 40), (200, 60)], (PlotStyle(), LETTERS)
+        ):
             choice = Choice(tab=TABS.index(tab))
-            lines = [tab_line(of, choice, size[0], look), *plot_lines(of, choice, *size, look)]
+            lines = [tab_line(of, choice, size[0], style), *plot_lines(of, choice, *size, style)]
             assert len(lines) <= max(size[1], 9) + 1
             assert "\x1b" not in "".join(line.plain for line in lines)
 
@@ -161,7 +163,7 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
     of = measured_of(validated())
 
     def at(width: int, height: int) -> list[str]:
-        return [line.plain for line in plot_lines(of, Choice(tab=1), width, height, Look())]
+        return [line.plain for line in plot_lines(of, Choice(tab=1), width, height, PlotStyle())]
 
     beside, under, away = at(BESIDE, 30), at(80, 40), at(80, 20)
     assert any("┤" in line and "─ figures" in line for line in beside)
@@ -173,7 +175,7 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
 def test_figures_say_mean_limit_and_the_worst() -> None:
     of = measured_of(validated(worst_mm=1.2))
     plot = of.errors_plot()
-    text = drawn(Figures(of, "", plot, Look()).errors(), 31)
+    text = drawn(Figures(of, "", plot, PlotStyle()).errors(), 31)
     limit_mm = of.log.cell.validation.max_tolerance_mm
     assert f"{limit_mm:.3f}" in text
     assert "target 2    S1100        1.200" in text
@@ -184,9 +186,9 @@ def test_figures_say_mean_limit_and_the_worst() -> None:
 
 def test_the_scale_of_a_live_run_only_grows() -> None:
     choice = Choice(tab=0)
-    plot_lines(measured_of(validated(worst_mm=30.0)), choice, 120, 30, Look())
+    plot_lines(measured_of(validated(worst_mm=30.0)), choice, 120, 30, PlotStyle())
     (before,) = choice.scales.values()
-    plot_lines(measured_of(validated()), choice, 120, 30, Look())
+    plot_lines(measured_of(validated()), choice, 120, 30, PlotStyle())
     assert choice.scales == {("each target", True, ""): before}
     assert before.high == 50.0
 
@@ -210,6 +212,6 @@ def test_series_are_shown_one_by_one_and_then_all() -> None:
 
 def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:
     log = validated_run(tmp_path / "run").facts().log
-    assert Measured.strip_plot in [tab.make for tab in tabs_of(log)]
-    of, choice = Measured(log), Choice(tab=tabs_of(log).index(STRIP))
+    assert Measured.strip_plot in [tab.make for tab in tabs_for(log)]
+    of, choice = Measured(log), Choice(tab=tabs_for(log).index(STRIP))
     assert choice.scale(STRIP, STRIP.make(of, ""), "", 20).step > 0

@@ -29,8 +29,8 @@ SIZES = ((80, 24), (140, 45))
 SOON = timedelta(seconds=0.3)
 COSTLY = (  # each as its caller finds it
     (Screen, "_refresh_layout"),
-    (points, "expanded_of"),
-    (points, "expanded_of"),
+    (points, "expanded_uncertainty_mm"),
+    (points, "expanded_uncertainty_mm"),
     (run, "footer_lines"),
 )
 

@@ -17,7 +17,7 @@ from hilcell.tui.layout import large_rows
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.session import RunUpdate
 from hilcell.tui.terminal import ASCII, UNICODE
-from hilcell.tui.text.finished import Result, result_of, sheet_lines
+from hilcell.tui.text.finished import Result, result_of, table_lines
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import SampleRun, validated
@@ -155,7 +155,7 @@ def test_a_table_is_drawn_to_the_width_and_cuts_no_number(width: int) -> None:
         Column("why", itemgetter(13)),
     ]
     row: list[str | float] = ["P1", *numbers, "because it is so, and for no other"]
-    lines = sheet_lines(Table(columns, [row])).lines(width)
+    lines = table_lines(Table(columns, [row])).lines(width)
     text = "\n".join(line.plain for line in lines)
     assert all(f"{number:.4f}" in text for number in numbers)
     assert max(line.cell_length for line in lines) <= width

@@ -23,8 +23,8 @@ from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.devices import end_remark
-from hilcell.tui.text.plots import Measured, tabs_of
+from hilcell.tui.text.devices import end_note
+from hilcell.tui.text.plots import Measured, tabs_for
 from hilcell.tui.text.points import Deviation
 from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
@@ -130,7 +130,7 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
     assert "Rail" not in drawn(devices.lamps(view, UNICODE), 80)
     assert "Robot" in drawn(devices.lamps(view, UNICODE), 80)
     assert run_text.resume_text(view).startswith("The robot will move")
-    assert Measured.strip_plot not in [tab.make for tab in tabs_of(log)]
+    assert Measured.strip_plot not in [tab.make for tab in tabs_for(log)]
 
 
 # -- lines -----------------------------------------------------------------------------------------
@@ -222,13 +222,13 @@ def test_a_part_of_a_validation_is_named() -> None:
 
 def test_running_is_never_bright_where_nothing_is_heard() -> None:
     view = view_of("running")
-    assert run_text.role_of(view) == "live"
+    assert run_text.state_role(view) == "live"
     view.status_age_s = 2.1
-    assert run_text.role_of(view) == "label"
+    assert run_text.state_role(view) == "label"
     assert "live" not in str(run_text.banner(view, UNICODE).lines(79)[0].spans)
     assert "live" not in str(run_text.progress(view).lines(79)[0].spans)
     view.status = None
-    assert run_text.role_of(view) == "label"
+    assert run_text.state_role(view) == "label"
 
 
 @pytest.mark.parametrize("name", sample_runs())
@@ -315,14 +315,14 @@ def test_a_run_that_ended_without_a_verdict_says_so() -> None:
     assert "nothing may move" in line
     assert re.search(r"move {3,}no verdict: 8 of 21 points", line)
     assert "08:00:25 UTC" in drawn(devices.interlocks(view_of("aborted"), UNICODE), 119)
-    assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
+    assert end_note(view_of("done")) == end_note(view_of("running")) == ""
 
 
 def test_a_finished_run_that_judged_nothing_says_so() -> None:
     view = view_of("done")
     view.log.end = Ended(state="finished", exit=0)
     view.log.verdicts.clear()
-    assert end_remark(view) == "measured"
+    assert end_note(view) == "measured"
 
 
 # -- air -------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 from hilcell.errors import HilcellError
 from hilcell.tui import session as sessions
 from hilcell.tui.run_view import EngineState
-from hilcell.tui.session import PATIENCE_S, RunUpdate, Session, utc_now
+from hilcell.tui.session import TIMEOUT_S, RunUpdate, Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer
 from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine
@@ -51,9 +51,9 @@ def test_a_stop_that_was_heard_is_known_until_the_run_is_seen_to_have_ended(tmp_
         assert session.stop()  # over a line of its own
         peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
     # By now the stop has ended the engine.
-    assert (session.stop(), session.stop_heard) == (False, True)
+    assert (session.stop(), session.stop_received) == (False, True)
     session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
-    assert not session.stop_heard  # another engine is another matter
+    assert not session.stop_received  # another engine is another matter
     session.close(leave=True)
 
 
@@ -64,7 +64,7 @@ def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(
     monkeypatch.setattr(sessions, "EngineClient", engine)
     session = session_of(tmp_path)
     session.ask("answer")
-    assert (engine.asked, engine.patience_s) == (["answer"], [PATIENCE_S["answer"]])
+    assert (engine.asked, engine.patience_s) == (["answer"], [TIMEOUT_S["answer"]])
     assert engine.open == 0  # a line of its own
     session.close(leave=True)
 

@@ -212,13 +212,13 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
         "robot-grid: grid/0-0-4: out of reach\n"
         "sign-check: no target"
     )
-    said = text.Checked(refused=refused).refused_words
+    said = text.Checked(refused=refused).refusal_lines
     assert said == [
         "Calibration refused before anything moves",
         "Robot grid: grid point 0-0-4: out of reach",
         "Sign check: no target",
     ]
-    assert text.Checked(refused="plan.x: unknown key").refused_words == ["plan.x: unknown key"]
+    assert text.Checked(refused="plan.x: unknown key").refusal_lines == ["plan.x: unknown key"]
 
 
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:

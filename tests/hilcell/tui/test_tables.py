@@ -21,7 +21,7 @@ from hilcell.tui.screens.pages import (
     history_row,
     log_columns,
     record_row,
-    record_words,
+    record_text,
 )
 from tests.hilcell.identification.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS
@@ -82,7 +82,7 @@ SAID: list[tuple[str, Fact, str]] = [
 
 @pytest.mark.parametrize(("key", "fact", "wanted"), SAID)
 def test_each_kind_has_its_words(key: str, fact: Fact, wanted: str) -> None:
-    assert record_words(key, fact) == wanted
+    assert record_text(key, fact) == wanted
 
 
 def test_every_record_of_a_run_becomes_one_line() -> None:

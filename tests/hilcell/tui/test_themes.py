@@ -18,7 +18,7 @@ from hilcell.ports import Array
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import ASCII, UNICODE, Glyphs, to_ascii
 from hilcell.tui.text.run import STATES
-from hilcell.tui.themes import IN_SIXTEEN, NAMES, PALETTES, ROLES, Palette
+from hilcell.tui.themes import NAMES, PALETTES, ROLES, SIXTEEN_COLOURS, Palette
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
 from tests.hilcell.tui.sample_runs import sample_runs
@@ -130,16 +130,16 @@ def test_nothing_else_has_the_colour_of_a_simulation(palette: Palette) -> None:
 
 
 def test_sixteen_colours_are_those_that_every_terminal_has() -> None:
-    values = (getattr(IN_SIXTEEN, each.name) for each in fields(Palette))
+    values = (getattr(SIXTEEN_COLOURS, each.name) for each in fields(Palette))
     colours = [value for value in values if str(value).startswith("#")]
     found = {RichColor.parse(value).downgrade(ColorSystem.STANDARD) for value in colours}
     assert len(found) == len(set(colours))  # no two become one
     names = {"live": 14, "passed": 10, "ask": 11, "fault": 9, "sim": 13, "label": 7}
     for role, number in names.items():
-        ink = RichColor.parse(IN_SIXTEEN.ink(role))
+        ink = RichColor.parse(SIXTEEN_COLOURS.ink(role))
         assert ink.downgrade(ColorSystem.STANDARD).number == number
-        assert contrast(IN_SIXTEEN.ink(role), IN_SIXTEEN.ground) >= LEAST
-        assert contrast(IN_SIXTEEN.on(role), IN_SIXTEEN.fill(role)) >= LEAST
+        assert contrast(SIXTEEN_COLOURS.ink(role), SIXTEEN_COLOURS.ground) >= LEAST
+        assert contrast(SIXTEEN_COLOURS.on(role), SIXTEEN_COLOURS.fill(role)) >= LEAST
 
 
 def test_the_formula_is_the_standards() -> None:

@@ -114,7 +114,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
     found = verdict_of(view)
     assert found is not None
-    assert found.reason_words == "S300: mean 0.113, U 0.010: not shown below 0.120"
+    assert found.reasons == "S300: mean 0.113, U 0.010: not shown below 0.120"
     assert "▲ at S300, limit 0.120" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
 
@@ -228,7 +228,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
     limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
     found = verdict_of(view)
     assert found is not None
-    assert found.reason_words == said
+    assert found.reasons == said
     assert said in " ".join(drawn(found.lines(view, UNICODE), 79, ROWS + 5).split())
 
 
@@ -292,7 +292,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
     view.alarms = alarms_of(view.log, "r", live=False)
     found = verdict_of(view)
     assert found is not None
-    assert [found.reason_words.count(name) for name in PLACES] == [1] * len(PLACES)
+    assert [found.reasons.count(name) for name in PLACES] == [1] * len(PLACES)
     text = " ".join(drawn(found.lines(view, UNICODE), 79, ROWS).split())
     assert "HC-V17" in text
     assert view.alarms[0].do[0] in text

@@ -7,7 +7,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from hilcell.tui.plots import Look
+from hilcell.tui.plots import PlotStyle
 from hilcell.tui.screens.start import Checked
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.points import WIDE, PointRows, columns_for
@@ -34,9 +34,9 @@ def test_places_fit_their_columns(width: int, scale: float) -> None:
 def test_the_side_panel_cuts_no_number(width: int) -> None:
     view = view_of("done")
     rows = [*PointRows().rows(view.log)]
-    lines, _ = side_lines(view, rows, width, 29, Look())
+    lines, _ = side_lines(view, rows, width, 29, PlotStyle())
     text = "\n".join(line.plain for line in lines)
-    wide, _ = side_lines(view, rows, 58, 29, Look())
+    wide, _ = side_lines(view, rows, 58, 29, PlotStyle())
     means = {word for line in wide if "mean" in line.plain for word in line.plain.split()}
     legend = next(line.plain for line in lines if "mean" in line.plain)
     assert legend.rstrip().split("mean ")[-1].split()[0] in means

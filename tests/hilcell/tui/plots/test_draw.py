@@ -12,9 +12,9 @@ from hilcell.tui.plots import (
     FARTHEST,
     Canvas,
     Ink,
-    Look,
     Mark,
     Plot,
+    PlotStyle,
     Scale,
     Series,
     draw,
@@ -24,7 +24,7 @@ from hilcell.tui.plots import (
 RED, BLUE = Ink("red", "o", "red"), Ink("blue", "x", "blue")
 EVEN = Scale(0.0, 10.0, 1.0)
 ROWS = 21  # two rows for each step
-PLAIN = Look(letters=True, plain=True)
+PLAIN = PlotStyle(letters=True, plain=True)
 TICKS = ((0.0, "0 %"), (0.5, "50 %"))
 
 
@@ -36,9 +36,9 @@ def line(name: str, y: list[float], ink: Ink = RED, *, joined: bool = False) -> 
     return Series(name, ink, np.arange(len(y)) / len(y), np.array(y), joined)
 
 
-def drawn(plot: Plot, width: int = 43, scale: Scale = EVEN, look: Look = Look(), *,  # noqa: B008 - frozen
+def drawn(plot: Plot, width: int = 43, scale: Scale = EVEN, style: PlotStyle = PlotStyle(), *,  # noqa: B008 - frozen
           named: bool = False) -> list[str]:  # fmt: skip
-    return [each.plain for each in draw(plot, scale, width, ROWS + BELOW, look, named=named)]
+    return [each.plain for each in draw(plot, scale, width, ROWS + BELOW, style, named=named)]
 
 
 def test_two_steps_a_row_and_a_colour_for_each_half() -> None:
@@ -93,7 +93,7 @@ def test_a_value_is_seen_on_its_side_of_the_limit(limit: float) -> None:
 def test_a_letter_never_stands_on_the_limits_line() -> None:
     scale = Scale.log(np.array([0.02]), [0.3])
     for value in (0.2999, 0.3, 0.3001):
-        lines = drawn(plot_of(line("a", [value]), limits=(0.3,)), scale=scale, look=PLAIN)
+        lines = drawn(plot_of(line("a", [value]), limits=(0.3,)), scale=scale, style=PLAIN)
         at = next(n for n, text in enumerate(lines) if text.startswith("0.30┤"))
         beside = lines[at - 1] if value > 0.3 else lines[at + 1]
         assert "o" in beside
@@ -140,16 +140,16 @@ def test_a_mark_stands_over_its_value() -> None:
 
 
 @pytest.mark.parametrize("size", [(20, 5), (12, 4), (80, 20), (200, 60)])
-@pytest.mark.parametrize("look", [Look(), PLAIN])
-def test_a_plot_has_its_size_always(size: tuple[int, int], look: Look) -> None:
+@pytest.mark.parametrize("style", [PlotStyle(), PLAIN])
+def test_a_plot_has_its_size_always(size: tuple[int, int], style: PlotStyle) -> None:
     odd = line("a", [math.nan, 1.0, math.inf, -5.0])
     for plot in (plot_of(odd, line("b", []), limits=(5.0,)), plot_of()):
-        lines = draw(plot, EVEN, *size, look)
+        lines = draw(plot, EVEN, *size, style)
         assert len(lines) == size[1]
         assert all(each.cell_length == size[0] for each in lines)
 
 
 def test_dots_are_ascii_where_only_that_is_shown() -> None:
-    lines = drawn(plot_of(line("a", [3.0])), look=PLAIN)
+    lines = drawn(plot_of(line("a", [3.0])), style=PLAIN)
     assert "·" not in "".join(lines)
     assert "o" in "".join(lines)
