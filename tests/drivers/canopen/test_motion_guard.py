@@ -1,58 +1,67 @@
-"""Drives in other units and rails of other scales, on the wire: stopped on the way, and named."""
+"""Speeds and scales by positions and time: which motions contradict a drive, and which never do."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
 
-from drivers.canopen.motion_guard import Limits, MotionGuard
+from drivers.canopen.motion_guard import Limits, MotionGuard, Proofs, SpeedGuard, Speeds
 from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
 from drivers.scale_guard import ScaleGuard
 from drivers.standstill import Windows
+from hilcell.ports import Array
 from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.canopen.rail_bed import RailTime, connected, peer, rail, time
+from tests.drivers.canopen.rail_bed import Connect, RailTime
 from tests.drivers.peers import figure, refusal
-
-__all__ = ["peer", "rail", "time"]
+from tests.whole.bench import sweep
 
 START = 500_000  # counts, as everywhere in this peer
 RAMP_MM_S2 = 400.0  # of a quick stop
 
 
-def runs(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, unit: float = 1.0,
-    most: float = 250_000.0, ramp: float = 200_000.0, shown: float = 1.0,
-) -> None:  # fmt: skip
-    """Let the slide move in the cell's time as a drive moves it whose speeds are in ``unit``.
+Runs = Callable[..., None]
+
+
+@pytest.fixture
+def runs(peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch) -> Runs:
+    """Let the slide move in the cell's time as that of a drive whose speeds are in ``unit``.
 
     It reaches ``most`` counts/s with ``ramp`` counts/s^2; an obedient drive reaches 250 000.
     606Ch is in ``shown`` of that unit.
     """
     axis = peer.axis
-    speed, ramp = min(250_000.0 * unit, most), min(200_000.0 * unit, ramp)
-    began: list[tuple[float, int]] = []
 
-    def step() -> None:
-        if not axis.steps:
-            began.clear()
-            return
-        if not began:
-            began.append((time.now_s(), axis.position))
-        began_s, start = began[0]
-        passed_s, gap = time.now_s() - began_s, axis.target - start
-        ramp_s = min(passed_s, speed / ramp)
-        way = ramp * ramp_s**2 / 2 + speed * (passed_s - ramp_s)
-        axis.speed = round(ramp * ramp_s / unit / shown)
-        if way >= abs(gap):
-            axis.position, axis.steps = axis.target, 0
-            axis.bits |= 0x1400 if axis.homing else 0x400
-        else:
-            axis.position = start + round(way if gap > 0 else -way)
+    def run(
+        unit: float = 1.0, most: float = 250_000.0, ramp: float = 200_000.0, shown: float = 1.0
+    ) -> None:
+        speed, ramp = min(250_000.0 * unit, most), min(200_000.0 * unit, ramp)
+        began: list[tuple[float, int]] = []
 
-    monkeypatch.setattr(axis, "step", step)
+        def step() -> None:
+            if not axis.steps:
+                began.clear()
+                return
+            if not began:
+                began.append((time.now_s(), axis.position))
+            began_s, start = began[0]
+            passed_s, gap = time.now_s() - began_s, axis.target - start
+            ramp_s = min(passed_s, speed / ramp)
+            path = ramp * ramp_s**2 / 2 + speed * (passed_s - ramp_s)
+            axis.speed = round(ramp * ramp_s / unit / shown)
+            if path >= abs(gap):
+                axis.position, axis.steps = axis.target, 0
+                axis.bits |= 0x1400 if axis.homing else 0x400
+            else:
+                axis.position = start + round(path if gap > 0 else -path)
+
+        monkeypatch.setattr(axis, "step", step)
+
+    return run
 
 
 def gone_mm(peer: CanPeer) -> float:
@@ -66,47 +75,42 @@ def gone_mm(peer: CanPeer) -> float:
 @pytest.mark.parametrize("homing", [False, True])
 def test_a_drive_in_another_unit_is_stopped_on_its_first_way_and_named_with_its_factor(
     peer: CanPeer,
-    time: RailTime,
-    monkeypatch: pytest.MonkeyPatch,
+    rail: CanopenRail,
+    runs: Runs,
     unit: float,
     true_mm_s: float,
     stops_mm: float,
     homing: bool,
 ) -> None:
-    with connected(peer, time) as rail:
-        runs(peer, time, monkeypatch, unit, most=500_000.0, ramp=2_000_000.0)
-        found = refusal(rail.home if homing else lambda: rail.move_to(2500.0))
-        assert found.code == "HC-R46"
-        assert figure(found, "factor") == pytest.approx(unit, rel=0.15)
-        assert 0.0 < figure(found, "speed_mm_s") < true_mm_s
-        ratio = figure(found, "speed_mm_s") / figure(found, "drive_speed_mm_s")
-        assert ratio == pytest.approx(figure(found, "factor"))
-        peer.quick_stopped.wait()
-        speed_mm_s = peer.axis.speed * unit / 1000.0
-        assert 0.0 < gone_mm(peer) + speed_mm_s**2 / 2 / RAMP_MM_S2 < stops_mm
+    runs(unit, most=500_000.0, ramp=2_000_000.0)
+    error = refusal(rail.home if homing else lambda: rail.move_to(2500.0))
+    assert error.code == "HC-R46"
+    assert figure(error, "factor") == pytest.approx(unit, rel=0.15)
+    assert 0.0 < figure(error, "speed_mm_s") < true_mm_s
+    ratio = figure(error, "speed_mm_s") / figure(error, "drive_speed_mm_s")
+    assert ratio == pytest.approx(figure(error, "factor"))
+    peer.quick_stopped.wait()
+    speed_mm_s = peer.axis.speed * unit / 1000.0
+    assert 0.0 < gone_mm(peer) + speed_mm_s**2 / 2 / RAMP_MM_S2 < stops_mm
 
 
-def test_a_drive_in_the_right_unit_goes_its_way(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with connected(peer, time) as rail:
-        runs(peer, time, monkeypatch)
-        rail.home()
-        rail.move_to(1500.0)
-        assert rail.read().position_mm == 1500.0
+def test_a_drive_in_the_right_unit_goes_its_way(rail: CanopenRail, runs: Runs) -> None:
+    runs()
+    rail.home()
+    rail.move_to(1500.0)
+    assert rail.read().position_mm == 1500.0
 
 
 def test_a_slide_that_is_too_fast_by_its_positions_is_stopped(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+    peer: CanPeer, rail: CanopenRail, runs: Runs
 ) -> None:
     """By 1.35: its drive says less, within the 1.5 of a unit that is right."""
-    with connected(peer, time) as rail:
-        runs(peer, time, monkeypatch, 1.35, most=337_500.0)
-        found = refusal(lambda: rail.move_to(2500.0))
-        assert found.code == "HC-R33"
-        assert figure(found, "allowed_mm_s") == pytest.approx(300.0)
-        assert 300.0 < figure(found, "speed_mm_s") < 340.0
-        peer.quick_stopped.wait()
+    runs(1.35, most=337_500.0)
+    error = refusal(lambda: rail.move_to(2500.0))
+    assert error.code == "HC-R33"
+    assert figure(error, "allowed_mm_s") == pytest.approx(300.0)
+    assert 300.0 < figure(error, "speed_mm_s") < 340.0
+    peer.quick_stopped.wait()
 
 
 @pytest.mark.parametrize("homing", [False, True])
@@ -118,50 +122,54 @@ def test_a_slide_that_is_too_fast_by_its_positions_is_stopped(
         ("counts_per_mm", 2000.0, 2.0),
     ],
 )
-def test_scales_that_differ_are_named_on_the_way(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch,
-    option: str, value: float, ratio: float, homing: bool,
-) -> None:  # fmt: skip
+def test_scales_that_differ_are_named_in_motion(
+    peer: CanPeer,
+    connect: Connect,
+    runs: Runs,
+    option: str,
+    value: float,
+    ratio: float,
+    homing: bool,
+) -> None:
     if option.startswith("strip"):
         del peer.objects[6][0x6005, 1]  # it does not tell its step
         peer.abort[0x6005, 0] = 0x06020000
-    with connected(peer, time, **{option: value}) as rail:
-        runs(peer, time, monkeypatch)
-        found = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
-        assert found.code == "HC-R47"
-        assert figure(found, "ratio") == pytest.approx(ratio, rel=0.01)
-        assert figure(found, "drive_mm") * (-1 if homing else 1) > 0.0
-        peer.quick_stopped.wait()
-        assert gone_mm(peer) < 250.0
+    rail = connect(**{option: value})
+    runs()
+    error = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
+    assert error.code == "HC-R47"
+    assert figure(error, "ratio") == pytest.approx(ratio, rel=0.01)
+    assert figure(error, "drive_mm") * (-1 if homing else 1) > 0.0
+    peer.quick_stopped.wait()
+    assert gone_mm(peer) < 250.0
 
 
 @pytest.mark.parametrize("homing", [False, True])
 def test_scales_that_differ_are_named_by_three_looks_at_a_motion(
-    peer: CanPeer, time: RailTime, homing: bool
+    peer: CanPeer, connect: Connect, homing: bool
 ) -> None:
     """As a simulated cell moves; homing sets the reference by the last one."""
-    with connected(peer, time, counts_per_mm=2000.0) as rail:
-        found = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
-        assert found.code == "HC-R47"
-        assert figure(found, "ratio") == pytest.approx(2.0, rel=0.01)
+    rail = connect(counts_per_mm=2000.0)
+    error = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
+    assert error.code == "HC-R47"
+    assert figure(error, "ratio") == pytest.approx(2.0, rel=0.01)
 
 
 def test_a_speed_that_is_only_shown_in_another_unit_is_no_overspeed(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+    rail: CanopenRail, runs: Runs
 ) -> None:
     """606Ch in 0.1 counts/s of a drive that obeys 6081h in counts/s."""
-    with connected(peer, time) as rail:
-        runs(peer, time, monkeypatch, shown=0.1)
-        found = refusal(lambda: rail.move_to(2500.0))
-        assert found.code == "HC-R46"
-        assert figure(found, "factor") == pytest.approx(0.1, rel=0.15)
+    runs(shown=0.1)
+    error = refusal(lambda: rail.move_to(2500.0))
+    assert error.code == "HC-R46"
+    assert figure(error, "factor") == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.mark.parametrize("at", ["start", "way"])
 def test_a_slide_that_slips_or_a_strip_that_jumps_is_no_matter_of_scale(
-    rail: CanopenRail, peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, at: str
+    rail: CanopenRail, runs: Runs, peer: CanPeer, at: str
 ) -> None:
-    runs(peer, time, monkeypatch)
+    runs()
 
     def jump() -> None:
         if peer.axis.steps and (at == "start" or gone_mm(peer) > 100.0):
@@ -174,10 +182,10 @@ def test_a_slide_that_slips_or_a_strip_that_jumps_is_no_matter_of_scale(
 
 @pytest.mark.parametrize("polls", [3, 10_000])
 def test_a_strip_that_is_frozen_is_no_matter_of_scale(
-    rail: CanopenRail, peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, polls: int
+    rail: CanopenRail, runs: Runs, peer: CanPeer, polls: int
 ) -> None:
     """Where it stays so, the run finds that once the slide stands."""
-    runs(peer, time, monkeypatch)
+    runs()
     frozen: list[bytes] = []
 
     def freeze(line: bytes) -> list[bytes]:
@@ -232,3 +240,171 @@ def test_a_position_that_does_not_follow_is_no_unit_of_speed(moves: float, words
         place = round(100_000 * moves * passed_s)
         guard.take(replace(at, position=place, velocity=100_000, strip=place // 10), passed_s)
     assert words in str(refusal(lambda: guard.check_unit("move", at)))
+
+
+SPEED, ACCELERATION, PER_MM = 250_000.0, 200_000.0, 1000.0  # counts
+POLL_S = 0.022
+
+Profile = Callable[[float], tuple[float, float]]  # position and speed at a time
+
+
+@dataclass
+class Seen:
+    """The first proof of each kind, and how far the slide was then."""
+
+    contradiction: Speeds | None = None
+    overspeed: Speeds | None = None
+    way_mm: float = np.inf
+    speed_mm_s: float = np.nan
+
+    @property
+    def proves(self) -> bool:
+        return self.contradiction is not None or self.overspeed is not None
+
+
+def trapezoid(distance: float, speed: float, acceleration: float) -> tuple[Profile, float]:
+    """Return a motion from 0 over ``distance``, and how long it takes."""
+    peak = min(speed, (distance * acceleration) ** 0.5)
+    ramp_s = peak / acceleration
+    cruise_s = distance / peak - ramp_s
+
+    def at(now_s: float) -> tuple[float, float]:
+        up_s = min(max(now_s, 0.0), ramp_s)
+        level_s = min(max(now_s - ramp_s, 0.0), cruise_s)
+        down_s = min(max(now_s - ramp_s - cruise_s, 0.0), ramp_s)
+        way = acceleration * up_s**2 / 2 + peak * (level_s + down_s) - acceleration * down_s**2 / 2
+        return way, acceleration * (up_s - down_s)
+
+    return at, 2 * ramp_s + cruise_s
+
+
+def look(
+    profile: Profile, taken_s: Iterator[tuple[float, float]], unit: float = 1.0, lag_s: float = 0.0
+) -> Seen:
+    """Guard a motion by looks, each taken and ended at these times; return what it proves."""
+    guard, seen = SpeedGuard(0.0, SPEED, ACCELERATION, PER_MM), Seen()
+    for at_s, ended_s in taken_s:
+        guard.take(round(profile(at_s)[0]), round(profile(at_s - lag_s)[1] / unit), ended_s)
+        found = guard.contradiction(), guard.overspeed()
+        if any(found) and not np.isfinite(seen.way_mm):
+            seen.way_mm, seen.speed_mm_s = (each / PER_MM for each in profile(ended_s))
+        seen.contradiction = seen.contradiction or found[0]
+        seen.overspeed = seen.overspeed or found[1]
+    return seen
+
+
+def regular(until_s: float, apart_s: float = POLL_S) -> Iterator[tuple[float, float]]:
+    for ended_s in np.arange(apart_s, until_s + 0.5, apart_s):
+        yield ended_s - apart_s / 2, ended_s
+
+
+def busy(until_s: float, seed: int) -> Iterator[tuple[float, float]]:
+    """Looks of a PC that is late now and then, at either side of a reading; some come twice."""
+    rng, now_s, at_s, again = np.random.default_rng(seed), 0.0, 0.0, False
+    while now_s < until_s + 0.5:
+        before_s, behind_s = rng.choice([0.002, 0.02, 0.3, 0.7], 2, p=[0.4, 0.4, 0.1, 0.1])
+        again = not again and rng.random() < 0.05
+        last_s, at_s = at_s, now_s + before_s
+        now_s = at_s + behind_s
+        yield last_s if again else at_s, now_s
+
+
+@pytest.mark.parametrize("distance_mm", [0.3, 20.0, 700.0, 2500.0])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_late_pc_proves_nothing_against_a_healthy_slide(distance_mm: float, seed: int) -> None:
+    at, duration_s = trapezoid(1000.0 * distance_mm, SPEED, ACCELERATION)
+    assert not look(at, busy(duration_s, seed)).proves
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("distance_mm", "apart_s"),
+    [
+        *product((0.3, 20.0, 700.0, 2500.0), (POLL_S, 0.1, 0.7)),
+        *product((0.3, 20.0), (0.001,)),  # that often only as far as a ramp: each look costs time
+        *sweep((700.0, 0.001), (2500.0, 0.001)),
+    ],
+)
+def test_a_healthy_slide_passes_however_it_is_looked_at(
+    distance_mm: float, apart_s: float, lag_s: float
+) -> None:
+    at, duration_s = trapezoid(1000.0 * distance_mm, SPEED, ACCELERATION)
+    assert not look(at, regular(duration_s, apart_s), lag_s=lag_s).proves
+
+
+def test_a_stepped_cell_is_looked_at_three_times_a_motion_and_passes() -> None:
+    at, duration_s = trapezoid(2_000_000.0, SPEED, ACCELERATION)
+    thirds = [(third * duration_s / 3,) * 2 for third in (1, 2, 3, 3, 3)]
+    assert not look(at, iter(thirds)).proves
+
+
+def test_a_frame_that_comes_twice_proves_nothing() -> None:
+    at, duration_s = trapezoid(2_000_000.0, SPEED, ACCELERATION)
+    looks = list(regular(duration_s))
+    late = [(looks[max(0, n - (n % 7 == 3))][0], ended_s) for n, (_, ended_s) in enumerate(looks)]
+    assert not look(at, iter(late)).proves
+
+
+@pytest.mark.parametrize("jump_mm", [-640.0, 0.4, 640.0])
+@pytest.mark.parametrize("at_s", [0.1, 2.0, 3.0])
+def test_a_reference_that_is_set_on_the_way_proves_nothing(jump_mm: float, at_s: float) -> None:
+    at, duration_s = trapezoid(600_000.0, SPEED, ACCELERATION)
+
+    def homing(now_s: float) -> tuple[float, float]:
+        way, speed = at(now_s)
+        return way + 1000.0 * jump_mm * (now_s >= at_s), speed
+
+    assert not look(homing, regular(duration_s)).proves
+
+
+@pytest.mark.parametrize("unit", [0.01, 0.1, 4.0, 10_000 / 60, 1000.0])
+def test_a_unit_of_speed_is_named_by_its_factor(unit: float) -> None:
+    """6081h, 6083h and 606Ch in ``unit`` counts/s; the motor reaches 500 mm/s, 2000 mm/s^2."""
+    speed, acceleration = min(SPEED * unit, 5e5), min(ACCELERATION * unit, 2e6)
+    at, duration_s = trapezoid(2_000_000.0, speed, acceleration)
+    seen = look(at, regular(min(duration_s, 20.0)), unit)
+    assert seen.contradiction is not None
+    assert seen.contradiction.factor == pytest.approx(unit, rel=0.15)
+    stops_mm = seen.speed_mm_s**2 / 2 / 400.0  # on the ramp of a quick stop
+    assert seen.way_mm + stops_mm < 50.0
+
+
+def test_a_drive_that_shows_no_speed_at_all_is_a_contradiction() -> None:
+    at, duration_s = trapezoid(500_000.0, SPEED, ACCELERATION)
+    seen = look(at, regular(duration_s), unit=1e9).contradiction
+    assert seen is not None
+    assert seen.factor == np.inf
+
+
+@pytest.mark.parametrize(("factor", "fires"), [(1.1, False), (1.35, True), (2.0, True)])
+def test_overspeed_is_seen_by_positions(factor: float, fires: bool) -> None:
+    at, duration_s = trapezoid(2_000_000.0, factor * SPEED, ACCELERATION)
+    seen = look(at, regular(duration_s))
+    assert seen.contradiction is None, "the drive says its speed"
+    assert (seen.overspeed is not None) is fires
+
+
+def test_a_speed_that_is_no_number_is_a_contradiction() -> None:
+    guard = SpeedGuard(0.0, SPEED, ACCELERATION, PER_MM)
+    for ended_s in (0.1, 0.2, 0.3):
+        guard.take(0.0, np.nan, ended_s)
+    assert guard.contradiction() is not None
+
+
+def test_durations_lie_between_the_looks() -> None:
+    since_s, until_s = np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0, 5.0])
+    position, speed = np.array([0.0, 1.0, 3.0, 2.5]), np.array([1.0, -1.0, 2.0, 3.0])
+    found = Proofs.of(since_s, until_s, position, speed)
+
+    def values(each: Array) -> list[float]:
+        return [float(value) for value in each]
+
+    assert values(found.at_most_s) == [5.0, 4.0]
+    assert values(found.at_least_s) == [2.0, 1.0]
+    assert values(found.between_s) == [2.0, 2.0]
+    assert values(found.gone) == [2.5 - 1.0, 1.5 - 1.5]
+    assert values(found.path) == [3.5, 2.5]
+    assert values(found.slowest) == [0.0, 0.0]
+    assert values(found.fastest) == [3.0, 3.0]
+    assert values(found.seen_s) == [4.0, 3.0]
+    assert values(found.said) == [1.0 + 1.5 + 5.0, 1.5 + 5.0]

@@ -13,12 +13,10 @@ from drivers.canopen.sdo import Aborted, SdoChannel, open_channel
 from hilcell.ports import Stopped
 from tests.clocks import DrivenClock
 from tests.drivers.canopen.can_peer import DRIVE, CanPeer, u32
-from tests.drivers.canopen.rail_bed import RailTime, peer
+from tests.drivers.canopen.rail_bed import RailTime
 from tests.drivers.peers import A_LOOK_S, in_thread, refusal
 
 pytestmark = pytest.mark.waits
-
-__all__ = ["peer"]
 
 PROFILE_VELOCITY = (0x6081, 0)
 

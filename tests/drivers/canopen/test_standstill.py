@@ -1,4 +1,4 @@
-"""Standstill is judged from polls: speed, spread of both positions, dwell."""
+"""Standstill by polls: speed, spread of both positions, dwell; and a rail whose servo hunts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,18 @@ from typing import Any
 
 import pytest
 
+from drivers import motion_limits, standstill
+from drivers.canopen import drive
+from drivers.canopen import rail as canopen_rail
 from drivers.canopen.process_image import Snapshot
+from drivers.canopen.rail import CanopenRail
 from drivers.standstill import Rest, Standstill, Windows
 from drivers.supervision import Supervision
+from hilcell.cell.file import load_cell
+from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held
+from tests.drivers.canopen.can_peer import DISABLED, DRIVE, ENABLED, CanPeer, u16, u32
+from tests.drivers.canopen.rail_bed import Connect, RailTime
+from tests.drivers.peers import figure, refusal
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
 
@@ -38,11 +47,11 @@ def after(*polls: Snapshot, every_s: float = 0.1) -> Standstill:
 DITHER = [poll(1000 + d, 100 + j) for d, j in ((0, 0), (3, 1), (-2, 0), (1, -1), (-3, 0), (2, 1))]
 
 
-def test_a_servo_that_dithers_stands() -> None:
+def test_a_servo_that_dithers_is_at_rest() -> None:
     assert after(*DITHER).rest == Rest(1001, 100)
 
 
-def test_a_dwell_and_five_readings_are_wanted() -> None:
+def test_a_dwell_and_five_readings_are_needed() -> None:
     assert after(*DITHER[:4]).rest is None, "four readings"
     assert after(*DITHER, every_s=0.04).rest is None, "0.2 s"
     assert after(*DITHER, every_s=0.05).rest is not None
@@ -71,7 +80,7 @@ def test_a_strip_in_alarm_has_no_position_and_the_reading_says_so() -> None:
     assert after(dirty, *(replace(poll(20 * n), alarms=1) for n in range(9))).rest is None
 
 
-def test_one_poll_confirms_a_slide_that_has_stood() -> None:
+def test_one_poll_confirms_a_slide_at_rest() -> None:
     standstill = after(*DITHER)
     standstill.take(poll(1002, 99), 5.0)
     assert standstill.rest is not None
@@ -90,7 +99,7 @@ def test_an_old_history_counts_for_nothing() -> None:
     assert standstill.rest is None
 
 
-def test_what_was_before_a_motion_is_forgotten() -> None:
+def test_polls_before_a_motion_are_forgotten() -> None:
     standstill = after(*DITHER)
     standstill.forget()
     standstill.take(poll(), 5.0)
@@ -98,8 +107,8 @@ def test_what_was_before_a_motion_is_forgotten() -> None:
 
 
 def test_a_slide_that_came_to_rest_is_read_by_later_polls() -> None:
-    way = [poll(1000 * n, 100 * n, velocity=400) for n in range(9)]
-    assert after(*way, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
+    path = [poll(1000 * n, 100 * n, velocity=400) for n in range(9)]
+    assert after(*path, *[poll(9000, 900)] * 5).rest == Rest(9000, 900)
 
 
 def test_a_reading_is_the_median_of_the_last_five_polls() -> None:
@@ -116,6 +125,170 @@ def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s:
     assert standstill.rest == Rest(1000, 100)
 
 
-def test_what_keeps_a_slide_from_standing_is_seen() -> None:
+def test_the_largest_motion_of_the_last_polls_is_reported() -> None:
     polls = [poll(1000 + 7 * n, 100 - n, (-1) ** n * 600) for n in range(4)]
     assert after(poll(velocity=9000), *polls, poll(1000, 100)).unrest == (600, 21, 3)
+
+
+# -- a rail whose servo hunts -----------------------------------------------------------------
+
+
+@pytest.fixture
+def peer(peer: CanPeer) -> CanPeer:
+    peer.axis.hunts = True
+    return peer
+
+
+def test_a_servo_that_hunts_connects_homes_moves_settles_holds_and_closes(
+    peer: CanPeer, connect: Connect, time: RailTime
+) -> None:
+    peer.axis.state, peer.axis.mode = ENABLED, 1  # left with its power on
+    rail = connect()
+    assert peer.axis.state != ENABLED
+    rail.home()
+    rail.move_to(700.0)
+    moved = rail.read()
+    assert moved.still
+    assert moved.powered
+    assert moved.velocity_mm_s != 0.0
+    assert rail.settle().position_mm == pytest.approx(700.0, abs=0.003)
+    rail.hold()
+    assert not rail.read().powered
+    rail.move_to(701.0)
+    rail.close()
+    assert peer.axis.state == DISABLED
+    assert not peer.quick_stopped.is_set()
+
+
+@pytest.mark.parametrize("powered", [True, False])
+def test_a_slide_that_creeps_is_refused(
+    peer: CanPeer, connect: Connect, time: RailTime, powered: bool
+) -> None:
+    rail = connect(standstill_dwell_s=0.4)
+    if powered:
+        peer.axis.state = ENABLED
+    began_s, start = time.now_s(), peer.axis.position
+
+    def creep() -> None:
+        peer.axis.position = start + round(1000.0 * 0.05 * (time.now_s() - began_s))
+
+    peer.on_sync = creep
+    assert refusal(rail.settle).code == "HC-S06"
+    reading = rail.read()
+    assert not reading.still
+    assert abs(reading.velocity_mm_s) < 0.5
+    with pytest.raises(Blocked):
+        check_held(load_cell("paper"), reading, None, ROBOT_BLOCKED)
+
+
+def test_a_strip_that_creeps_alone_is_refused(
+    peer: CanPeer, rail: CanopenRail, time: RailTime
+) -> None:
+    peer.jitter = 1
+    peer.on_sync = lambda: setattr(peer, "strip_offset", round(80 * time.now_s()))
+    assert refusal(rail.settle).code == "HC-S06"
+    assert not rail.read().still
+
+
+@pytest.mark.parametrize(
+    ("option", "limit", "field"),
+    [("standstill_speed_mm_s", 0.05, "speed_mm_s"), ("standstill_window_mm", 0.002, "spread_mm")],
+)
+def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
+    peer: CanPeer, connect: Connect, option: str, limit: float, field: str
+) -> None:
+    rail = connect(**{option: limit})
+    error = refusal(lambda: rail.move_to(700.0))
+    assert error.code == "HC-R43"
+    assert figure(error, field) > limit
+    assert option in error.act
+    assert abs(peer.axis.position - 700_000) < 10
+
+
+def test_a_long_dwell_is_no_lack_of_progress(
+    peer: CanPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standstill.Windows, "LONGEST_PAUSE_S", 0.01)
+    monkeypatch.setattr(drive.Drive, "STALL_S", 0.1)
+    monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 0.1)
+    rail = connect(standstill_dwell_s=0.3)
+    rail.move_to(700.0)
+    assert rail.settle().still
+    rail.close()
+    assert peer.axis.state == DISABLED
+
+
+def test_a_slide_at_rest_is_confirmed_by_one_poll(peer: CanPeer, rail: CanopenRail) -> None:
+    assert rail.read().still
+    before = len(peer.frames(0x080))
+    assert all(rail.read().still for _ in range(10))
+    assert len(peer.frames(0x080)) - before == 10
+
+
+def test_a_strip_that_flickers_is_read_by_its_middle_and_one_that_moves_is_seen(
+    peer: CanPeer, rail: CanopenRail
+) -> None:
+    flicker = iter([0, 1, 0, -1] * 1000)
+    moved = 0
+    peer.on_sync = lambda: setattr(peer, "strip_offset", moved + next(flicker))
+    assert {rail.read().strip_mm for _ in range(20)} == {500.0}
+    moved = 3
+    assert rail.read().strip_mm == 500.03
+
+
+def test_drive_and_strip_are_medians_of_the_same_readings(peer: CanPeer, rail: CanopenRail) -> None:
+    rail.read()
+    steps = iter([0, 6, 0, 6, 6])
+    at = peer.axis.position
+    peer.on_sync = lambda: setattr(peer.axis, "position", at + next(steps, 6))
+    last = [rail.read() for _ in range(5)][-1]
+    assert (last.position_mm, last.strip_mm) == (500.006, 500.0)
+
+
+@pytest.mark.parametrize("stale", [False, True])
+def test_a_drive_that_is_home_within_one_poll_is_believed(
+    peer: CanPeer, rail: CanopenRail, stale: bool
+) -> None:
+    peer.axis.homes_at_once = True
+    if stale:
+        peer.axis.mode, peer.axis.bits = 6, 0x1400
+    rail.home()
+    assert rail.read().position_mm == pytest.approx(0.0, abs=0.003)
+    rail.move_to(10.0)
+    rail.home()
+
+
+def test_a_drive_that_creeps_on_for_ever_ends(
+    peer: CanPeer, rail: CanopenRail, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(motion_limits.MotionLimits, "MARGIN_S", 0.2)
+
+    def crawl() -> None:
+        peer.axis.frozen = True
+        peer.axis.position += 100 if peer.axis.steps else 0
+
+    peer.on_sync = crawl
+    error = refusal(lambda: rail.move_to(500.01))
+    assert error.code == "HC-R28"
+    assert 500.01 < figure(error, "position_mm") < 600.0
+    peer.quick_stopped.wait()
+
+
+DRIVE_WINDOWS = {0x6067: (u32, 50), 0x6068: (u16, 50), 0x606F: (u16, 500), 0x6070: (u16, 50)}
+
+
+def test_the_drives_own_windows_are_set(peer: CanPeer, connect: Connect) -> None:
+    peer.objects[DRIVE] |= {(index, 0): pack(0) for index, (pack, _) in DRIVE_WINDOWS.items()}
+    connect()
+    for index, (pack, value) in DRIVE_WINDOWS.items():
+        assert peer.objects[DRIVE][index, 0] == pack(value)
+
+
+def test_a_drive_without_windows_is_no_fault_and_one_that_refuses_them_is(
+    peer: CanPeer, connect: Connect
+) -> None:
+    for code in (0x06020000, 0x06090011):
+        peer.abort |= dict.fromkeys(((index, 0) for index in DRIVE_WINDOWS), code)
+        connect().close()
+    peer.abort[0x6067, 0] = 0x06090030
+    assert refusal(connect).fields["abort_code"] == 0x06090030

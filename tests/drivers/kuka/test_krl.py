@@ -28,9 +28,8 @@ from drivers.kuka.krl import KrlError
     ],
 )
 def test_values_are_understood(text: str, value: object) -> None:
-    found = krl.parse(text)
-    assert found == value
-    assert type(found) is type(value)
+    parsed = krl.parse(text)
+    assert (parsed, type(parsed)) == (value, type(value))
 
 
 @pytest.mark.parametrize(
@@ -80,8 +79,8 @@ def test_only_finite_targets_are_written(value: float) -> None:
 
 @given(st.dictionaries(st.from_regex(r"\A[A-F][1-6]\Z"), st.floats(-1e6, 1e6), min_size=1))
 def test_a_structure_survives_the_trip(components: dict[str, float]) -> None:
-    found = krl.numbers(krl.structure("E6AXIS", components), tuple(components))
-    assert found == pytest.approx(list(components.values()), abs=5.1e-7)
+    read = krl.numbers(krl.structure("E6AXIS", components), tuple(components))
+    assert read == pytest.approx(list(components.values()), abs=5.1e-7)
 
 
 @given(st.text(max_size=60))

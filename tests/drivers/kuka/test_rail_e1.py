@@ -12,12 +12,10 @@ from drivers.kuka import robot as kuka_robot
 from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips import StripOptions
 from hilcell.ports import DeviceRefused, Stopped, StripLost
-from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, robot_for, time
+from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, robot_for
 from tests.drivers.kuka.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime, refusal
 from tests.drivers.strip_peer import StripPeer
-
-__all__ = ["time"]
 
 
 class Bench:
@@ -111,9 +109,9 @@ def test_an_arm_whose_slide_moves_along_is_not_at_rest(bench: Bench) -> None:
         bench.kuka.slide_mm += 0.05
 
     bench.kuka.moved = creep
-    found = refusal(lambda: bench.robot.move_to(TARGET_RAD, 30.0))
-    assert found.code == "HC-B24"
-    assert "E1 640.150" in found.found
+    error = refusal(lambda: bench.robot.move_to(TARGET_RAD, 30.0))
+    assert error.code == "HC-B24"
+    assert "E1 640.150" in error.found
 
 
 def test_a_slide_that_is_read_twice_at_two_places_moves(bench: Bench) -> None:
@@ -215,9 +213,9 @@ def test_scales_that_differ_are_named_on_the_way(bench: Bench, ratio: float) -> 
         return [reply]
 
     bench.kuka.mangle = mangle
-    found = refusal(lambda: bench.rail.move_to(2900.0))
-    assert found.code == "HC-R47"
-    assert found.fields["ratio"] == pytest.approx(ratio, rel=0.05)
+    error = refusal(lambda: bench.rail.move_to(2900.0))
+    assert error.code == "HC-R47"
+    assert error.fields["ratio"] == pytest.approx(ratio, rel=0.05)
     bench.kuka.stopped.wait()
     assert bench.kuka.slide_mm - began_mm < 250.0
 
@@ -254,8 +252,8 @@ def test_a_stop_ends_the_motion_and_only_a_new_connect_moves_again(
     bench.kuka.stopped.wait()
     bench.kuka.mangle, bench.kuka.frozen = (lambda _name, reply: [reply]), False
     time.stop.clear()
-    found = refusal(lambda: bench.rail.move_to(1100.0))
-    assert found.code in {"HC-B02", "HC-B21"}  # its wire missed an answer, or not
+    error = refusal(lambda: bench.rail.move_to(1100.0))
+    assert error.code in {"HC-B02", "HC-B21"}  # its wire missed an answer, or not
     bench.connect()
     assert not bench.rail.read().powered
     bench.rail.move_to(1100.0)

@@ -9,12 +9,10 @@ from hypothesis import strategies as st
 
 from drivers.kuka.robot import KukaSweep
 from drivers.kuka.robot_c3 import KukaC3Robot
-from hilcell.ports import DeviceError, JointSample, NoReading, Stopped, Sweep, Sweeps
-from tests.drivers.kuka.kuka_bed import peer, robot, robot_for, time
+from hilcell.ports import JointSample, NoReading, Stopped, Sweep, Sweeps
+from tests.drivers.kuka.kuka_bed import Connect
 from tests.drivers.kuka.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime, refusal
-
-__all__ = ["peer", "robot", "time"]
 
 END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 deg/s
 
@@ -37,7 +35,7 @@ def override(peer: KukaPeer) -> tuple[str, str]:
 
 
 def writes(peer: KukaPeer) -> list[str]:
-    """Return what was written; signs of life come by the PC's clock, not by the sweep."""
+    """Return the variables written, but for the signs of life, which come by the PC's clock."""
     names = [name.split()[1] for name in peer.requests if name.startswith("write")]
     return [name for name in names if "TIMER" not in name]
 
@@ -63,13 +61,11 @@ def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: Ku
     assert robot.read().joints_rad[0] == pytest.approx(END_RAD)
 
 
-def test_measured_axes_are_read_where_there_are_any(peer: KukaPeer, time: WireTime) -> None:
+def test_measured_axes_are_read_where_there_are_any(peer: KukaPeer, connect: Connect) -> None:
     peer.measures, peer.slip_deg = True, 0.004
-    robot = robot_for(peer, time)
-    robot.connect()
+    robot = connect()
     _, samples = sweep(robot)
     assert min(float(np.degrees(each.joints_rad[3])) for each in samples) == pytest.approx(0.004)
-    robot.close()
 
 
 def test_a_sweep_that_needs_no_lower_override_leaves_it(peer: KukaPeer, robot: KukaC3Robot) -> None:
@@ -79,15 +75,13 @@ def test_a_sweep_that_needs_no_lower_override_leaves_it(peer: KukaPeer, robot: K
     assert "$OV_PRO" not in writes(peer)
 
 
-def test_the_operators_override_is_never_raised(peer: KukaPeer, time: WireTime) -> None:
+def test_the_operators_override_is_never_raised(peer: KukaPeer, connect: Connect) -> None:
     peer.variables["$OV_PRO"] = "7"
-    robot = robot_for(peer, time)
-    robot.connect()
+    robot = connect()
     with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
         assert np.degrees(flyer.speed_rad_s) == pytest.approx(0.1)  # 2 % of 5 %
         assert override(peer) == ("5", "7")
     assert override(peer) == ("7", "0")
-    robot.close()
 
 
 def test_left_early_the_robot_is_braked_and_works_again(peer: KukaPeer, robot: KukaC3Robot) -> None:
@@ -146,8 +140,8 @@ def test_what_goes_wrong_in_a_sweep_ends_it(
     peer: KukaPeer, robot: KukaC3Robot, name: str, value: str, code: str
 ) -> None:
     peer.frozen = True
-    found = refusal(lambda: sweep(robot, lambda: peer.variables.update({name: value})))
-    assert found.code == code
+    error = refusal(lambda: sweep(robot, lambda: peer.variables.update({name: value})))
+    assert error.code == code
     assert override(peer) == ("60" if name == "$OV_PRO" else "100", "0")
 
 
@@ -199,15 +193,13 @@ def test_the_override_comes_back_only_once_no_axis_moves(
     ],
 )  # fmt: skip
 def test_connect_gives_back_what_a_dead_engine_left_but_for_what_was_changed_since(
-    peer: KukaPeer, time: WireTime, left: dict[str, str], found: tuple[str, str], after: list[str]
+    peer: KukaPeer, connect: Connect, left: dict[str, str], found: tuple[str, str], after: list[str]
 ) -> None:
     peer.variables |= left
-    robot = robot_for(peer, time)
-    robot.connect()
+    connect()
     assert override(peer) == found
     assert peer.variables["HC_STOP"] == "FALSE"
     assert writes(peer) == after
-    robot.close()
 
 
 @pytest.mark.parametrize(
@@ -218,14 +210,13 @@ def test_connect_gives_back_what_a_dead_engine_left_but_for_what_was_changed_sin
 def test_an_impossible_sweep_is_refused(
     robot: KukaC3Robot, axis: int, end_rad: float, speed_deg_s: float
 ) -> None:
-    with pytest.raises(DeviceError):
-        robot.sweep(axis, end_rad, float(np.radians(speed_deg_s)))
+    refusal(lambda: robot.sweep(axis, end_rad, float(np.radians(speed_deg_s))))
 
 
-@given(share=st.floats(1e-4, 1.0), found=st.integers(1, 100))
-def test_the_speed_is_the_next_from_below(share: float, found: int) -> None:
-    velocity, lowered = KukaSweep.split_speed(share, found)
+@given(share=st.floats(1e-4, 1.0), override=st.integers(1, 100))
+def test_the_speed_is_the_next_from_below(share: float, override: int) -> None:
+    velocity, lowered = KukaSweep.split_speed(share, override)
     assert 1 <= velocity <= 100
-    assert 1 <= lowered <= found
-    possible = (v * o for v in range(1, 101) for o in range(1, found + 1))
+    assert 1 <= lowered <= override
+    possible = (v * o for v in range(1, 101) for o in range(1, override + 1))
     assert velocity * lowered == max(p for p in possible if p <= share * 1e4 * (1 + 1e-9))

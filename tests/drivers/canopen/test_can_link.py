@@ -1,4 +1,4 @@
-"""The heartbeat of a busy PC, and of one whose worker hangs; measured on the wire."""
+"""The time of a CAN link on a late PC, and the heartbeat of a busy or a hanging one."""
 
 from __future__ import annotations
 
@@ -14,15 +14,88 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.canopen import can_link
-from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
+from drivers.canopen.can_link import PAUSE_S, CanLink, LinkTime, heartbeat_period_s, open_bus
 from drivers.canopen.nodes import PC_HEARTBEAT_LIMIT_MS
+from drivers.canopen.process_image import STALE_S
+from drivers.canopen.rail import CanopenRail
 from hilcell.run.engine import SWITCH_S
 from tests.clocks import DrivenClock
 from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.canopen.rail_bed import RailTime, connected, peer, rail_for, time
+from tests.drivers.canopen.rail_bed import Connect, RailTime, rail_for
 from tests.drivers.peers import figure, in_thread, refusal, soon, wall_clock
 
-__all__ = ["peer", "time"]
+
+def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
+    of_link = LinkTime(DrivenClock())
+    start_s = of_link.counted_s
+    of_link.emptied(start_s + 0.02, 1.0)
+    assert of_link.listened_s == pytest.approx(0.02)
+    of_link.emptied(start_s + 100.0, 2.0)
+    assert of_link.listened_s == pytest.approx(0.02 + PAUSE_S)
+    assert of_link.emptied_s == 2.0
+
+
+def test_a_bus_that_is_never_empty_does_not_stop_the_time() -> None:
+    of_link = LinkTime(DrivenClock(pc_at_s=1.0))
+    start_s = of_link.counted_s
+    for frame in range(3000):
+        of_link.behind(start_s + frame / 1000)
+    assert of_link.listened_s == pytest.approx(2 * PAUSE_S)
+    assert of_link.emptied_s == 1.0, "what comes now may have waited since then"
+
+
+def pausing(monkeypatch: pytest.MonkeyPatch, pause: Callable[[], None]) -> threading.Event:
+    """Return what, once it is set, makes the receiving thread pause before it looks next."""
+    pauses, original = threading.Event(), CanLink._next
+
+    def late(link: CanLink) -> object:
+        if pauses.is_set():
+            pauses.clear()
+            pause()
+        return original(link)
+
+    monkeypatch.setattr(CanLink, "_next", late)
+    return pauses
+
+
+@pytest.mark.parametrize(
+    ("ask", "question"),
+    [
+        (lambda rail: rail._image.refresh(lambda: None), 0x080),
+        (lambda rail: rail._drive._sdo.read(0x6081), 0x605),
+    ],
+)
+def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
+    peer: CanPeer,
+    connect: Connect,
+    time: RailTime,
+    monkeypatch: pytest.MonkeyPatch,
+    ask: Callable[[CanopenRail], object],
+    question: int,
+) -> None:
+    now = DrivenClock()
+    monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
+    monkeypatch.setattr(can_link, "PAUSE_S", PAUSE_S)
+    pauses = pausing(monkeypatch, lambda: now.wait(3600.0))
+    rail = connect()
+    asked = len(peer.frames(question))
+    pauses.set()
+    ask(rail)
+    assert len(peer.frames(question)) == asked + 1
+
+
+def test_a_reading_that_has_waited_in_a_late_pc_is_asked_for_again(
+    peer: CanPeer, connect: Connect, time: RailTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses = pausing(monkeypatch, lambda: time.wait(0.4))
+    rail = connect()
+    began = len(peer.frames(0x080))
+    peer.on_sync = lambda: pauses.set() if len(peer.frames(0x080)) == began + 1 else None
+    assert rail._image is not None
+    reading = rail._image.refresh(lambda: None)
+    assert time.pc_s() - reading.taken_s <= STALE_S
+    assert len(peer.frames(0x080)) == began + 2
+
 
 BUSY_S = 0.6
 BEAT = 0x77F
@@ -52,7 +125,7 @@ def switching() -> Iterator[None]:
 @pytest.mark.usefixtures("switching")
 @pytest.mark.parametrize("load", [[hold_the_interpreter], [spin] * 4])
 def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
-    peer: CanPeer, load: list[Callable[[], None]], monkeypatch: pytest.MonkeyPatch
+    peer: CanPeer, connect: Connect, load: list[Callable[[], None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     moves, let_go, original = threading.Event(), threading.Event(), peer._frame
     beats_s: list[float] = []
@@ -91,7 +164,7 @@ def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
 
 
 def test_a_worker_that_hangs_in_motion_is_named_and_the_slide_stopped(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+    peer: CanPeer, connect: Connect, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wait = time.wait
 
@@ -101,11 +174,11 @@ def test_a_worker_that_hangs_in_motion_is_named_and_the_slide_stopped(
             time.pc_at_s += 0.9
 
     monkeypatch.setattr(time, "wait", hang)
-    with connected(peer, time) as rail:
-        found = refusal(lambda: rail.move_to(1100.0))
-        assert (found.code, found.fields["limit_s"]) == ("HC-R39", 0.8)
-        assert 0.9 <= figure(found, "gap_s") < 1.0
-        peer.quick_stopped.wait()
+    rail = connect()
+    error = refusal(lambda: rail.move_to(1100.0))
+    assert (error.code, error.fields["limit_s"]) == ("HC-R39", 0.8)
+    assert 0.9 <= figure(error, "gap_s") < 1.0
+    peer.quick_stopped.wait()
 
 
 def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) -> None:
@@ -124,18 +197,19 @@ def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) ->
     link.close()
 
 
-def test_nothing_is_started_by_a_reading_that_is_old(peer: CanPeer, time: RailTime) -> None:
-    with connected(peer, time) as rail:
-        image = rail._image
-        assert image is not None
-        image.refresh(lambda: None)
-        time.pc_at_s += 0.6
-        sent = len(peer.frames(0x205))
-        found = refusal(lambda: image.control(0x000F))
-        assert (found.code, found.fields["limit_s"]) == ("HC-R39", 0.5)
-        assert found.fields["age_s"] == pytest.approx(0.6)
-        assert len(peer.frames(0x205)) == sent
-        image.control(0x0000)  # a word that takes the power away always goes out
+def test_nothing_is_started_by_a_reading_that_is_old(
+    peer: CanPeer, rail: CanopenRail, time: RailTime
+) -> None:
+    image = rail._image
+    assert image is not None
+    image.refresh(lambda: None)
+    time.pc_at_s += 0.6
+    sent = len(peer.frames(0x205))
+    error = refusal(lambda: image.control(0x000F))
+    assert (error.code, error.fields["limit_s"]) == ("HC-R39", 0.5)
+    assert error.fields["age_s"] == pytest.approx(0.6)
+    assert len(peer.frames(0x205)) == sent
+    image.control(0x0000)  # a word that takes the power away always goes out
 
 
 @pytest.mark.parametrize(
@@ -148,13 +222,13 @@ def test_heartbeats_leave_a_slow_bus_its_time(bitrate: int, period_s: float) -> 
 
 @pytest.mark.parametrize(("pause_s", "code"), [(2.0, "HC-R44"), (0.0, "HC-R25")])
 def test_a_pause_of_the_pc_is_named_before_what_the_drive_reports_of_it(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, pause_s: float, code: str
+    peer: CanPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch, pause_s: float, code: str
 ) -> None:
     """A heartbeat that was lost on the wire is the drive's word."""
     monkeypatch.setattr(CanLink, "pause_s", pause_s)
-    with connected(peer, time) as rail:
-        peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
-        assert refusal(lambda: soon(lambda: not rail.read().still)).code == code
+    rail = connect()
+    peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
+    assert refusal(lambda: soon(lambda: not rail.read().still)).code == code
 
 
 def test_a_pause_is_remembered_for_a_while_only(

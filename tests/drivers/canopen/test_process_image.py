@@ -1,4 +1,4 @@
-"""Answers to SYNCs through a gateway that is slow, or that loses frames."""
+"""Answers to SYNCs through a gateway that is slow or loses frames."""
 
 from __future__ import annotations
 

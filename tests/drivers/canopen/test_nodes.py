@@ -1,11 +1,15 @@
-"""Identities of devices, and whether they report that they are simulated."""
+"""Nodes: who they are, and when they count as started."""
 
-from typing import cast
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen.nodes import Expected, identify
+from drivers.canopen.cia import NodeCommand, NodeState
+from drivers.canopen.nodes import Expected, identify, start_nodes
 from drivers.canopen.sdo import Aborted, SdoChannel
 from hilcell.ports import says_simulated
 
@@ -60,3 +64,17 @@ def test_a_node_is_an_asset(revision: int | None, firmware: str) -> None:
     identity = identify(cast("SdoChannel", Node(None, revision)), expected, 0x196, "can0")
     assert (identity.device, identity.kind, identity.maker) == ("Rail", "strip", "vendor 0x484")
     assert identity.firmware == firmware
+
+
+def test_a_state_of_before_is_no_answer_to_a_start() -> None:
+    sent = list[NodeCommand]()
+    node: Any = SimpleNamespace(number=5, state=NodeState.OPERATIONAL)
+
+    def command(order: NodeCommand) -> None:
+        sent.append(order)
+        node.state = NodeState.OPERATIONAL
+
+    node.command = command
+    link: Any = SimpleNamespace(time=SimpleNamespace(listened_s=0.0), check=lambda: None)
+    start_nodes(link, [node], lambda: None)
+    assert sent == [NodeCommand.START]

@@ -1,3 +1,5 @@
+"""A KUKA robot's motions, readings and stops, over the C3 protocol."""
+
 from __future__ import annotations
 
 import threading
@@ -9,16 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from drivers.kuka import controller, robot_c3
 from drivers.kuka import robot as kuka_robot
-from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.kuka.robot_c3 import C3Controller, KukaC3Robot
+from drivers.supervision import LATE_S, LIFE_S
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
-from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, peer, robot, robot_for, time
+from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, Connect, robot_for
 from tests.drivers.kuka.kuka_peer import VARIABLES, KukaPeer
 from tests.drivers.peers import WireTime, figure, in_thread, refusal, soon
 
 pytestmark = pytest.mark.waits
-
-__all__ = ["peer", "robot", "time"]
 
 
 def test_identity(peer: KukaPeer, robot: KukaC3Robot) -> None:
@@ -49,11 +50,12 @@ def exchanges(peer: KukaPeer) -> int:
 def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -> None:
     before = exchanges(peer)
     reading = robot.move_to(TARGET_RAD, 30.0)
+    assert exchanges(peer) - before <= 20
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
+    np.testing.assert_allclose(robot.read().joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
     assert [peer.variables[f"HC_{name}"] for name in ("VEL", "CMD", "SEQ")] == ["30", "1", "8"]
     assert "A3 95.500000," in peer.variables["HC_TGT"]
-    assert exchanges(peer) - before <= 20
 
 
 def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: KukaPeer) -> None:
@@ -68,7 +70,7 @@ def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: Kuka
     assert exchanges(peer) - began <= 34
 
 
-def test_all_that_is_watched_is_seen_within_eight_polls(
+def test_each_state_is_read_within_eight_polls(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kuka_robot, "STALL_S", 1.0)
@@ -108,24 +110,24 @@ def test_an_arm_that_creeps_for_ever_is_stopped_and_a_low_override_given_its_tim
     monkeypatch.setattr(kuka_robot, "STALL_S", 0.0)
     monkeypatch.setattr(kuka_robot, "POLL_S", 0.9)
     began_s = time.now_s()
-    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
-    assert found.code == "HC-B29"
-    assert 26.0 < figure(found, "spent_s") < 30.0
+    error = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert error.code == "HC-B29"
+    assert 26.0 < figure(error, "spent_s") < 30.0
     assert time.now_s() - began_s > 26.0 * 100 / int(override)
     robot.close()
     peer.stopped.wait()
 
 
-def test_a_pc_that_does_not_look_while_it_moves_stops(
+def test_a_pc_that_does_not_poll_in_motion_stops(
     robot: KukaC3Robot, peer: KukaPeer, time: WireTime
 ) -> None:
     def late() -> None:
         time.pc_at_s += 2.0
 
     peer.moved = late
-    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
-    assert found.code == "HC-B27"
-    assert found.fields["gap_s"] == pytest.approx(2.0, abs=0.1)
+    error = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert error.code == "HC-B27"
+    assert error.fields["gap_s"] == pytest.approx(2.0, abs=0.1)
     robot.close()
     peer.stopped.wait()
 
@@ -138,7 +140,7 @@ def test_a_pc_that_was_late_at_rest_goes_on(
     assert robot.read().still
 
 
-def test_a_robot_that_flickers_while_it_holds_stands(
+def test_a_robot_that_flickers_is_at_rest(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original, sign = peer._read, cycle((1e-4, -1e-4, 0.0))
@@ -155,11 +157,6 @@ def test_a_robot_that_flickers_while_it_holds_stands(
     monkeypatch.setattr(peer, "_read", read)
     assert robot.move_to(TARGET_RAD, 30.0).still
     assert robot.read().still
-
-
-def test_a_reading_has_the_joints_where_they_were_sent(robot: KukaC3Robot) -> None:
-    robot.move_to(TARGET_RAD, 30.0)
-    np.testing.assert_allclose(robot.read().joints_rad, TARGET_RAD, atol=1e-9)
 
 
 def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
@@ -203,8 +200,7 @@ def test_a_wrong_robot_is_refused(
     refused = refusal(robot.connect)
     assert (type(refused), refused.code) == (DeviceRefused, ALARMS[name])
     assert found in refused.found
-    with pytest.raises(DeviceError):
-        robot.read()
+    refusal(robot.read)
 
 
 @pytest.mark.parametrize("value", ["1,234", "NaN", "{X 1.0}", "100.5", ""])
@@ -236,7 +232,7 @@ def test_a_fault_in_motion_is_named(
 
 
 @pytest.mark.parametrize(("name", "value"), [("$MODE_OP", "#T1"), ("$USER_SAF", "FALSE")])
-def test_no_motion_is_ordered_where_somebody_may_be_near(
+def test_no_motion_is_ordered_where_an_operator_may_be_near(
     robot: KukaC3Robot, peer: KukaPeer, name: str, value: str
 ) -> None:
     peer.variables[name] = value
@@ -246,7 +242,7 @@ def test_no_motion_is_ordered_where_somebody_may_be_near(
     assert not peer.stopped.is_set()
 
 
-def test_a_speed_that_somebody_has_changed_is_written_again(
+def test_a_speed_that_was_changed_at_the_panel_is_written_again(
     robot: KukaC3Robot, peer: KukaPeer
 ) -> None:
     robot.move_to(TARGET_RAD - 0.01, 30.0)
@@ -257,7 +253,7 @@ def test_a_speed_that_somebody_has_changed_is_written_again(
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
 @pytest.mark.parametrize("stopped", [False, True])
-def test_close_sees_the_arm_stand_and_repeats_a_stop_that_was_lost(
+def test_close_waits_for_rest_and_repeats_a_stop_that_was_lost(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch, lost: int, stopped: bool
 ) -> None:
     in_motion(robot, peer, monkeypatch)
@@ -281,8 +277,8 @@ def test_an_arm_that_does_not_come_to_rest_is_named(
 
     monkeypatch.setattr(peer, "_read", sinks)
     time.silence(0.5)
-    found = refusal(robot.close)
-    assert (found.code, found.operation) == ("HC-B41", "close")
+    error = refusal(robot.close)
+    assert (error.code, error.operation) == ("HC-B41", "close")
 
 
 def in_motion(robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,14 +288,12 @@ def in_motion(robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatc
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B23"
 
 
-def test_joints_are_the_measured_ones(peer: KukaPeer, time: WireTime) -> None:
+def test_joints_are_the_measured_ones(peer: KukaPeer, connect: Connect) -> None:
     """The ordered ones stand while a brake slips."""
     peer.measures, peer.slip_deg = True, 0.3
-    robot = robot_for(peer, time)
-    robot.connect()
+    robot = connect()
     assert np.degrees(robot.read().joints_rad[0]) == pytest.approx(0.3)
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B24"
-    robot.close()
 
 
 @pytest.mark.parametrize("name", ["$ACT_TOOL", "$ACT_BASE"])
@@ -317,11 +311,11 @@ def test_the_cause_is_reported_before_its_consequence(robot: KukaC3Robot, peer: 
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS["$ALARM_STOP"]
 
 
-@pytest.mark.parametrize("error", [1, 2])
-def test_the_programs_errors_are_reported(robot: KukaC3Robot, peer: KukaPeer, error: int) -> None:
-    peer.error = str(error)
-    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
-    assert (found.code, found.fields) == ("HC-B20", {"error": error})
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_programs_errors_are_reported(robot: KukaC3Robot, peer: KukaPeer, number: int) -> None:
+    peer.error = str(number)
+    error = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert (error.code, error.fields) == ("HC-B20", {"error": number})
 
 
 @pytest.mark.parametrize("short_deg", [-0.006, 0.006])
@@ -329,9 +323,9 @@ def test_stopping_beside_the_target_is_noticed(
     robot: KukaC3Robot, peer: KukaPeer, short_deg: float
 ) -> None:
     peer.short_deg = short_deg
-    found = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
-    assert found.code == "HC-B24"
-    assert f"A1 {10.0 + short_deg:.3f}" in found.found
+    error = refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
+    assert error.code == "HC-B24"
+    assert f"A1 {10.0 + short_deg:.3f}" in error.found
 
 
 @pytest.mark.parametrize("steps", [range(1000), range(999, -1, -1)], ids=["up", "down"])
@@ -355,11 +349,10 @@ def test_a_moving_pose_is_not_rest(
     [(TARGET_RAD[:5], 30.0), (TARGET_RAD * np.nan, 30.0), (TARGET_RAD, 0.0), (TARGET_RAD, 101.0),
      (TARGET_RAD, np.nan)],
 )  # fmt: skip
-def test_bad_targets_and_speeds_never_leave(
+def test_bad_targets_and_speeds_are_never_sent(
     robot: KukaC3Robot, peer: KukaPeer, joints: Array, speed: float
 ) -> None:
-    with pytest.raises(DeviceError):
-        robot.move_to(joints, speed)
+    refusal(lambda: robot.move_to(joints, speed))
     assert "write HC_TGT" not in peer.requests
 
 
@@ -380,8 +373,7 @@ def test_a_stop_gets_through_while_a_call_hangs(
         peer.stopped.wait()
         time.silence(0.1)
     assert [getattr(each, "code", "") for each in failures] == ["HC-B02"]
-    with pytest.raises(DeviceError):
-        robot.move_to(TARGET_RAD, 30.0)
+    refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
 
 
 def test_the_runs_stop_ends_a_motion(robot: KukaC3Robot, peer: KukaPeer, time: WireTime) -> None:
@@ -394,8 +386,7 @@ def test_the_runs_stop_ends_a_motion(robot: KukaC3Robot, peer: KukaPeer, time: W
 
 def test_only_a_new_connect_takes_a_stop_back(robot: KukaC3Robot, peer: KukaPeer) -> None:
     peer.moved = robot.stop
-    with pytest.raises(DeviceError):
-        robot.move_to(TARGET_RAD, 30.0)
+    refusal(lambda: robot.move_to(TARGET_RAD, 30.0))
     peer.stopped.wait()
     peer.moved = lambda: None
     assert peer.variables["HC_STOP"] == "TRUE"
@@ -405,29 +396,25 @@ def test_only_a_new_connect_takes_a_stop_back(robot: KukaC3Robot, peer: KukaPeer
     assert robot.move_to(TARGET_RAD, 30.0).still
 
 
-def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, time: WireTime) -> None:
+def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, connect: Connect) -> None:
     peer.variables["HC_SEQ"] = "8"
     peer._steps = 3
-    robot = robot_for(peer, time)
-    robot.connect()
+    connect()
     assert peer.variables["HC_ACK"] == "8"
-    robot.close()
 
 
 def test_idle_connections_are_kept_and_a_loss_is_reported(
-    peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+    peer: KukaPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
     monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
-    robot = robot_for(peer, time)
-    robot.connect()
+    robot = connect()
     soon(lambda: peer.requests.count("read $MODE_OP") >= 5)
     assert peer.connections == 2  # only now: a connection is made before it is accepted
     peer.server.drop()
     keeper = robot.wire()._keeper
     keeper._thread.join()
     assert refusal(robot.read).code == "HC-B02"
-    robot.close()
 
 
 def test_options_are_strict() -> None:
@@ -435,3 +422,70 @@ def test_options_are_strict() -> None:
     with pytest.raises(SettingsError) as caught:
         convert(options, KukaC3Robot.Options, "")
     assert len(caught.value.problems) == 2
+
+
+SIGN = "write $TIMER[10]"
+
+
+def test_each_motion_gets_signs_and_a_standing_robot_none(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(C3Controller, "SIGN_S", 0.0)
+    robot.move_to(TARGET_RAD, 30.0)
+    assert peer.requests.count(SIGN) == 3  # one a look
+    assert peer.variables["$TIMER[10]"] == "-1500"
+    assert peer.variables["HC_LIFE"] == "1500"
+    assert peer.requests.index("write HC_LIFE") < peer.requests.index("write HC_SEQ")
+    robot.read()
+    assert peer.requests.count(SIGN) == 3
+    with robot.sweep(0, float(TARGET_RAD[0]) + 0.1, 0.01) as sweep:
+        sweep.kickoff()
+        sweep.collect()
+        sweep.complete()
+    assert peer.requests.count(SIGN) == 6
+
+
+def test_a_late_pc_reports_that_before_the_robot_brakes() -> None:
+    assert LIFE_S > LATE_S + C3Controller.SIGN_S
+
+
+def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:
+    peer.frozen = True
+    peer.variables["HC_ERR"] = "8"
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B43"
+
+
+def test_a_motion_that_a_dead_engine_left_brakes_and_is_taken_back(
+    peer: KukaPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its timer runs out while the next connect waits for its end."""
+    peer.variables["HC_SEQ"] = "8"
+    looks, original = iter(["FALSE", "FALSE", "TRUE"]), peer._read
+
+    def read(name: str) -> str | None:
+        return next(looks, "TRUE") if name == "HC_STOP" else original(name)
+
+    monkeypatch.setattr(peer, "_read", read)  # a stop that comes by itself
+    connect()
+    assert peer.variables["HC_ACK"] == "8"
+    assert peer.requests.count("write HC_STOP") == 1
+
+
+def test_a_stop_from_another_thread_ends_the_motion_as_such(
+    robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kuka_robot, "STALL_S", 1e6)
+    peer.frozen = True
+    original, stops = peer._read, list[threading.Thread]()
+
+    def read(name: str) -> str | None:
+        if name == "$AXIS_ACT":
+            stops.append(threading.Thread(target=robot.stop))
+            stops[-1].start()
+        return original(name)
+
+    monkeypatch.setattr(peer, "_read", read)
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B21"
+    peer.stopped.wait()
+    for each in stops:  # before the robot is closed under them
+        each.join()

@@ -1,10 +1,15 @@
-"""The end of a session with a drive that sends and obeys no PDO."""
+"""The end of a session: a slide at rest without power, also of a drive that obeys no PDO."""
 
 from __future__ import annotations
+
+import threading
+from collections.abc import Callable
 
 import pytest
 
 from drivers.canopen import rail as canopen_rail
+from drivers.canopen.process_image import SYNCS
+from drivers.canopen.rail import CanopenRail
 from tests.drivers.canopen.can_peer import (
     DISABLED,
     DRIVE,
@@ -16,28 +21,88 @@ from tests.drivers.canopen.can_peer import (
     u16,
     u32,
 )
-from tests.drivers.canopen.rail_bed import RailTime, holding, peer, time
+from tests.drivers.canopen.rail_bed import Connect, RailTime, rail_for
 from tests.drivers.peers import refusal, soon
 
 pytestmark = pytest.mark.waits
+Power = Callable[..., CanopenRail]
 
-__all__ = ["peer", "time"]
+
+@pytest.fixture
+def power(connect: Connect) -> Power:
+    """Return a rail that was moved: its drive has power."""
+
+    def powered(**options: float) -> CanopenRail:
+        rail = connect(**options)
+        rail.move_to(600.0)
+        return rail
+
+    return powered
 
 
 def falls_out(peer: CanPeer, time: RailTime, state: int) -> None:
     """Let the drive miss the PC's heartbeat: it leaves OPERATIONAL, and neither sends nor obeys
-    PDOs; ``state`` is where its own reaction has brought it.
+    PDOs; ``state`` is the one that its own reaction has led to.
     """
     peer.nmt[DRIVE] = PRE_OPERATIONAL
     peer.axis.state = state
     time.silence()
 
 
+def runs(peer: CanPeer, to_counts: int = 1_100_000, steps: int = 1000) -> None:
+    """Let the slide move; by default it does not arrive within the test."""
+    peer.axis.target, peer.axis.steps, peer.axis.bits = to_counts, steps, 0
+
+
+def test_close_takes_the_power_away_and_ends_the_supervision(peer: CanPeer, power: Power) -> None:
+    rail = power()
+    rail.close()
+    assert peer.axis.state == DISABLED
+    assert peer.objects[DRIVE][0x1016, 1] == u32(0)
+    assert refusal(rail.read).code == "HC-R38"
+
+
+def test_close_says_when_the_power_stays(peer: CanPeer, power: Power) -> None:
+    rail = power()
+    peer.axis.deaf = True
+    assert refusal(rail.close).code == "HC-R37"
+    assert refusal(rail.read).code == "HC-R38"
+
+
+def test_close_waits_for_a_drive_that_is_silent_for_a_while(
+    peer: CanPeer, time: RailTime, power: Power, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 60.0)
+    rail = power()
+    peer.ignore.add((0x6041, 0))
+    silent = iter(range(2 * SYNCS))  # two polls without an answer, by SDO neither
+    peer.tamper = lambda line: (
+        [] if line.startswith(b"t185") and next(silent, None) is not None else [line]
+    )
+    time.silence(0.1)
+    rail.close()
+    assert next(silent, None) is None
+    assert peer.axis.state == DISABLED
+
+
+def test_close_names_a_drive_that_stays_silent(
+    rail: CanopenRail, peer: CanPeer, time: RailTime
+) -> None:
+    peer.ignore.add((0x6041, 0))
+    peer.tamper = lambda line: [] if line.startswith(b"t185") else [line]
+    time.silence(0.5)
+    error = refusal(rail.close)
+    assert error.code == "HC-R07"
+    assert "0x185" in str(error.fields["cob_ids"])
+    assert "it may move" in str(error)
+    assert refusal(rail.read).code == "HC-R38"
+
+
 @pytest.mark.parametrize("state", [DISABLED, FAULT])
 def test_close_confirms_by_sdo_that_a_drive_without_pdos_has_braked_by_itself(
-    peer: CanPeer, time: RailTime, state: int
+    peer: CanPeer, time: RailTime, power: Power, state: int
 ) -> None:
-    rail = holding(peer, time)
+    rail = power()
     falls_out(peer, time, state)
     rail.close()
     assert peer.written(0x6040) == []
@@ -46,10 +111,10 @@ def test_close_confirms_by_sdo_that_a_drive_without_pdos_has_braked_by_itself(
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_close_disables_a_drive_by_sdo_that_obeys_no_pdo_and_keeps_its_power(
-    peer: CanPeer, time: RailTime, stopped: bool
+def test_close_disables_a_drive_by_sdo_that_obeys_no_pdo(
+    peer: CanPeer, time: RailTime, power: Power, stopped: bool
 ) -> None:
-    rail = holding(peer, time, standstill_dwell_s=0.2)
+    rail = power(standstill_dwell_s=0.2)
     falls_out(peer, time, ENABLED)
     if stopped:
         rail.stop()
@@ -59,11 +124,11 @@ def test_close_disables_a_drive_by_sdo_that_obeys_no_pdo_and_keeps_its_power(
     assert rail.statistics().held_by_sdo
 
 
-def test_close_brakes_a_slide_by_sdo_that_moves_with_power_and_obeys_no_pdo(
-    peer: CanPeer, time: RailTime
+def test_close_brakes_a_moving_slide_by_sdo_whose_drive_obeys_no_pdo(
+    peer: CanPeer, time: RailTime, power: Power
 ) -> None:
-    rail = holding(peer, time)
-    peer.axis.target, peer.axis.steps, peer.axis.bits = 1_100_000, 1000, 0
+    rail = power()
+    runs(peer)
     falls_out(peer, time, ENABLED)
     rail.close()
     assert peer.axis.state == DISABLED
@@ -72,10 +137,10 @@ def test_close_brakes_a_slide_by_sdo_that_moves_with_power_and_obeys_no_pdo(
 
 @pytest.mark.parametrize("state", [ENABLED, DISABLED])
 def test_close_raises_the_alarm_where_sdo_confirms_nothing(
-    peer: CanPeer, time: RailTime, state: int
+    peer: CanPeer, time: RailTime, power: Power, state: int
 ) -> None:
     """With its power, or while it moves."""
-    rail = holding(peer, time)
+    rail = power()
     falls_out(peer, time, state)
     peer.axis.deaf, peer.axis.steps = True, 1000
     assert refusal(rail.close).code == "HC-R37"
@@ -83,11 +148,11 @@ def test_close_raises_the_alarm_where_sdo_confirms_nothing(
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 3.0])
-def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, pause_s: float
+def test_close_stops_no_slide_at_rest_because_the_pc_polls_seldom(
+    peer: CanPeer, time: RailTime, power: Power, monkeypatch: pytest.MonkeyPatch, pause_s: float
 ) -> None:
     monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 60.0)
-    rail = holding(peer, time, standstill_dwell_s=0.2)
+    rail = power(standstill_dwell_s=0.2)
     peer.axis.hunts = True
     sleep = time.sleep
     monkeypatch.setattr(time, "sleep", lambda s: sleep(s + pause_s))
@@ -97,11 +162,11 @@ def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
     assert not rail.statistics().held_by_sdo
 
 
-def test_close_brakes_a_slide_that_creeps_also_where_the_pc_looks_seldom(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+def test_close_brakes_a_slide_that_creeps_also_where_the_pc_polls_seldom(
+    peer: CanPeer, time: RailTime, power: Power, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 5.0)  # the product's own
-    rail = holding(peer, time, standstill_dwell_s=0.2)
+    rail = power(standstill_dwell_s=0.2)
     axis = peer.axis
     peer.on_sync = lambda: setattr(axis, "position", axis.position + 1000 * (axis.state == ENABLED))
     sleep = time.sleep
@@ -110,17 +175,12 @@ def test_close_brakes_a_slide_that_creeps_also_where_the_pc_looks_seldom(
     assert peer.quick_stopped.is_set()
 
 
-def runs(peer: CanPeer) -> None:
-    """Let the slide be on its way to a place that it does not reach in the test."""
-    peer.axis.target, peer.axis.steps, peer.axis.bits = 1_100_000, 1000, 0
-
-
 @pytest.mark.parametrize("stopped", [False, True])
 @pytest.mark.parametrize("lost", [1, 3])
 def test_a_quick_stop_that_is_lost_on_the_wire_is_sent_again(
-    peer: CanPeer, time: RailTime, stopped: bool, lost: int
+    peer: CanPeer, power: Power, stopped: bool, lost: int
 ) -> None:
-    rail = holding(peer, time)
+    rail = power()
     runs(peer)
     peer.lost_stops = lost
     if stopped:
@@ -130,10 +190,10 @@ def test_a_quick_stop_that_is_lost_on_the_wire_is_sent_again(
     assert peer.written(0x6040) == []
 
 
-def test_a_drive_that_does_not_obey_quick_stops_is_asked_by_sdo_and_loses_its_power(
-    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+def test_a_drive_that_obeys_no_quick_stop_is_asked_by_sdo_and_loses_its_power(
+    peer: CanPeer, power: Power, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rail = holding(peer, time)
+    rail = power()
     runs(peer)
     peer.axis.masked = {0x0002}
     began, link = len(peer.heard), rail._link
@@ -148,7 +208,7 @@ def test_a_drive_that_does_not_obey_quick_stops_is_asked_by_sdo_and_loses_its_po
     monkeypatch.setattr(link, "end_heartbeat", end)
     rail.close()
     assert beats
-    assert len(peer.frames(0x77F)) <= beats[0] + 1  # one may have been on its way
+    assert len(peer.frames(0x77F)) <= beats[0] + 1  # one may have been in transit
     words = [data[0] for cob_id, data in peer.heard[began:] if cob_id == 0x205]
     assert (words[0], words[-1]) == (0x02, 0x00)
     assert set(peer.written(0x6040)) == {u16(2)}
@@ -157,10 +217,10 @@ def test_a_drive_that_does_not_obey_quick_stops_is_asked_by_sdo_and_loses_its_po
 
 @pytest.mark.parametrize("nmt", [PRE_OPERATIONAL, STOPPED])
 def test_a_drive_whose_answers_are_late_is_stopped_before_they_come(
-    peer: CanPeer, time: RailTime, nmt: int
+    peer: CanPeer, time: RailTime, power: Power, nmt: int
 ) -> None:
     """One in STOPPED answers nothing, and is taken to PRE-OPERATIONAL first."""
-    rail = holding(peer, time)
+    rail = power()
     runs(peer)
     falls_out(peer, time, ENABLED)
     peer.nmt[DRIVE] = nmt
@@ -174,27 +234,36 @@ def test_a_drive_whose_answers_are_late_is_stopped_before_they_come(
 
 @pytest.mark.parametrize("state", [DISABLED, FAULT])
 def test_a_slide_that_rolls_on_without_power_is_not_held(
-    peer: CanPeer, time: RailTime, state: int
+    peer: CanPeer, time: RailTime, power: Power, state: int
 ) -> None:
-    rail = holding(peer, time)
+    rail = power()
     runs(peer)
     peer.axis.state = state
     time.silence(0.1)
     assert refusal(rail.close).code == "HC-R37"
 
 
-def test_close_waits_for_a_slide_that_rolls_out(peer: CanPeer, time: RailTime) -> None:
-    rail = holding(peer, time)
-    peer.axis.target, peer.axis.steps, peer.axis.bits = 620_000, 20, 0
+def test_close_waits_for_a_slide_that_rolls_out(peer: CanPeer, power: Power) -> None:
+    rail = power()
+    runs(peer, 620_000, steps=20)
     peer.axis.state = DISABLED
     rail.close()
     assert peer.axis.position == 620_000
 
 
-def test_a_slide_that_has_stood_is_held_at_the_first_look(peer: CanPeer, time: RailTime) -> None:
-    rail = holding(peer, time)
+def test_a_slide_at_rest_is_held_after_one_poll(peer: CanPeer, power: Power) -> None:
+    rail = power()
     rail.hold()
     rail.settle()
     syncs = len(peer.frames(0x080))
     rail.close()
     assert len(peer.frames(0x080)) == syncs + 1
+
+
+def test_a_connect_that_fails_leaves_no_threads(peer: CanPeer, time: RailTime) -> None:
+    before = threading.active_count()
+    peer.objects[DRIVE][0x1018, 1] = u32(1)
+    for _ in range(2):
+        refusal(rail_for(peer, time).connect)
+    peer.server.drop()
+    assert soon(lambda: threading.active_count() <= before + 2)
