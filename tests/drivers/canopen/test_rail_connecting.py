@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import socket
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -58,7 +59,7 @@ def works(rail: CanopenRail) -> None:
     rail.hold()
 
 
-def unsupported(connect: Connect) -> str:
+def unsupported(connect: Callable[[], CanopenRail | None]) -> str:
     """Return the object, value and purpose that a refusal to connect names."""
     error = refusal(connect)
     assert (type(error), error.code) == (Unsupported, "HC-R09")
