@@ -43,7 +43,7 @@ class StandIn:
     def post(self, command: str) -> None:
         pass
 
-    def gone_on(self, since: int) -> str:
+    def proceed_refusal(self, since: int) -> str:
         return ""
 
     def answer(self) -> str:

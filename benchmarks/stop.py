@@ -91,11 +91,11 @@ class Phase:
         bench.robot_to(joints, "away")
 
     def tracker(self, bench: CellSession, number: int) -> None:
-        bench.floor_point(PointId("p", number=number), bench.cell.layout.floor[0])
+        bench.floor_nest_point(PointId("p", number=number), bench.cell.layout.floor[0])
 
     def prompt(self, bench: CellSession, number: int) -> None:
         nowhere = Nest(name="nowhere", x_mm=700.0, y_mm=700.0, z_mm=700.0)
-        bench.floor_point(PointId("q", number=number), nowhere)
+        bench.floor_nest_point(PointId("q", number=number), nowhere)
 
 
 class Place(msgspec.Struct):

@@ -25,7 +25,7 @@ from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import below, check_sweep
-from hilcell.run.mover import SweepOrder
+from hilcell.run.mover import SweepCommand
 from hilcell.run.procedure import Result
 from procedures import plan
 
@@ -140,7 +140,7 @@ class AxisSweeps:
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
             at_mm = session.frames.tracker_from_world(start_mm)[0]
             speed_rad_s, end = float(np.radians(cell.sweeps.speed_deg_s)), float(end_rad[axis - 1])
-            self._record(session, SweepOrder(
+            self._record(session, SweepCommand(
                 key, start_rad, axis - 1, end, speed_rad_s, at_mm, cell.sweeps.rate_hz,
             ))  # fmt: skip
         record = session.log.streams[key]
@@ -148,7 +148,7 @@ class AxisSweeps:
         T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world(record.set_up)
         return replace(data, xyz_mm=apply(T_B_L, data.xyz_mm))
 
-    def _record(self, session: CellSession, order: SweepOrder) -> None:
+    def _record(self, session: CellSession, order: SweepCommand) -> None:
         """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""
         for tries in range(1, TRIES + 1):
             try:

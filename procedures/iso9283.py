@@ -31,8 +31,8 @@ from hilcell.model.verdicts import ISO, RP_ANGLES
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.collision import check_path
-from hilcell.run.mover import Straight
+from hilcell.run.collision import check_planned_path
+from hilcell.run.mover import StraightApproach
 from hilcell.run.procedure import Procedure, Result
 from procedures import plan
 from procedures.base_frame import BaseFrame
@@ -89,7 +89,7 @@ class PoseCycle:
         joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
         station = cell.reference
         before_rad = np.roll(joints_rad, 1, axis=0)
-        check_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
+        check_planned_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
         percent = np.full(len(joints_rad), velocity_percent(cell))
         moves_s = plan.robot_moves_s(cell, before_rad, joints_rad, percent)
         seats = len(cell.robot.seats_mm)
@@ -114,7 +114,7 @@ class PoseCycle:
             session.flange_point(
                 PointId(ISO, pose=name, number=cycle), station, joints_rad[n],
                 nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n], seats=True,
-                straight=Straight(joints_rad[n - 1], percent),
+                straight=StraightApproach(joints_rad[n - 1], percent),
             )  # fmt: skip
         session.close_step(carried=True)
         if (judged := evaluated(session.log).judgement()) is not None:

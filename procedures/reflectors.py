@@ -46,8 +46,8 @@ class Reflectors:
         """Have each reflector carried to the nest, measure it, and judge them all."""
         cell, nest = session.cell, session.cell.layout.floor[0]
         for place in self._places_of(cell):
-            session.borrowed_point(PointId(REFLECTOR, nest=place), place, nest)
-        session.restored(nest)
+            session.swapped_point(PointId(REFLECTOR, nest=place), place, nest)
+        session.return_reflectors(nest)
         session.frame_world()
         if self.name not in session.log.verdicts:
             found = compared_reflectors(session.log)

@@ -109,7 +109,7 @@ class WorldFrame:
         if not layout.length or session.log.verdict(LengthsChecked) is not None:
             return
         for nest in layout.bar:
-            session.floor_point(PointId(LENGTH, nest=nest.name), nest)
+            session.floor_nest_point(PointId(LENGTH, nest=nest.name), nest)
         found = known_lengths(session.cell, session.log)
         wrong = [each.text for each in found if not each.holds]
         session.judge("known-length", LengthsChecked(holds=not wrong, lengths=found, wrong=wrong))
@@ -146,7 +146,9 @@ class TwoFaces:
         if left_out(cell) or self._verdict in log.verdicts:
             return
         for nest in self._nests(cell):
-            session.back_point(PointId(BACK, number=self._number, nest=nest.name), nest, SAMPLES)
+            session.second_face_point(
+                PointId(BACK, number=self._number, nest=nest.name), nest, SAMPLES
+            )
         found = two_faces(log, self._number)
         if found is None:  # the tracker was moved meanwhile: no front of this set-up
             return

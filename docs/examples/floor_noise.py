@@ -37,7 +37,7 @@ class FloorNoise:
     def perform(self, session: CellSession) -> None:
         """Measure; the session skips points that the journal holds."""
         for nest in session.cell.layout.floor:
-            session.floor_point(PointId("noise", nest=nest.name), nest)
+            session.floor_nest_point(PointId("noise", nest=nest.name), nest)
 
     def result(self, log: Log) -> Result:
         """Compute this act's share of the result from the log alone."""

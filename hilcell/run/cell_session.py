@@ -18,9 +18,9 @@ from hilcell.geometry.kinematics import forward
 from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
-from hilcell.run.mover import Straight, SweepOrder
+from hilcell.run.mover import StraightApproach, SweepCommand
 from hilcell.run.prompts import FLANGE
-from hilcell.run.states import still_refused
+from hilcell.run.states import remeasure_refusal
 from hilcell.run.watch import Watch
 
 
@@ -32,12 +32,12 @@ class CellSession(Watch):
         """Return the run's seed, from which random targets are drawn."""
         return self.log.inputs.seed
 
-    def sweep(self, order: SweepOrder) -> StreamRecorded:
+    def sweep(self, order: SweepCommand) -> StreamRecorded:
         """Sweep one axis with the tracker streaming, once in a run's life; see `Mover.sweep`."""
         if order.key in self.log.streams:
             return self.log.streams[order.key]
         self.checkpoint()
-        self.prove_where_doubtful()
+        self.verify_tracker_if_due()
         return super().sweep(order)
 
     def flange_point(
@@ -50,7 +50,7 @@ class CellSession(Watch):
         nominal_deg: Array | None = None,
         retake: bool = False,
         seats: bool = False,
-        straight: Straight | None = None,
+        straight: StraightApproach | None = None,
     ) -> Point:
         """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
 
@@ -61,7 +61,7 @@ class CellSession(Watch):
         its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
         Points that wait to be re-measured come first, and a room that is as it was.
         """
-        self.check_room()
+        self.check_ambient_temperature()
         self.retake_waiting()
         count = len(self.cell.robot.seats_mm) if seats else 1
         ids = [id.at_seat(seat) for seat in range(1, count + 1)]
@@ -80,7 +80,7 @@ class CellSession(Watch):
         """
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
-            if refused := still_refused(self.log, point):
+            if refused := remeasure_refusal(self.log, point):
                 self.add(RetakeRefused(key=point.key, reason=refused))
                 continue
             station = self.cell.station_named(point.station)
@@ -94,7 +94,9 @@ class CellSession(Watch):
         self.checkpoint()
         self.hold_station(station)
         if self.cell.layout.by_hand:
-            self.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+            self.request_reflector(
+                FLANGE, self._parked_flange_mm(self.frames.base_in_world(station))
+            )
 
     def _flange_points(
         self,
@@ -104,13 +106,13 @@ class CellSession(Watch):
         nominal: tuple[object, object],
         *,
         retake: bool,
-        straight: Straight | None = None,
+        straight: StraightApproach | None = None,
     ) -> None:
         """Go to joints (6,) and measure reflectors on the flange there; only of the tool point is a
         ``nominal`` target known, mm and deg, None where it is not.
         """
         self.checkpoint()
-        self.prove_where_doubtful()
+        self.verify_tracker_if_due()
         self.flange_at(station)
         facts = {"nominal_mm": nominal[0]}
         facts |= {} if nominal[1] is None else {"nominal_deg": nominal[1]}
@@ -124,7 +126,7 @@ class CellSession(Watch):
             at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
             place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
             reading = self.measured_in_world(id.key, place, at_mm, samples, stray_mm)
-            self.keep(
+            self.record_point(
                 id,
                 station.name,
                 reading,
@@ -147,28 +149,28 @@ class CellSession(Watch):
         robot = self.robot_to(joints_rad, missing[0][0].key)
         for id, near_mm in missing:
             reading = self.measured(id.key, id.target, near_mm, self.cell.tracker.samples)
-            self.keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
+            self.record_point(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
 
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self.check_room()
-        self.prove_where_doubtful()
+        self.check_ambient_temperature()
+        self.verify_tracker_if_due()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        self.seat(nest.name, expected)
+        self.request_reflector(nest.name, expected)
         limit_mm = 2 * self.cell.layout.nest_tolerance_mm
         reading = self.measured_in_world(id.key, nest.name, expected, samples, limit_mm)
-        return self.keep(id, station.name, reading)
+        return self.record_point(id, station.name, reading)
 
     def slide_now(self, id: PointId, name: str) -> Point:
         """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self.prove_where_doubtful()
+        self.verify_tracker_if_due()
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
         if name == FLANGE:
@@ -176,10 +178,10 @@ class CellSession(Watch):
         else:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
-        self.seat(name, expected)
+        self.request_reflector(name, expected)
         samples = self.cell.nest_samples
         reading = self.measured_in_world(id.key, name, expected, samples)
-        return self.keep(id, "", reading)
+        return self.record_point(id, "", reading)
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""

@@ -46,9 +46,11 @@ def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
     return ok
 
 
-def check_path(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
+def check_planned_path(
+    cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str
+) -> None:
     """Refuse a plan's ways between joints (6,) or (N, 6) at ``station``; raises `Blocked`."""
-    check_way(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
+    check_path(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
 
 
 def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
@@ -56,22 +58,22 @@ def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> N
     for joints in joints_rad[~_within(joints_rad, *cell.robot.margin_limits_rad)]:
         check_joint_limits(cell, joints, what)
     if not bool(np.all(~leaves_cube(cell, joints_rad))):
-        check_stated(cell, what)
+        check_volumes_known(cell, what)
     legs = _legs(cell, joints_rad)
     if bool(clear(cell, station, *map(np.concatenate, zip(*legs, strict=True))).all()):
         return
     for start, end in legs:
-        check_path(cell, station, start, end, what)
+        check_planned_path(cell, station, start, end, what)
 
 
 def check_sweep(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
     """Refuse a plan's motion of one axis between joints (6,) at ``station``; raises `Blocked`."""
-    check_stated(cell, what)
+    check_volumes_known(cell, what)
     check_poses(cell, station, np.array([from_rad, to_rad]), f"ends of {what}")
-    check_path(cell, station, from_rad, to_rad, what)
+    check_planned_path(cell, station, from_rad, to_rad, what)
 
 
-def check_stated(cell: Cell, what: str) -> None:
+def check_volumes_known(cell: Cell, what: str) -> None:
     """Refuse what leaves the cube in a cell that does not state its volumes; raises `Blocked`."""
     if cell.surroundings is None:
         raise Blocked(
@@ -83,7 +85,7 @@ def check_stated(cell: Cell, what: str) -> None:
         )
 
 
-def check_rides(cell: Cell) -> None:
+def check_slide_travel(cell: Cell) -> None:
     """Refuse a safe pose with which the slide cannot ride along its travel; raises `Blocked`."""
     safe_rad = np.radians(cell.robot.safe_deg)
     ends_mm = (cell.rail.travel_min_mm, cell.rail.travel_max_mm)
@@ -140,7 +142,7 @@ def below(cell: Cell, joints_rad: Array) -> Array:
     return beside
 
 
-def check_way(
+def check_path(
     cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, more_mm: float = 0.0
 ) -> None:
     """Refuse motions between joints (6,) or (N, 6) with the slide at ``rail_mm``.
@@ -151,7 +153,7 @@ def check_way(
     _refuse_ways(cell, start, end, what, more_mm)
 
 
-def stops_on_way(
+def waypoints(
     cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, *, above: bool = False
 ) -> list[Array]:
     """Return where to go from joints (6,) to others, in turn: below or above them, and there.
@@ -167,8 +169,8 @@ def stops_on_way(
         return [beside_rad, to_rad]
     if bool(np.all(_proven(around, rail_mm, from_rad, safe_rad, beside_rad, to_rad))):
         return [safe_rad, beside_rad, to_rad]
-    check_way(cell, rail_mm, beside_rad, to_rad, what)
-    check_way(cell, rail_mm, from_rad, beside_rad, what)
+    check_path(cell, rail_mm, beside_rad, to_rad, what)
+    check_path(cell, rail_mm, from_rad, beside_rad, what)
     return [beside_rad, to_rad]
 
 
@@ -224,13 +226,13 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
 RESERVE_MM = 5.0  # beyond the wanted clearance; a plan's legs have 10
 
 
-class ComingPoses:
+class UpcomingPoses:
     """Knows the poses by their joints, to the last bit."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         # From which posture (7,) its ways are proven, if they are; whether it leaves the cube.
-        self._coming: dict[bytes, tuple[Array | None, bool]] = {}
+        self._upcoming: dict[bytes, tuple[Array | None, bool]] = {}
 
     def expect(self, rail_mm: float, joints_rad: Array) -> None:
         """Prove the ways from the safe pose to joints (N, 6) in turn, each from below."""
@@ -243,7 +245,7 @@ class ComingPoses:
         proof = cell.surroundings.prove(*ways, RESERVE_MM)
         to_below, from_there = proof.clear.reshape(2, -1)
         clear = to_below & from_there
-        self._coming = {
+        self._upcoming = {
             joints.tobytes(): (stops[0, n] if clear[n] else None, bool(leaves))
             for n, (joints, leaves) in enumerate(
                 zip(joints_rad, leaves_cube(cell, joints_rad), strict=True)
@@ -252,13 +254,13 @@ class ComingPoses:
 
     def clear(self, rail_mm: float, from_rad: Array, to_rad: Array) -> bool:
         """Whether the ways from joints (6,) to others, from below, are within the reserve."""
-        start, _ = self._coming.get(to_rad.tobytes(), (None, True))
+        start, _ = self._upcoming.get(to_rad.tobytes(), (None, True))
         around = self._cell.surroundings
         if start is None or around is None:
             return False
         return around.apart_mm(start, posture(rail_mm, from_rad)) <= RESERVE_MM
 
     def leaves_cube(self, joints_rad: Array) -> bool:
-        if (coming := self._coming.get(joints_rad.tobytes())) is not None:
+        if (coming := self._upcoming.get(joints_rad.tobytes())) is not None:
             return coming[1]
         return bool(leaves_cube(self._cell, joints_rad[None])[0])

@@ -74,9 +74,9 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     until: int = 0
 
     @classmethod
-    def within(cls, patience_s: float, command: Command, **subject: Unpack[Subject]) -> Self:
-        """Return a request that holds for ``patience_s`` from now; to be sent at once."""
-        before = None if command in TIMELESS else str(time.monotonic() + patience_s)
+    def within(cls, timeout_s: float, command: Command, **subject: Unpack[Subject]) -> Self:
+        """Return a request that holds for ``timeout_s`` from now; to be sent at once."""
+        before = None if command in TIMELESS else str(time.monotonic() + timeout_s)
         return cls(command, before=before, **subject)
 
     @property
@@ -163,7 +163,7 @@ class _Runner(Protocol):
 
     def stop(self) -> None: ...
     def post(self, command: str) -> None: ...
-    def gone_on(self, since: int) -> str: ...
+    def proceed_refusal(self, since: int) -> str: ...
     def answer(self) -> str: ...
     def retake(self, key: str) -> str: ...
     def acknowledge(self, made: AlarmsAcknowledged) -> str: ...
@@ -282,7 +282,7 @@ class _Handler(socketserver.StreamRequestHandler):
         """Do what is asked; return why that is refused."""
         engine = self.server.engine
         match request.command:
-            case "proceed" if request.until and (refused := engine.gone_on(request.until)):
+            case "proceed" if request.until and (refused := engine.proceed_refusal(request.until)):
                 return refused
             case "pause" | "proceed" | "abort":
                 engine.post(request.command)
@@ -324,10 +324,10 @@ class EngineClient:
 
     LONGEST_ANSWER = 1 << 16
 
-    def __init__(self, engine: EngineFile, patience_s: float | None = None) -> None:
-        """Connect; raises `OSError`. ``patience_s``: how long it waits for an answer."""
+    def __init__(self, engine: EngineFile, timeout_s: float | None = None) -> None:
+        """Connect; raises `OSError`. ``timeout_s``: how long it waits for an answer."""
         self._lock = threading.Lock()
-        self._patience_s = ANSWER_S if patience_s is None else patience_s
+        self._patience_s = ANSWER_S if timeout_s is None else timeout_s
         self._asking = self._connect(engine.socket, self._patience_s)
         try:
             self._stopping = self._connect(engine.socket, self._patience_s)
@@ -339,14 +339,14 @@ class EngineClient:
         self._owed = 0  # answers that are still to come
 
     @classmethod
-    def of_run(cls, folder: Path, patience_s: float | None = None) -> Self | None:
+    def of_run(cls, folder: Path, timeout_s: float | None = None) -> Self | None:
         """Return a client of the engine of a run, or None where none lives.
 
         Raises `EngineSilent` where an engine lives that takes no connection any more.
         """
         engine = read_engine_file(folder)
         try:
-            return None if engine is None else cls(engine, patience_s)
+            return None if engine is None else cls(engine, timeout_s)
         except (BlockingIOError, TimeoutError) as error:
             raise EngineSilent(f"engine: connect: no answer: {error}") from error
         except OSError:
@@ -416,9 +416,9 @@ class EngineClient:
         return line
 
     @staticmethod
-    def _connect(path: str, patience_s: float) -> socket.socket:
+    def _connect(path: str, timeout_s: float) -> socket.socket:
         connection = socket.socket(socket.AF_UNIX)
-        connection.settimeout(patience_s)
+        connection.settimeout(timeout_s)
         try:
             connection.connect(path)
         except OSError:

@@ -25,7 +25,7 @@ FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flang
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
+class RemainingSpan:
     """A part of one step that is still to come: measurements alike, or a way, and its time."""
 
     step: int  # its number, from 1
@@ -34,7 +34,7 @@ class Ahead:
     takes_s: float
 
 
-class UnderWay(NamedTuple):
+class SpanProgress(NamedTuple):
     """The measurements of the part under way: taken, planned, and whether they are of nests."""
 
     taken: int
@@ -178,7 +178,7 @@ class Forecast:
         rests_s = [self._rest_s(step, passed_s if step is here else 0.0) for step in ahead]
         return sum(rests_s) + (self.CLOSING_S if ahead else 0.0)
 
-    def ahead(self, now: datetime) -> list[Ahead]:
+    def ahead(self, now: datetime) -> list[RemainingSpan]:
         """Return what is to come, part by part, in real seconds; nothing while that is unknown."""
         if not self._steps or not self._pace.known:
             return []
@@ -190,19 +190,21 @@ class Forecast:
             gone_s = step.since_s + (passed_s if step is self._step else 0.0)
             for span, count in step.left():
                 takes_s = self._pace.each_s(span) * (count if span.measured else 1)
-                found.append(Ahead(number, span.kind, count, max(takes_s - gone_s, 0.0)))
+                found.append(RemainingSpan(number, span.kind, count, max(takes_s - gone_s, 0.0)))
                 gone_s = max(gone_s - takes_s, 0.0)
         return found
 
     @property
-    def span(self) -> UnderWay | None:
+    def span(self) -> SpanProgress | None:
         """Return how far the part under way is; None where nothing in it is measured."""
         step = self._step
         if step is None or not step.counts_control:
             return None
         found = step.spans[step.at]
         of_nests = found.kind.endswith(READINGS)
-        return UnderWay(step.taken[step.at], found.measured, of_nests) if found.measured else None
+        return (
+            SpanProgress(step.taken[step.at], found.measured, of_nests) if found.measured else None
+        )
 
     # -- what happened ------------------------------------------------------------------------
 

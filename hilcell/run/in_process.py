@@ -20,7 +20,7 @@ from hilcell.model.records import Kind
 from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Plan, Procedure
-from hilcell.run.prompts import Look, Prompt, unanswered
+from hilcell.run.prompts import Prompt, Verification, unanswered
 
 
 class MemoryJournal:
@@ -41,7 +41,7 @@ class MemoryJournal:
         return record
 
 
-def direct_run(
+def run_in_process(
     cell: Cell,
     procedure: Procedure,
     *,
@@ -85,6 +85,8 @@ def direct_run(
     return journal.log
 
 
-def _nobody(prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
+def _nobody(
+    prompt: Prompt, look: Callable[[], Verification], cause: NoReading | None
+) -> Verification:
     """Refuse what only an operator can do."""
     raise unanswered(prompt, cause) from cause

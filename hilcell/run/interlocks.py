@@ -38,7 +38,7 @@ SHARE = 0.8  # of the limit: the rest is left until the motion begins
 R = TypeVar("R", RailReading, RobotReading)
 
 
-def fresh(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
+def fresh_reading(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
     """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
 
     Where none is, the last one is returned.
@@ -51,14 +51,14 @@ def fresh(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None =
     return reading
 
 
-def time_of(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
+def reading_time(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
     """Return when a reading was taken, and how old it is."""
     return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
 
 
-def seen(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
+def reading_facts(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
     """Return a reading of the other device: it rests, and is held or where it may be."""
-    facts = msgspec.structs.asdict(time_of(reading, now_s))
+    facts = msgspec.structs.asdict(reading_time(reading, now_s))
     if isinstance(reading, RobotReading):
         state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}
     else:
@@ -84,7 +84,7 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
         )
 
 
-def rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
+def check_rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
     """I1: the robot rests at its safe pose, by a reading taken after it stopped."""
     check_age("Robot", RAIL_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
     check_safe_pose(cell, robot)
@@ -110,7 +110,7 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
         )
 
 
-def check_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
+def check_robot_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
     """Refuse a robot that moves: where its next motion starts is unknown."""
     check_age("Robot", ROBOT_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
     check_still(robot, ROBOT_BLOCKED)
@@ -122,7 +122,9 @@ def check_still(robot: RobotReading, operation: str, expected: str = "at rest") 
         raise Blocked("HC-B31", "Robot", operation, "the robot is moving", expected=expected)
 
 
-def robot_may_move(cell: Cell, rail: RailReading, station: Station | None, now_s: float) -> None:
+def check_robot_may_move(
+    cell: Cell, rail: RailReading, station: Station | None, now_s: float
+) -> None:
     """I2: the slide stands, is held, and the strip reads the station's value."""
     check_age("Rail", ROBOT_BLOCKED, rail.taken_s, now_s, cell.settle.reading_age_s)
     check_held(cell, rail, station, ROBOT_BLOCKED)

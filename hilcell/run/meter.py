@@ -14,9 +14,9 @@ from hilcell.geometry.frames import inverse
 from hilcell.model.events import NoReadingOf, ReadingTime, Seated
 from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
-from hilcell.run.interlocks import check_held, check_strip, time_of
+from hilcell.run.interlocks import check_held, check_strip, reading_time
 from hilcell.run.mover import Mover
-from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt
+from hilcell.run.prompts import FLANGE, Verification, beam_prompt, placement_prompt, swap_prompt
 
 
 class Meter(Mover):
@@ -46,7 +46,7 @@ class Meter(Mover):
                 self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
         limit_mm = self.cell.tracker.find_radius_mm
         prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, failed)
-        self.ask(prompt, lambda: self._look(key, near_mm), cause)
+        self.ask(prompt, lambda: self._verify_reflector(key, near_mm), cause)
         return None
 
     def _reading(
@@ -68,17 +68,17 @@ class Meter(Mover):
             )
         return reading
 
-    def _look(self, key: str, near_mm: Array) -> Look:
-        """Look for the reflector with the beam alone; a tracker that fails sees nothing."""
+    def _verify_reflector(self, key: str, near_mm: Array) -> Verification:
+        """Verification for the reflector with the beam alone; a tracker that fails sees nothing."""
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            return Look.failed(error, self.clock.pc_s())
+            return Verification.failed(error, self.clock.pc_s())
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
-        return Look(off_mm, "", reading.taken_s, (x, y, z))
+        return Verification(off_mm, "", reading.taken_s, (x, y, z))
 
-    def keep(
+    def record_point(
         self,
         id: PointId,
         station: str,
@@ -107,8 +107,8 @@ class Meter(Mover):
             "strip_mm": rail.strip_mm,
             "readings": Readings(
                 ReadingTime(reading.taken_s, now_s - reading.taken_s),
-                time_of(rail, now_s),
-                None if robot is None else time_of(robot, now_s),
+                reading_time(rail, now_s),
+                None if robot is None else reading_time(robot, now_s),
                 None if robot is None else self.began,
             ),
         }
@@ -120,43 +120,45 @@ class Meter(Mover):
 
     # -- nests on the floor, which prove the tracker ----------------------------------------------
 
-    def floor_point(self, id: PointId, nest: Nest) -> Point:
+    def floor_nest_point(self, id: PointId, nest: Nest) -> Point:
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self.seat(nest.name, nest.xyz_mm)
+        self.request_reflector(nest.name, nest.xyz_mm)
         samples = self.cell.proof_samples if id.kind == "control" else self.cell.nest_samples
-        return self._floor_point(id, nest, samples)
+        return self._measure_floor_nest(id, nest, samples)
 
-    def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:
+    def second_face_point(self, id: PointId, nest: Nest, samples: int) -> Point:
         """Measure a nest on the floor in the tracker's second face."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        return self._floor_point(id, nest, samples, back=True)
+        return self._measure_floor_nest(id, nest, samples, back=True)
 
-    def borrowed_point(self, id: PointId, place: str, nest: Nest) -> Point:
+    def swapped_point(self, id: PointId, place: str, nest: Nest) -> Point:
         """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self._borrow(place, nest)
-        return self._floor_point(id, nest, self.cell.nest_samples)
+        self._swap(place, nest)
+        return self._measure_floor_nest(id, nest, self.cell.nest_samples)
 
-    def restored(self, nest: Nest) -> None:
+    def return_reflectors(self, nest: Nest) -> None:
         """Have every borrowed reflector put back where it belongs."""
         self.checkpoint()
-        self._borrow(nest.name, nest)
+        self._swap(nest.name, nest)
 
-    def _floor_point(self, id: PointId, nest: Nest, samples: int, *, back: bool = False) -> Point:
+    def _measure_floor_nest(
+        self, id: PointId, nest: Nest, samples: int, *, back: bool = False
+    ) -> Point:
         near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
         while True:
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
-                return self.keep(id, "", reading)
+                return self.record_point(id, "", reading)
 
     # -- the person who carries reflectors --------------------------------------------------------
 
-    def seat(self, place: str, nominal_mm: Array) -> None:
+    def request_reflector(self, place: str, nominal_mm: Array) -> None:
         """Have the one reflector carried to ``place``, nominally (3,) in {W}, unless it is there.
 
         Robot parked, slide held. Mounted reflectors are where they are.
@@ -167,8 +169,8 @@ class Meter(Mover):
         rail = self.devices.rail.read()
         check_held(self.cell, rail, self.held, f"seat the reflector at {place}")
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
-        prompt = seat_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
-        look = self.ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
+        prompt = placement_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
+        look = self.ask(prompt, lambda: self._verify_reflector(f"look at {place}", near_mm), None)
         assert look.xyz_mm is not None  # noqa: S101 - an answer is proven by a look that saw it
         self.add(Seated(place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm))
 
@@ -192,9 +194,9 @@ class Meter(Mover):
         limit_mm = flange_mm if place == FLANGE else 2 * layout.nest_tolerance_mm
         return near_mm, limit_mm
 
-    def _borrow(self, place: str, nest: Nest) -> None:
+    def _swap(self, place: str, nest: Nest) -> None:
         """Have the reflector of ``place`` carried to ``nest``; the robot is parked."""
         self.parked()
         near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
-        prompt = borrow_prompt(self.cell, place, nest.name, near_mm)
-        self.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)
+        prompt = swap_prompt(self.cell, place, nest.name, near_mm)
+        self.ask(prompt, lambda: self._verify_reflector(f"look at {nest.name}", near_mm), None)

@@ -22,17 +22,17 @@ from hilcell.journal.runs import read_log
 from hilcell.journal.stream_file import StreamFile
 from hilcell.model import events
 from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
-from hilcell.run.collision import ComingPoses, below, check_stated, check_way, stops_on_way
+from hilcell.run.collision import UpcomingPoses, below, check_path, check_volumes_known, waypoints
 from hilcell.run.interlocks import (
     check_joint_limits,
-    check_rests,
+    check_rail_may_move,
+    check_robot_may_move,
+    check_robot_rests,
     check_strip,
-    rail_may_move,
-    robot_may_move,
-    seen,
-    time_of,
+    reading_facts,
+    reading_time,
 )
-from hilcell.run.prompts import Look, Prompt
+from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.run_context import RunContext
 
 # The trap: the drive's encoder is blind to backlash. So the last motion always comes from the
@@ -109,11 +109,11 @@ def _check_strip_follows(
 
 
 FROZEN = "HC-S02"
-SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
+SAME_POSE_RAD = 1e-4  # of joints read back: the robot stands at that pose
 
 
 @dataclass(frozen=True, slots=True)
-class Straight:
+class StraightApproach:
     """An approach directly from another pose (6,), as in a test cycle, at a speed of its own."""
 
     from_rad: Array
@@ -121,7 +121,7 @@ class Straight:
 
 
 @dataclass(frozen=True)
-class SweepOrder:
+class SweepCommand:
     """From joints (6,) one axis (0 to 5) to its end; the reflector begins at (3,) mm."""
 
     key: str
@@ -166,20 +166,20 @@ class RobotMotion:
         run = self._run
         self._rail = rail = run.fresh(run.devices.rail.read, self._rail)
         judged_s = run.clock.pc_s()
-        robot_may_move(run.cell, rail, self._station, judged_s)
+        check_robot_may_move(run.cell, rail, self._station, judged_s)
         return rail, judged_s
 
     def resting_rad(self) -> Array:
         """Return the joints (6,) where the robot rests; raises `Blocked`."""
         run = self._run
         self.robot = robot = run.fresh(run.devices.robot.read, self.robot)
-        check_rests(run.cell, robot, run.clock.pc_s())
+        check_robot_rests(run.cell, robot, run.clock.pc_s())
         return robot.joints_rad
 
-    def check_way(self, joints_rad: Array, what: str) -> None:
+    def check_path(self, joints_rad: Array, what: str) -> None:
         """Refuse a way from where the robot rests to joints (6,) that is not clear."""
         if self._run.cell.surroundings is not None:
-            check_way(self._run.cell, self.strip_mm, self.resting_rad(), joints_rad, what)
+            check_path(self._run.cell, self.strip_mm, self.resting_rad(), joints_rad, what)
 
     def begin(self, joints_rad: Array, what: str) -> None:
         """Judge both readings immediately before the robot moves to joints (6,).
@@ -190,8 +190,8 @@ class RobotMotion:
             proven = self.robot
             self.resting_rad()
             if self.robot is not proven:
-                self.check_way(joints_rad, what)
-        self.began = time_of(*self.slide())
+                self.check_path(joints_rad, what)
+        self.began = reading_time(*self.slide())
         self.robot = None
 
     def drive(self, stops: list[Array], speed_percent: float, what: str) -> RobotReading:
@@ -209,7 +209,7 @@ class Mover(RunContext):
     robot's last motion began.
     """
 
-    PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
+    JOINT_POLL_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
     held: Station | None = None
     began: events.ReadingTime | None = None
@@ -217,8 +217,8 @@ class Mover(RunContext):
     _announced = False  # a first pass
 
     @cached_property
-    def _coming(self) -> ComingPoses:
-        return ComingPoses(self.cell)
+    def _upcoming(self) -> UpcomingPoses:
+        return UpcomingPoses(self.cell)
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -246,7 +246,7 @@ class Mover(RunContext):
         """
         if self.held == station and not again:
             return
-        if not self.cell.has_rail or (not again and self._stands_at(station)):
+        if not self.cell.has_rail or (not again and self._is_at(station)):
             self.held = station
             self.add(events.StationFoundHeld(station=station.name))
             return
@@ -266,7 +266,7 @@ class Mover(RunContext):
             )
         )
 
-    def _stands_at(self, station: Station) -> bool:
+    def _is_at(self, station: Station) -> bool:
         held = [each.station for each in self.log.happened(events.StationHeld)]
         if self.log.session < 2 or not held or held[-1] != station.name:
             return False
@@ -297,10 +297,10 @@ class Mover(RunContext):
             limit_mm=self.cell.rail.slip_limit_mm,
             reason=lost.summary,
         )
-        self.ask(prompt, lambda: self._look_at_strip(lost), lost)
+        self.ask(prompt, lambda: self._verify_strip(lost), lost)
         self.add(events.StripBack())
 
-    def _look_at_strip(self, lost: StripLost) -> Look:
+    def _verify_strip(self, lost: StripLost) -> Verification:
         """Read the strip; one that was frozen must be where the drive is, as far as may slip.
 
         One that was in alarm may be read before the drive has its reference.
@@ -308,28 +308,28 @@ class Mover(RunContext):
         try:
             reading = self.devices.rail.read()
         except DeviceError as error:
-            return Look.failed(error, self.clock.pc_s())
+            return Verification.failed(error, self.clock.pc_s())
         if not reading.still:
-            return Look(
+            return Verification(
                 None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s
             )
         off_mm = abs(reading.strip_mm - reading.position_mm) if lost.code == FROZEN else 0.0
         why = f"strip {reading.strip_mm:.2f} mm, drive {reading.position_mm:.2f} mm"
-        return Look(off_mm, why, reading.taken_s)
+        return Verification(off_mm, why, reading.taken_s)
 
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> events.ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
         self.checkpoint()
         robot, _ = self._check_parked(self.parked())  # read at rest, after its motion ended
         self.held = None
-        self.intend("", action, **facts, seen=seen(robot, self.clock.pc_s()))
-        return time_of(*self._check_parked(robot))  # the commit may have taken long
+        self.intend("", action, **facts, seen=reading_facts(robot, self.clock.pc_s()))
+        return reading_time(*self._check_parked(robot))  # the commit may have taken long
 
     def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
         """Return a young reading of a robot that lets the slide move, and when it was judged."""
         robot = self.fresh(self.devices.robot.read, taken)
         now_s = self.clock.pc_s()
-        rail_may_move(self.cell, robot, now_s)
+        check_rail_may_move(self.cell, robot, now_s)
         return robot, now_s
 
     def _hold_rail(self) -> None:
@@ -367,16 +367,21 @@ class Mover(RunContext):
             kinematics = check_pose(self.cell.robot, now, "park")
             if not (kinematics.holds or self.log.by_factory_links):
                 self.add(events.FactoryLinks(off_mm=kinematics.off_mm))
-        if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
+        if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_POSE_RAD)):
             return now
         self._robot = now
         with self.admitted() as motion:
-            motion.check_way(safe_rad, "park")
-            self.intend("", "robot.park", seen=seen(*motion.slide()))
+            motion.check_path(safe_rad, "park")
+            self.intend("", "robot.park", seen=reading_facts(*motion.slide()))
             return motion.drive([safe_rad], self.cell.robot.speed_percent, "park")
 
     def robot_to(
-        self, joints_rad: Array, what: str, *, above: bool = False, straight: Straight | None = None
+        self,
+        joints_rad: Array,
+        what: str,
+        *,
+        above: bool = False,
+        straight: StraightApproach | None = None,
     ) -> RobotReading:
         """Go to joints (6,), every axis from below, or from ``above``, or ``straight``, and settle.
 
@@ -397,30 +402,30 @@ class Mover(RunContext):
             place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
             if straight is not None:
                 place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
-            self.intend(what, "robot.move", **place, seen=seen(rail, judged_s))
+            self.intend(what, "robot.move", **place, seen=reading_facts(rail, judged_s))
             reading = motion.drive(stops, speed_percent, what)
         self.clock.wait(self.cell.settle.robot_s)
         return reading
 
     def expect(self, station: Station, joints_rad: Array) -> None:
         """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
-        self._coming.expect(station.strip_mm, joints_rad)
+        self._upcoming.expect(station.strip_mm, joints_rad)
 
     def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
         now_rad = joints_rad if self.cell.surroundings is None else motion.resting_rad()
-        if not above and self._coming.clear(motion.strip_mm, now_rad, joints_rad):
+        if not above and self._upcoming.clear(motion.strip_mm, now_rad, joints_rad):
             return [below(self.cell, joints_rad), joints_rad]
-        return stops_on_way(self.cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
+        return waypoints(self.cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
 
     def _straight_stops(
-        self, motion: RobotMotion, straight: Straight, joints_rad: Array, what: str
+        self, motion: RobotMotion, straight: StraightApproach, joints_rad: Array, what: str
     ) -> list[Array]:
         """Return where to go, in turn: to the pose to come from, unless the robot rests there."""
         before_rad = straight.from_rad
-        there = bool(np.all(np.abs(motion.resting_rad() - before_rad) < SAME_RAD))
+        there = bool(np.all(np.abs(motion.resting_rad() - before_rad) < SAME_POSE_RAD))
         if self.cell.surroundings is not None:
-            check_way(self.cell, motion.strip_mm, before_rad, joints_rad, what)
+            check_path(self.cell, motion.strip_mm, before_rad, joints_rad, what)
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
 
@@ -435,7 +440,7 @@ class Mover(RunContext):
         The first pose that is not known is announced; an attended run then pauses here.
         """
         usual = self.cell.robot.speed_percent
-        if self.cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
+        if self.cell.surroundings is None or not self._upcoming.leaves_cube(joints_rad):
             return usual
         known = (self.log.driven, *self._driven_before)
         if any(driven.has(strip_mm, joints_rad) for driven in known):
@@ -464,7 +469,7 @@ class Mover(RunContext):
 
     # -- both, a reflector followed ------------------------------------------------------------
 
-    def sweep(self, order: SweepOrder) -> events.StreamRecorded:
+    def sweep(self, order: SweepCommand) -> events.StreamRecorded:
         """Go to the start, sweep where the slide stands, and return what the journal keeps of it.
 
         Tracker and robot have no clock in common. So samples keep the tracker's own time and the
@@ -473,15 +478,15 @@ class Mover(RunContext):
         """
         tracker, robot = streams_of(self.devices.tracker), sweeps_of(self.devices.robot)
         check_joint_limits(self.cell, order.target_rad, order.key)
-        check_stated(self.cell, order.key)
+        check_volumes_known(self.cell, order.key)
         self.robot_to(order.start_rad, order.key)
         reflector = self.cell.tracker.reflector
         joints_deg = np.degrees(order.target_rad)
         with self.admitted() as motion:
-            motion.check_way(order.target_rad, order.key)
+            motion.check_path(order.target_rad, order.key)
         with self.admitted() as motion:
             target = {"axis": order.axis + 1, "joints_deg": joints_deg}
-            self.intend(order.key, "robot.sweep", **target, seen=seen(*motion.slide()))
+            self.intend(order.key, "robot.sweep", **target, seen=reading_facts(*motion.slide()))
             with (
                 StreamFile(self.folder, order.key) as file,
                 tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
@@ -491,7 +496,7 @@ class Mover(RunContext):
                 motion.begin(order.target_rad, order.key)
                 sweep.kickoff()
                 while not sweep.ended:
-                    self.clock.wait(self.PACE_S)
+                    self.clock.wait(self.JOINT_POLL_S)
                     file.take((), [sweep.collect()])
                     file.take(stream.collect())
                 sweep.complete()

@@ -108,7 +108,7 @@ class Order(Signature):
                 accept_not_current=self.accept_not_current,
             )  # fmt: skip
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
-            machine = run_plan.calibrated_or_asked(machine, calibrated_machine(cell, uses))
+            machine = run_plan.checked_machine_seed(machine, calibrated_machine(cell, uses))
         try:
             check_options(cell)
         except SettingsError as error:
@@ -182,8 +182,8 @@ class Resume(Signature):
                     code=error.code,
                 ) from error
             found = changed_inputs(log, procedure.used_in(log.cell))
-            askable = somebody or (attendance.screen and not attendance.unattended)
-            changes = Changes(found, self.accept_changes, askable)
+            can_ask = somebody or (attendance.screen and not attendance.unattended)
+            changes = Changes(found, self.accept_changes, can_ask)
             changes.check(found)
         return ResumedRun(
             folder=folder,

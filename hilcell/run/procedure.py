@@ -18,8 +18,8 @@ from hilcell.model.plan import PlannedStep
 from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.collision import check_rides
-from hilcell.run.watch import BlockLost
+from hilcell.run.collision import check_slide_travel
+from hilcell.run.watch import RemeasureStep
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
 
@@ -109,7 +109,7 @@ class Procedure:
         self.check(cell)
         planned, refusals = [], []
         try:
-            check_rides(cell)
+            check_slide_travel(cell)
         except HilcellError as error:
             refusals.append(f"slide: {error}")
         for step in self.steps:
@@ -166,7 +166,7 @@ class Procedure:
         """Return whether it ended, rather than having to be performed again."""
         try:
             perform()
-        except BlockLost:
+        except RemeasureStep:
             return False
         except StripLost as lost:
             session.await_strip(lost)

@@ -1,7 +1,7 @@
-"""One question to the operator at a time, and the look that proves his answer.
+"""One prompt to the operator at a time, and the measurement that verifies the answer.
 
-An answer counts only when a look that began after it finds the reflector where it is asked for:
-earlier looks prove nothing (fault 72). Looks are the worker's, answers come from any thread.
+An answer counts only when a measurement that began after it shows the reflector at the requested
+place: earlier measurements verify nothing. The worker measures, answers come from any thread.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from hilcell.errors import DeviceError, NoReading
 from hilcell.ports import Array, Clock
 from hilcell.run.control import PromptStatus
 
-LOOK_S = 0.5
+POLL_S = 0.5
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
-    """The question: ``expected_mm`` in the tracker's frame, seen within ``limit_mm`` of it.
-
-    Where it is the strip that is looked at, ``expected_mm`` is None. ``by_itself``: a good look
-    alone is the answer.
+    """The reflector must be within ``limit_mm`` of ``expected_mm``, tracker's frame; None for the
+    strip. ``by_itself``: no answer is needed once the verification passes.
     """
 
     title: str
@@ -39,11 +37,10 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """A look: how far from the expected place, or why nothing was seen.
+class Verification:
+    """The distance from the expected place, or the reason why nothing was measured.
 
-    The tracker's at a reflector, or the strip's at the slide: how far beside the drive's position.
-    ``lost``: the device did not answer at all.
+    For the strip it is the distance from the drive's position. ``lost``: the device did not answer.
     """
 
     seen_mm: float | None
@@ -53,25 +50,24 @@ class Look:
     lost: bool = False
 
     @classmethod
-    def failed(cls, error: DeviceError, at_s: float) -> Look:
-        """Return the look of a device that reads nothing, or does not answer."""
+    def failed(cls, error: DeviceError, at_s: float) -> Verification:
         return cls(None, error.summary, at_s, lost=not isinstance(error, NoReading))
 
 
-class Asking:
-    """The prompt that stands, the last look at its place, and the answers that wait for one."""
+class PendingPrompt:
+    """The open prompt, its last verification, and the answers that wait for one."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._lock = clock, threading.Lock()
         self._asked = threading.Event()
         self._prompt: Prompt | None = None
-        self._look: Look | None = None
+        self._verification: Verification | None = None
         self._answers: list[Future[str]] = []
 
     # -- any thread ---------------------------------------------------------------------------
 
     def answer(self) -> Future[str]:
-        """Say that it is done; the future has why that is refused, or ""."""
+        """Report that it is done; the future holds the refusal, or ""."""
         future: Future[str] = Future()
         with self._lock:
             if self._prompt is None:
@@ -82,13 +78,13 @@ class Asking:
         return future
 
     def status(self) -> PromptStatus | None:
-        """Return the prompt and what is seen of it, or None."""
+        """Return the prompt with its last verification, or None."""
         with self._lock:
-            prompt, look = self._prompt, self._look
+            prompt, result = self._prompt, self._verification
         if prompt is None:
             return None
-        age_s = None if look is None else round(max(0.0, self._clock.pc_s() - look.taken_s), 2)
-        seen_mm = None if look is None or look.seen_mm is None else round(look.seen_mm, 3)
+        age_s = None if result is None else round(max(0.0, self._clock.pc_s() - result.taken_s), 2)
+        seen_mm = None if result is None or result.seen_mm is None else round(result.seen_mm, 3)
         return PromptStatus(
             title=prompt.title,
             text=prompt.text,
@@ -97,16 +93,16 @@ class Asking:
             limit_mm=prompt.limit_mm,
             seen_mm=seen_mm,
             age_s=age_s,
-            ready=look is not None and passes(prompt, look),
+            ready=result is not None and passes(prompt, result),
         )
 
     # -- the worker's thread ------------------------------------------------------------------
 
     def open(self, prompt: Prompt) -> None:
         with self._lock:
-            self._prompt, self._look = prompt, None
+            self._prompt, self._verification = prompt, None
 
-    def waited(self, limit_s: float) -> list[Future[str]]:
+    def take_answers(self, limit_s: float) -> list[Future[str]]:
         """Wait at most ``limit_s`` for answers, and take those that came."""
         self._asked.wait(limit_s)
         with self._lock:
@@ -114,46 +110,48 @@ class Asking:
             self._asked.clear()
         return answers
 
-    def saw(self, look: Look) -> None:
-        """Show a look; one that was not answered is as old as the last that was."""
+    def show(self, result: Verification) -> None:
+        """Publish a verification; one without an answer keeps the age of the last answered one."""
         with self._lock:
-            if look.lost:
-                before = self._look
-                self._look = None if before is None else replace(look, taken_s=before.taken_s)
+            if result.lost:
+                before = self._verification
+                self._verification = (
+                    None if before is None else replace(result, taken_s=before.taken_s)
+                )
             else:
-                self._look = look
+                self._verification = result
 
     def close(self, reason: str) -> None:
-        """Ask no longer; answers that still wait are refused."""
+        """Close the prompt; refuse the answers that still wait."""
         with self._lock:
             answers, self._answers = self._answers, []
-            self._prompt = self._look = None
+            self._prompt = self._verification = None
         for answer in answers:
             answer.set_result(reason)
 
 
-def passes(prompt: Prompt, look: Look) -> bool:
-    """Whether the reflector was seen where it is asked for; NaN never passes."""
-    return look.seen_mm is not None and look.seen_mm <= prompt.limit_mm
+def passes(prompt: Prompt, result: Verification) -> bool:
+    """Whether the reflector is at the requested place; NaN never passes."""
+    return result.seen_mm is not None and result.seen_mm <= prompt.limit_mm
 
 
-def refusal(prompt: Prompt, look: Look, lost: Mapping[str, DeviceError]) -> str:
-    """Return why an answer is refused; ``lost`` are the devices that do not answer, by name."""
+def refusal(prompt: Prompt, result: Verification, lost: Mapping[str, DeviceError]) -> str:
+    """Return the refusal of an answer; ``lost`` are the devices that do not answer, by name."""
     if lost:
         found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
         return f"{found}; mend that; where it stays lost, stop the run and resume it"
     if prompt.by_itself or prompt.expected_mm is None:
-        return f"{prompt.place} is not as it was: {look.reason}"
-    if look.seen_mm is None:
-        return f"the tracker sees no reflector at {prompt.place}: {look.reason}"
+        return f"{prompt.place} is not as it was: {result.reason}"
+    if result.seen_mm is None:
+        return f"the tracker sees no reflector at {prompt.place}: {result.reason}"
     return (
-        f"the tracker sees a reflector {look.seen_mm:.2f} mm from {prompt.place}, "
+        f"the tracker sees a reflector {result.seen_mm:.2f} mm from {prompt.place}, "
         f"expected <= {prompt.limit_mm:.1f} mm"
     )
 
 
 def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
-    """Return the fault of a run that asks while nobody is there to answer."""
+    """Return the fault of a run that prompts without an operator."""
     if cause is None:
         return DeviceError("HC-C16", "Tracker", "measure", prompt.reason)
     return DeviceError(
@@ -185,7 +183,9 @@ def where(cell: Cell, place: str) -> str:
     return f"reflector {seat} on the robot's flange" if seat != place else f"reflector {place}"
 
 
-def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float) -> Prompt:
+def placement_prompt(
+    cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float
+) -> Prompt:
     """Return what is asked before ``place`` is measured while the reflector is ``at`` another."""
     take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
     on = "on the flange" if place == FLANGE else f"in {place}"
@@ -200,7 +200,7 @@ def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: f
     )
 
 
-def borrow_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
+def swap_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
     """Return what is asked before the reflector of ``place`` is measured in a floor nest; of the
     nest's own ``place``, before it is measured there again.
     """

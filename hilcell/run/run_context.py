@@ -15,11 +15,11 @@ from hilcell.model.point import Point, PointId
 from hilcell.model.records import EVENTS
 from hilcell.model.verdicts import Verdict, verdict_type
 from hilcell.ports import Clock, NoReading
-from hilcell.run.interlocks import R, fresh
-from hilcell.run.prompts import Look, Prompt
+from hilcell.run.interlocks import R, fresh_reading
+from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.states import CALIBRATION, StateMachine
 
-Ask = Callable[[Prompt, Callable[[], Look], NoReading | None], Look]
+Ask = Callable[[Prompt, Callable[[], Verification], NoReading | None], Verification]
 
 
 class RunContext:
@@ -59,7 +59,7 @@ class RunContext:
 
     def fresh(self, read: Callable[[], R], taken: R | None) -> R:
         """Return ``taken``, or another reading where that is too old for a motion."""
-        return fresh(read, self.clock, self.cell.settle.reading_age_s, taken)
+        return fresh_reading(read, self.clock, self.cell.settle.reading_age_s, taken)
 
     def add(self, event: Event) -> None:
         self._journal.append("event", "", event)

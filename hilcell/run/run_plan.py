@@ -29,11 +29,11 @@ class Changes:
 
     inputs: Sequence[str] = ()
     accepted: bool = False
-    askable: bool = True
+    can_ask: bool = True
 
     def check(self, found: Sequence[str]) -> None:
         """Refuse changes that are not accepted and that nobody can agree to."""
-        if found and not (self.accepted or self.askable):
+        if found and not (self.accepted or self.can_ask):
             raise DeviceRefused(
                 "HC-C30",
                 "Cell",
@@ -132,7 +132,7 @@ def machine_seed(cell: Cell, seed: int, own: int | None) -> int | None:
     return seed if own is None else own
 
 
-def calibrated_or_asked(asked: int | None, calibrated: int | None) -> int | None:
+def checked_machine_seed(asked: int | None, calibrated: int | None) -> int | None:
     """Return the simulated machine of a run that uses a calibration: the one calibrated.
 
     None is one that is not asked for, or not known. Raises `SettingsError` where they differ.

@@ -53,7 +53,16 @@ from hilcell.run.run_plan import RunPlan
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine, retake_refusal
 from hilcell.run.stopping import SafeStop, close_all, not_at_rest
-from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
+from hilcell.run.worker import (
+    Asked,
+    AtRest,
+    Ended,
+    Message,
+    PauseRequested,
+    Started,
+    Verified,
+    Worker,
+)
 
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 
@@ -82,7 +91,7 @@ class Runner:
         self._worker = Worker(
             plan, journal, devices, clock, self._messages.put, unattended=self._unattended
         )
-        self._gate, self._asking = self._worker.gate, self._worker.asking
+        self._pause_gate, self._pending = self._worker.gate, self._worker.pending
         self._why_paused = ""
         self._screens, self._screens_lock = 0, threading.Lock()
         self._unwatched = False
@@ -134,7 +143,7 @@ class Runner:
         self._stop.set()
         self._safe_stop.trigger()
 
-    def gone_on(self, since: int) -> str:
+    def proceed_refusal(self, since: int) -> str:
         """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
         if any(each.seq > since and each.to == "running" for each in self.log.life):
             return "it has gone on since you were asked, so nothing was done; ask again"
@@ -144,7 +153,7 @@ class Runner:
 
     def answer(self) -> str:
         """Say that the prompt is done; wait for the look that proves it, return why not."""
-        return self._asking.answer().result()
+        return self._pending.answer().result()
 
     def retake(self, key: str) -> str:
         """Have a point re-measured, at the robot's next point; return why that is refused."""
@@ -175,7 +184,7 @@ class Runner:
 
     def status(self) -> Status:
         """Return the run's state as every answer carries it."""
-        state, asked = self._known_state(), self._gate.closed or self.log.state in PASSING
+        state, asked = self._known_state(), self._pause_gate.closed or self.log.state in PASSING
         monitor, session = self._worker.monitor, self._worker.session
         return Status(
             run=self._journal.run,
@@ -242,21 +251,21 @@ class Runner:
         match message:
             case Started():
                 self._go_on("start")
-            case AtRest() if self._gate.resting and self._life.may_trigger("rest"):
+            case AtRest() if self._pause_gate.resting and self._life.may_trigger("rest"):
                 self._life.fire("rest", reason=self._why_paused)
-            case Halted(reason):
+            case PauseRequested(reason):
                 self._pause(reason)
             case Asked(prompt, cause):
                 error = {} if cause is None else {"error": cause.facts()}
                 self._life.fire("suspend", reason=prompt.reason, prompt=prompt, **error)
-            case Proven(by):
+            case Verified(by):
                 self._go_on("proceed", by=by)
-                self._worker.leave.set()
+                self._worker.may_proceed.set()
 
     def _go_on(self, trigger: str, **facts: object) -> None:
         """Run; a pause that was asked for before still holds."""
         self._life.fire(trigger, **facts)
-        if self._gate.closed:
+        if self._pause_gate.closed:
             self._life.fire("pause")
 
     def _obey(self, command: str) -> None:
@@ -268,11 +277,11 @@ class Runner:
             case "lost" | "watched":
                 self._look_for_screens(lost=command == "lost")
             case "proceed" if self.log.state == "suspended":
-                self._asking.answer()  # proven by a look as every answer
-            case "proceed" if self._gate.closed and self.log.state != "aborting":
+                self._pending.answer()  # proven by a look as every answer
+            case "proceed" if self._pause_gate.closed and self.log.state != "aborting":
                 if self._life.may_trigger("proceed"):  # not yet where the worker still connects
                     self._life.fire("proceed", by="command")
-                self._gate.open()
+                self._pause_gate.open()
             case "abort":
                 if self._life.may_trigger("abort"):  # else it was asked for before
                     self._life.fire("abort")
@@ -281,11 +290,11 @@ class Runner:
                 self._journal.append("event", "", refused)
 
     def _may_pause(self) -> bool:
-        return self.log.state in ("checking", "running") and not self._gate.closed
+        return self.log.state in ("checking", "running") and not self._pause_gate.closed
 
     def _pause(self, reason: str) -> None:
         self._why_paused = reason
-        self._gate.close()
+        self._pause_gate.close()
         if self._life.may_trigger("pause"):  # not yet while devices are connected: see `_go_on`
             self._life.fire("pause")
 

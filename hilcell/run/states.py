@@ -37,7 +37,7 @@ class Table:
     rows: tuple[tuple[str, tuple[str, ...], str], ...]
 
 
-ALIVE: tuple[RunState, ...] = (
+ACTIVE: tuple[RunState, ...] = (
     "checking", "running", "pausing", "paused", "suspended", "aborting",
 )  # fmt: skip
 
@@ -52,11 +52,11 @@ RUN = Table(
         ("suspend", ("running", "pausing"), "suspended"),
         ("proceed", ("pausing", "paused", "suspended"), "running"),
         ("abort", ("checking", "running", "pausing", "paused", "suspended"), "aborting"),
-        ("stop", ALIVE, "stopping"),
+        ("stop", ACTIVE, "stopping"),
         ("abort", ("stopping",), "aborted"),
-        ("fault", (*ALIVE, "stopping"), "faulted"),
+        ("fault", (*ACTIVE, "stopping"), "faulted"),
         ("finish", ("running", "pausing", "aborting"), "finished"),
-        ("resume", (*ALIVE, "idle", "stopping", "aborted", "faulted"), "checking"),
+        ("resume", (*ACTIVE, "idle", "stopping", "aborted", "faulted"), "checking"),
         ("reopen", ("finished",), "checking"),
     ),
 )
@@ -140,10 +140,10 @@ def retake_refusal(log: Log, key: str) -> str:
         return f"{key[:80]}: no such point was measured in this run"
     if key in log.retakes:
         return f"{key}: waits already to be re-measured"
-    return still_refused(log, point)
+    return remeasure_refusal(log, point)
 
 
-def still_refused(log: Log, point: Point) -> str:
+def remeasure_refusal(log: Log, point: Point) -> str:
     """Return why a point may no longer be re-measured, or nothing where it may."""
     kind, repeatable = point.id.kind, point.commanded_deg is not None and bool(point.station)
     if not (repeatable and kind in ("grid", "repeatability", "validate")):

@@ -47,18 +47,18 @@ from hilcell.model.point import HELD, LENGTH, Point, PointId
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.meter import Meter
-from hilcell.run.prompts import Look, Prompt
+from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.states import retake_refusal
 
 SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift
 ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
 
 
-class BlockLost(Exception):
+class RemeasureStep(Exception):
     """The points since the tracker's last proof are invalid; their act is performed again."""
 
 
-class Off(NamedTuple):
+class SlideOffset(NamedTuple):
     """How far the slide stands beside where it was, along the rail, and the limit."""
 
     off_mm: float
@@ -89,8 +89,8 @@ class Watch(Meter):
     MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 
     _proven: tuple[str, int] | None = None  # station and visit
-    _room_judged: Point | None = None
-    _room_within_s: float | None = None  # since which, cell time
+    _temperature_judged: Point | None = None
+    _temperature_good_since_s: float | None = None  # since which, cell time
 
     def measured(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,), tracker's frame.
@@ -98,7 +98,7 @@ class Watch(Meter):
         After a question the tracker is proven first: it may have moved meanwhile.
         """
         while (reading := self.measure(key, place, near_mm, samples)) is None:
-            self.prove_where_doubtful()
+            self.verify_tracker_if_due()
         return reading
 
     def measured_in_world(
@@ -130,7 +130,7 @@ class Watch(Meter):
         """Frame {W} at the tracker's present set-up; where that is done, prove it."""
         cell, number = self.cell, self.log.set_ups.number
         if self._framed:
-            self.prove()
+            self.verify_tracker()
             return
         ids = self._nest_ids(number)
         # Since an engine before this one measured them, the tracker may have moved.
@@ -148,21 +148,21 @@ class Watch(Meter):
         keys = [nest.key for nest in nests]
         self.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
 
-    def prove(self) -> None:
+    def verify_tracker(self) -> None:
         """Prove that the tracker stands where {W} was framed.
 
-        Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
+        Raises `RemeasureStep` where it has moved, after {W} was framed again, and `DeviceError`
         where a nest has, or where frames rest on what was measured since the last proof.
         """
         before = [self.log.point(id) for id in self._nest_ids(self.log.set_ups.number)]
         now = self._controls()
-        stand = self._stand(before, now)
-        if not stand and (some_stand(before, now) or any(self._changes(now))):
+        stand = self._unmoved(before, now)
+        if not stand and (some_unmoved(before, now) or any(self._changes(now))):
             now = self._controls()
-            stand = self._stand(before, now)
+            stand = self._unmoved(before, now)
         if not stand:
-            if some_stand(before, now):
-                self._blame(motions_mm(before, now))
+            if some_unmoved(before, now):
+                self._refuse_moved_nests(motions_mm(before, now))
             self._renew(before, now)
         self.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
 
@@ -173,9 +173,9 @@ class Watch(Meter):
         """
         by_hand = self.cell.layout.by_hand
         if self.log.set_ups.open and self._framed and (carried or not by_hand):
-            self.prove()
+            self.verify_tracker()
 
-    def prove_where_doubtful(self) -> None:
+    def verify_tracker_if_due(self) -> None:
         """Prove it after a pause, and after as many points as the plan allows between proofs.
 
         After a pause also where nothing waits for a proof: the next point would be the first of a
@@ -185,7 +185,7 @@ class Watch(Meter):
         cell, done = self.cell, self.log.set_ups
         doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
         if doubtful and not cell.layout.by_hand and self._framed:
-            self.prove()
+            self.verify_tracker()
 
     @property
     def _framed(self) -> bool:
@@ -194,7 +194,7 @@ class Watch(Meter):
 
     def _measured(self, ids: list[PointId]) -> list[Point]:
         nests = self.cell.layout.floor
-        return [self.floor_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
+        return [self.floor_nest_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
 
     def _controls(self) -> list[Point]:
         log, names = self.log, [nest.name for nest in self.cell.layout.floor]
@@ -221,9 +221,9 @@ class Watch(Meter):
         moved = TrackerMoved(set_up=number, invalid=invalid, moved_mm=moved_mm, limit_mm=limit_mm)
         self.add(moved)
         self.frame_world()
-        raise BlockLost
+        raise RemeasureStep
 
-    def _stand(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
+    def _unmoved(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
         """Whether all nests are seen where they were."""
         return bool(np.all(motions_mm(before, now) <= self._limits_mm(before, now)))
 
@@ -234,10 +234,10 @@ class Watch(Meter):
         return wrong_distances(self.cell, positions_mm(first), positions_mm(now), limits_mm)
 
     def _limits_mm(self, before: Sequence[Point], now: Sequence[Point]) -> Array:
-        return limits_of(self.cell, run_noise(self.log), before, now)
+        return motion_limits_mm(self.cell, run_noise(self.log), before, now)
 
     def _distance_limits_mm(self, before: Sequence[Point], now: Sequence[Point]) -> Array:
-        """Return by how much distances between nests (N, N) may seem to change, as `limits_of`.
+        """Return by how much distances between nests (N, N) may seem to change, as `motion_limits_mm`.
 
         Of the readings' noise counts what lies along the line between the two.
         """
@@ -246,7 +246,7 @@ class Watch(Meter):
         lines_mm = at_mm[:, None] - at_mm[None]
         along = lines_mm / np.maximum(np.linalg.norm(lines_mm, axis=-1), 1.0)[..., None]
         both_mm2 = np.einsum("ijk,ijkl,ijl->ij", along, mm2[:, None] + mm2[None], along)
-        return _limits(self.cell, noise, both_mm2)
+        return _length_limits_mm(self.cell, noise, both_mm2)
 
     def _limit_since_mm(self, nests: Sequence[Point], then_c: float | None) -> float:
         """Return by how much distances of the floor nests may differ from those of an earlier run.
@@ -287,7 +287,7 @@ class Watch(Meter):
                 fields=wrong._asdict() | {"run": before.run},
             )
 
-    def _blame(self, off_mm: Array) -> NoReturn:
+    def _refuse_moved_nests(self, off_mm: Array) -> NoReturn:
         """Refuse nests of which some stand: one that is lifted out of the plane of three changes
         no distance by as much as would show.
         """
@@ -341,7 +341,7 @@ class Watch(Meter):
 
         ``again`` approaches it where it is held, and leaves the proof to the caller. Without {W},
         without a rail, and where the reflector is carried by hand, nothing can be proven. Raises
-        `BlockLost` where it was the tracker that has moved. A strip that has jumped pauses an
+        `RemeasureStep` where it was the tracker that has moved. A strip that has jumped pauses an
         attended run; `DeviceError` where the slide is still beside its place afterwards.
         """
         super().hold_station(station, again=again)
@@ -352,7 +352,7 @@ class Watch(Meter):
         self.parked()  # the arm may stand in the beam's way to the slide
         off = self._prove_hold(station)
         if not off.holds:
-            self.prove()
+            self.verify_tracker()
             self.pause(
                 f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
                 f"was, expected within {off.limit_mm:.3f} mm: the strip has jumped, or a slide "
@@ -374,9 +374,9 @@ class Watch(Meter):
             )
         self._proven = (station.name, self.log.visit)
 
-    def _prove_hold(self, station: Station) -> Off:
+    def _prove_hold(self, station: Station) -> SlideOffset:
         """Measure the nest, and journal that it is where it was, if so."""
-        self.prove_where_doubtful()
+        self.verify_tracker_if_due()
         nest = self.cell.layout.slide[0]
         turn = len(self.log.select(HELD, station.name))
         id = PointId(
@@ -385,13 +385,13 @@ class Watch(Meter):
         expected_mm = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
         samples = self.cell.tracker.samples  # as quickly as a target
         reading = self.measured_in_world(id.key, nest.name, expected_mm, samples)
-        point = self.keep(id, station.name, reading)
+        point = self.record_point(id, station.name, reading)
         off = self._off(station, point)
         if off.holds:
             self.add(SlideProven(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
         return off
 
-    def _off(self, station: Station, now: Point) -> Off:
+    def _off(self, station: Station, now: Point) -> SlideOffset:
         """Return how far a point of this hold is from the first one's: of the station, or of any.
 
         The first of all is where it is. From one station to another the strip leads less well than
@@ -401,7 +401,7 @@ class Watch(Meter):
         before = [self.log.points[key] for key in keys if key in self.log.points]
         here = [point for point in before if point.station == station.name]
         if not before:
-            return Off(0.0, 0.0)
+            return SlideOffset(0.0, 0.0)
         first = (here or before)[0]
         straight_mm = 0.5  # between stations by the strip: its error, the rail's tilt and lean
         held_mm = 2.0 * self.cell.rail.held_within_mm if here else straight_mm
@@ -409,28 +409,28 @@ class Watch(Meter):
         at_mm = apply(self.log.matrix("world"), positions_mm([first, now]))
         way_mm = station.strip_mm - self.cell.station_named(first.station).strip_mm
         along_mm = float((at_mm[1] - at_mm[0]) @ np.array(self.cell.layout.rail_direction))
-        return Off(along_mm - way_mm, limit_mm)
+        return SlideOffset(along_mm - way_mm, limit_mm)
 
     # -- the room ---------------------------------------------------------------------------------
 
-    def check_room(self) -> None:
+    def check_ambient_temperature(self) -> None:
         """Suspend the run where its newest point was measured beyond the room's range.
 
         That point waits to be re-measured, where it may be. Where the reflector is carried by hand
         there is none to look at, and somebody who feels the room.
         """
         point, table = self.last, self.cell.room
-        if point is None or point is self._room_judged or self.cell.layout.by_hand:
+        if point is None or point is self._temperature_judged or self.cell.layout.by_hand:
             return
-        then_c, self._room_judged = reference_c(self.log), point
+        then_c, self._temperature_judged = reference_c(self.log), point
         if then_c is None or point.temperature_c is None:
             return
         if abs(point.temperature_c - then_c) <= table.range_k:
             return
-        self._await_room(point, then_c)
+        self._await_ambient_temperature(point, then_c)
 
-    def _await_room(self, point: Point, then_c: float) -> None:
-        cause, nest = self._room_cause(point, then_c), self.cell.layout.floor[0]
+    def _await_ambient_temperature(self, point: Point, then_c: float) -> None:
+        cause, nest = self._temperature_error(point, then_c), self.cell.layout.floor[0]
         x, y, z = self.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
         prompt = Prompt(
             title="Wait for the room's temperature",
@@ -442,13 +442,17 @@ class Watch(Meter):
             reason=f"room temperature: {cause.found}, expected {cause.expected}",
             by_itself=True,
         )
-        self._room_within_s = None
+        self._temperature_good_since_s = None
         if not retake_refusal(self.log, point.key):
             self.add(RetakeAsked(key=point.key))  # done also by a run that is resumed
-        self.ask(prompt, lambda: self._look_at_room(np.array(prompt.expected_mm), then_c), cause)
+        self.ask(
+            prompt,
+            lambda: self._verify_ambient_temperature(np.array(prompt.expected_mm), then_c),
+            cause,
+        )
         self.add(RoomBack())
 
-    def _room_cause(self, point: Point, then_c: float) -> NoReading:
+    def _temperature_error(self, point: Point, then_c: float) -> NoReading:
         table, now_c = self.cell.room, point.temperature_c or 0.0
         return NoReading(
             "HC-V14",
@@ -461,24 +465,28 @@ class Watch(Meter):
             | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
         )
 
-    def _look_at_room(self, near_mm: Array, then_c: float) -> Look:
-        """Look at the weather station; good once the air has been within the band long enough."""
+    def _verify_ambient_temperature(self, near_mm: Array, then_c: float) -> Verification:
+        """Verification at the weather station; good once the air has been within the band long enough."""
         table, reflector = self.cell.room, self.cell.tracker.reflector
         try:
             reading = self.devices.tracker.measure(near_mm, reflector, 1)
         except DeviceError as error:
-            return Look.failed(error, self.clock.pc_s())
+            return Verification.failed(error, self.clock.pc_s())
         now_s = self.clock.now_s()
         off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c
         if not abs(off_k) <= table.back_k:
-            self._room_within_s = None
-            return Look(None, f"the air is {off_k:+.1f} K from {then_c:.1f} C", reading.taken_s)
-        self._room_within_s = now_s if self._room_within_s is None else self._room_within_s
-        steady_s = now_s - self._room_within_s
+            self._temperature_good_since_s = None
+            return Verification(
+                None, f"the air is {off_k:+.1f} K from {then_c:.1f} C", reading.taken_s
+            )
+        self._temperature_good_since_s = (
+            now_s if self._temperature_good_since_s is None else self._temperature_good_since_s
+        )
+        steady_s = now_s - self._temperature_good_since_s
         if not steady_s >= table.steady_s:
             why = f"the air has been within {table.back_k:g} K for {steady_s:.0f} s"
-            return Look(None, f"{why}, expected {table.steady_s:g} s", reading.taken_s)
-        return Look(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
+            return Verification(None, f"{why}, expected {table.steady_s:g} s", reading.taken_s)
+        return Verification(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
 
     @staticmethod
     def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
@@ -497,16 +505,18 @@ class Watch(Meter):
 # -- floor nests as the tracker sees them ----------------------------------------------------------
 
 
-def limits_of(cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]) -> Array:
+def motion_limits_mm(
+    cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]
+) -> Array:
     """Return by how much each nest (N,) may seem to move: stated drift, and the readings' noise.
 
     The noise is what all readings of the run so far have shown, at the nest.
     """
     mm2 = noise_at(noise, before) + noise_at(noise, now)
-    return _limits(cell, noise, np.trace(mm2, axis1=-2, axis2=-1))
+    return _length_limits_mm(cell, noise, np.trace(mm2, axis1=-2, axis2=-1))
 
 
-def _limits(cell: Cell, noise: BeamNoise, variances_mm2: Array) -> Array:
+def _length_limits_mm(cell: Cell, noise: BeamNoise, variances_mm2: Array) -> Array:
     """Return the limits (N,) of lengths by the variances of their noise (N,)."""
     sigmas = coverage_factor(SIGMAS, noise.freedom)
     limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + sigmas * np.sqrt(variances_mm2)
@@ -518,7 +528,7 @@ def motions_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:
     return lengths_mm(positions_mm(now) - positions_mm(before))
 
 
-def some_stand(before: Sequence[Point], now: Sequence[Point]) -> bool:
+def some_unmoved(before: Sequence[Point], now: Sequence[Point]) -> bool:
     """Whether some nests are hardly moved beside the others: no motion of a tracker does that."""
     off_mm = motions_mm(before, now)
     return bool(np.any(off_mm <= ALIKE * off_mm.max()))

@@ -22,7 +22,15 @@ from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
+from hilcell.run.prompts import (
+    POLL_S,
+    PendingPrompt,
+    Prompt,
+    Verification,
+    passes,
+    refusal,
+    unanswered,
+)
 from hilcell.run.run_plan import RunPlan, changed_assets
 
 REST_S = 0.02
@@ -60,7 +68,7 @@ class PauseGate:
         with self._lock:
             self._open.set()
 
-    def passage(self, at_rest: Callable[[], None]) -> None:
+    def pass_through(self, at_rest: Callable[[], None]) -> None:
         """Wait while the gate is closed, calling ``at_rest`` all the while; it may raise."""
         while not self._passed():
             at_rest()
@@ -82,15 +90,15 @@ class PauseGate:
 # at a strip that was frozen is no proof before the slide has moved.
 
 
-class UnattendedWait:
+class UnattendedPolling:
     """All waits of one session: together at most ``limit_s`` of the cell's time."""
 
-    FIRST_LOOK_S = 10.0
+    FIRST_POLL_S = 10.0
 
     def __init__(self, clock: Clock, limit_s: float) -> None:
         self._clock, self._left_s = clock, limit_s
-        self._apart_s = self._due_s = self.FIRST_LOOK_S
-        self._looked_s = -math.inf
+        self._apart_s = self._due_s = self.FIRST_POLL_S
+        self._polled_s = -math.inf
 
     @property
     def over(self) -> bool:
@@ -98,10 +106,10 @@ class UnattendedWait:
 
     def begin(self) -> None:
         """Begin a wait: the first look comes soon, unless the same cause may be back at once."""
-        if not self._clock.now_s() - self._looked_s <= self._apart_s:
-            self._apart_s = self._due_s = self.FIRST_LOOK_S
+        if not self._clock.now_s() - self._polled_s <= self._apart_s:
+            self._apart_s = self._due_s = self.FIRST_POLL_S
 
-    def look_due(self) -> bool:
+    def poll_due(self) -> bool:
         """Let a slice of time pass; return whether to look now."""
         slice_s = min(0.5, self._left_s)  # an answer of somebody who attends is noticed meanwhile
         self._clock.wait(slice_s)
@@ -111,7 +119,7 @@ class UnattendedWait:
             return False
         self._apart_s = min(2.0 * self._apart_s, 300.0)
         self._due_s = self._apart_s
-        self._looked_s = self._clock.now_s()
+        self._polled_s = self._clock.now_s()
         return True
 
 
@@ -126,7 +134,7 @@ class AtRest(NamedTuple):
     """The worker stands before the closed gate."""
 
 
-class Halted(NamedTuple):
+class PauseRequested(NamedTuple):
     """The worker will stand before the gate, which it has closed: somebody has to watch now."""
 
     reason: str
@@ -139,7 +147,7 @@ class Asked(NamedTuple):
     cause: NoReading | None
 
 
-class Proven(NamedTuple):
+class Verified(NamedTuple):
     """A look has proven the operator's answer, or that an unattended run may go on.
 
     The worker waits for leave to go on.
@@ -154,13 +162,13 @@ class Ended(NamedTuple):
     error: Exception | None
 
 
-Message = Started | AtRest | Halted | Asked | Proven | Ended
+Message = Started | AtRest | PauseRequested | Asked | Verified | Ended
 
 
 class Worker:
     """Performs one procedure on one cell; ``send`` takes its messages and must not wait.
 
-    Other threads close and open ``gate``, answer through ``asking``, set ``leave`` after `Proven`,
+    Other threads close and open ``gate``, answer through ``pending``, set ``may_proceed`` after `Verified`,
     and set ``screen_known`` when the screen that ordered the run has come or was lost.
     """
 
@@ -179,21 +187,21 @@ class Worker:
         self.monitor = CellMonitor(devices, clock, plan.cell)
         self.devices = self.monitor.devices
         self.gate = PauseGate(lambda: send(AtRest()))
-        self.asking = Asking(clock)
-        self.leave, self.screen_known = threading.Event(), threading.Event()
+        self.pending = PendingPrompt(clock)
+        self.may_proceed, self.screen_known = threading.Event(), threading.Event()
         self.session: CellSession | None = None
         self._plan, self._journal, self._clock = plan, journal, clock
         self._send, self._unattended = send, unattended
-        self._wait = UnattendedWait(clock, plan.cell.plan.unattended_wait_s)
-        askable = plan.changes.askable and not unattended
-        self._changes = replace(plan.changes, askable=askable)
+        self._wait = UnattendedPolling(clock, plan.cell.plan.unattended_wait_s)
+        can_ask = plan.changes.can_ask and not unattended
+        self._changes = replace(plan.changes, can_ask=can_ask)
         self._lost: dict[str, DeviceError] = {}  # as the journal has it
         self._locks = ExitStack()
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def prompt(self) -> PromptStatus | None:
         """Return the prompt; an answer to it would be refused while a device is lost."""
-        status = self.asking.status()
+        status = self.pending.status()
         if status is None or not self.monitor.lost:
             return status
         return msgspec.structs.replace(status, ready=False)
@@ -217,7 +225,7 @@ class Worker:
             self._perform()
         except Exception as caught:  # noqa: BLE001 - any error ends the worker; the runner judges it
             error = caught
-        self.asking.close(ENDED)
+        self.pending.close(ENDED)
         self._send(Ended(error))
 
     def _perform(self) -> None:
@@ -272,13 +280,13 @@ class Worker:
     def _checkpoint(self) -> None:
         """Wait here while the run is paused; the point in flight is always finished first."""
         self._check_end()
-        self.gate.passage(self._at_rest)
+        self.gate.pass_through(self._at_rest)
 
     def _pause(self, reason: str) -> None:
         """Pause before something that somebody has to watch; a run that nobody attends goes on."""
         if not self._unattended:
             self.gate.close()
-            self._send(Halted(reason))
+            self._send(PauseRequested(reason))
             self._checkpoint()
 
     def _at_rest(self) -> None:
@@ -305,54 +313,56 @@ class Worker:
 
     # -- prompts ------------------------------------------------------------------------------
 
-    def _ask(self, prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
+    def _ask(
+        self, prompt: Prompt, look: Callable[[], Verification], cause: NoReading | None
+    ) -> Verification:
         """Wait for the operator's answer until it is proven; return the look that proves it.
 
         Unattended, a failed reading waits for a good look; that none comes is a fault.
         """
         if self._unattended and (cause is None or self._wait.over):
             raise unanswered(prompt, cause) from cause
-        self.leave.clear()
-        self.asking.open(prompt)
+        self.may_proceed.clear()
+        self.pending.open(prompt)
         self._send(Asked(prompt, cause))
         self._wait.begin()
-        looked_s = -LOOK_S
+        looked_s = -POLL_S
         while True:
             self._at_rest()
             if self._unattended:
-                answers, due = self.asking.waited(0.0), self._wait.look_due()
+                answers, due = self.pending.take_answers(0.0), self._wait.poll_due()
             else:
-                answers = self.asking.waited(REST_S)
-                due = time.monotonic() - looked_s >= LOOK_S
+                answers = self.pending.take_answers(REST_S)
+                due = time.monotonic() - looked_s >= POLL_S
             if not (answers or due):
                 continue
-            seen, proven = self._look(prompt, look, answers)
+            seen, proven = self._verify(prompt, look, answers)
             looked_s = time.monotonic()
             if proven:
-                self.asking.close("another answer came first")
+                self.pending.close("another answer came first")
                 return seen
             if self._unattended and self._wait.over:
                 for error in self._lost.values():
                     raise error
                 raise unanswered(prompt, cause) from cause
 
-    def _look(
-        self, prompt: Prompt, look: Callable[[], Look], answers: list[Future[str]]
-    ) -> tuple[Look, bool]:
-        """Look, and judge by it the answers that came before; return whether to go on.
+    def _verify(
+        self, prompt: Prompt, look: Callable[[], Verification], answers: list[Future[str]]
+    ) -> tuple[Verification, bool]:
+        """Verification, and judge by it the answers that came before; return whether to go on.
 
         An unattended run needs none.
         """
         why, alone = ENDED, self._unattended or prompt.by_itself
         try:
             seen = look()
-            self.asking.saw(seen)
+            self.pending.show(seen)
             self.monitor.refresh(at_once=bool(answers))
             self._note_lost()
             proven = bool(answers or alone) and passes(prompt, seen) and not self._lost
             if proven:
-                self._send(Proven("answer" if answers else "look"))
-                while not self.leave.wait(REST_S):
+                self._send(Verified("answer" if answers else "look"))
+                while not self.may_proceed.wait(REST_S):
                     self._check_end()
                 why = ""
             elif answers:

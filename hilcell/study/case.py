@@ -23,7 +23,7 @@ from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.model.results import Calibrated, Place, TargetBounds
 from hilcell.model.verdicts import OTHERS
-from hilcell.run.in_process import direct_run
+from hilcell.run.in_process import run_in_process
 from hilcell.run.procedure import Procedure
 
 IDW = "idw_mm"
@@ -95,7 +95,7 @@ def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) ->
         return Found(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
         try:
-            log = direct_run(
+            log = run_in_process(
                 built, calibrate, seed=seed, machine_seed=machine, folder=Path(folder), plan=plan
             )
             result = typed(calibrate.result(log), Calibrated)

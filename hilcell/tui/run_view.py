@@ -23,7 +23,7 @@ from hilcell.run.states import RUN
 if TYPE_CHECKING:
     from hilcell.alarms import Alarm
     from hilcell.journal.journal import Record
-    from hilcell.run.forecast import Ahead, UnderWay
+    from hilcell.run.forecast import RemainingSpan, SpanProgress
 
 STALE_S = 2.0
 MOST_RECORDS = 2000
@@ -53,13 +53,15 @@ class RunView:
     now: datetime | None = None
     remaining_s: float | None = None
     elapsed_s: float = 0.0
-    ahead: list[Ahead] = field(default_factory=list)  # what is to come, while the run is live
+    ahead: list[RemainingSpan] = field(
+        default_factory=list
+    )  # what is to come, while the run is live
     alarms: list[Alarm] = field(default_factory=list)
     records: list[Record] = field(default_factory=list)  # the newest, for the event log
     last: Point | None = None
     newest: Point | None = None  # that is no proof of nests; drawn large
     newest_t: str = ""  # when its record was written
-    span: UnderWay | None = None  # how far the part under way is
+    span: SpanProgress | None = None  # how far the part under way is
     step: StepBegun | None = None
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 

@@ -299,9 +299,9 @@ class Session:
 
     def ask(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
-        patience_s = TIMEOUT_S.get(command)
-        apart = patience_s is not None  # so that the lamps do not wait for it
-        client = EngineClient.of_run(self.folder, patience_s) if apart else self.feed.client
+        timeout_s = TIMEOUT_S.get(command)
+        apart = timeout_s is not None  # so that the lamps do not wait for it
+        client = EngineClient.of_run(self.folder, timeout_s) if apart else self.feed.client
         if client is None:
             raise HilcellError(
                 f"{command}: no engine is running for {self.folder.name}",

@@ -46,7 +46,9 @@ def test_the_ways_that_are_checked_are_those_that_are_driven(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     checked: list[tuple[Array, Array]] = []
-    monkeypatch.setattr(iso9283, "check_path", lambda *found: checked.append((found[2], found[3])))
+    monkeypatch.setattr(
+        iso9283, "check_planned_path", lambda *found: checked.append((found[2], found[3]))
+    )
     PoseCycle().plan(CELL, 1)
     ((before_rad, joints_rad),) = checked
     driven = driven_by(monkeypatch, visits=2 * len(CYCLE))

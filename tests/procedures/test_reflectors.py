@@ -13,8 +13,8 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.in_process import MemoryJournal, direct_run
-from hilcell.run.prompts import Look, Prompt
+from hilcell.run.in_process import MemoryJournal, run_in_process
+from hilcell.run.prompts import Prompt, Verification
 from procedures.reflectors import REFLECTORS
 
 CELL = load_cell("paper")
@@ -28,7 +28,9 @@ def carried(folder: Path, different: str) -> tuple[Log, list[str]]:
     simulated, titles = InProcessCell(CELL, 1), list[str]()
     tracker = simulated.tracker._truth.tracker  # type: ignore[attr-defined] # the simulated one
 
-    def ask(prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
+    def ask(
+        prompt: Prompt, look: Callable[[], Verification], cause: NoReading | None
+    ) -> Verification:
         titles.append(prompt.title)
         tracker._offset_mm = LONG_MM if f" of {different} " in prompt.title else 0.0
         return look()
@@ -61,7 +63,7 @@ def test_the_one_that_differs_is_named(tmp_path: Path, different: str) -> None:
 
 def test_nobody_carries_them_in_an_unattended_run(tmp_path: Path) -> None:
     with pytest.raises(DeviceError) as refused:
-        direct_run(CELL, REFLECTORS, seed=1, machine_seed=1, folder=tmp_path)
+        run_in_process(CELL, REFLECTORS, seed=1, machine_seed=1, folder=tmp_path)
     assert refused.value.code == "HC-C16"
 
 

@@ -91,13 +91,13 @@ class FakeBench:
         self.measured(id, joints_rad, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
         return self.log.point(id)
 
-    def floor_point(self, id: PointId, nest: Any) -> Point:
+    def floor_nest_point(self, id: PointId, nest: Any) -> Point:
         self._point(id, nest.xyz_mm)
         return self.log.point(id)
 
     def close_step(self, *, carried: bool = False) -> None:
         for nest in CELL.layout.floor:
-            self.floor_point(
+            self.floor_nest_point(
                 PointId("control", session=1, turn=self.closings, nest=nest.name), nest
             )
         self.closings += 1

@@ -15,7 +15,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.log import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
-from hilcell.run.mover import SweepOrder
+from hilcell.run.mover import SweepCommand
 from hilcell.run.stopping import SafeStop, close_all
 
 START_RAD = np.radians([-10.0, -100.0, 110.0, 5.0, 40.0, 20.0])
@@ -35,9 +35,9 @@ class Watched:
         self._after(self._count)
 
 
-def order(near_mm: Array, degrees: float = 4.0) -> SweepOrder:
+def order(near_mm: Array, degrees: float = 4.0) -> SweepCommand:
     end_rad = float(START_RAD[0] + np.radians(degrees))
-    return SweepOrder(KEY, START_RAD, 0, end_rad, float(np.radians(1.0)), near_mm, 100.0)
+    return SweepCommand(KEY, START_RAD, 0, end_rad, float(np.radians(1.0)), near_mm, 100.0)
 
 
 class Engine:

@@ -394,7 +394,9 @@ def floor_moves(facts: Facts) -> str:
     times, points = time_axis.times(), [point for point, _ in moves]
     at_s = np.array([times[point.key] for point in points])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
-    limit_mm = float(np.median(watch.limits_of(facts.cell, run_noise(facts.log), points, points)))
+    limit_mm = float(
+        np.median(watch.motion_limits_mm(facts.cell, run_noise(facts.log), points, points))
+    )
     beyond = 1.25  # the limit
     most_mm = beyond * max(limit_mm, float(size_mm.max()))
     frame = time_axis.frame(0.0, most_mm)

@@ -38,7 +38,7 @@ from hilcell.model.point import CONTROL, HOW, Point, Sent
 from hilcell.model.records import Ended, Intended, StateChanged
 from hilcell.model.verdicts import Verdict
 from hilcell.run.control import DeviceStatus
-from hilcell.run.forecast import Ahead
+from hilcell.run.forecast import RemainingSpan
 from hilcell.sanitize import harmless
 from hilcell.tui.layout import (
     BLANK,
@@ -583,9 +583,9 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
     return listed
 
 
-def _merged(parts: Sequence[Ahead]) -> list[Ahead]:
+def _merged(parts: Sequence[RemainingSpan]) -> list[RemainingSpan]:
     """Return the parts that are listed; checks between two count for the one before them."""
-    merged: list[Ahead] = []
+    merged: list[RemainingSpan] = []
     for part in parts:
         same = bool(merged) and part.kind == merged[-1].kind
         if merged and (same or part.kind not in PARTS):

@@ -77,17 +77,17 @@ def resumed(
     folder: Path, monkeypatch: pytest.MonkeyPatch, answer: str | None, *words: str
 ) -> tuple[int, list[Changes]]:
     """Resume a run with somebody at a terminal; return the exit code, and what went on."""
-    gone_on: list[Changes] = []
+    proceed_refusal: list[Changes] = []
 
     def perform(self: Engine, noted: object) -> Ending:
-        gone_on.append(self.plan.changes)
+        proceed_refusal.append(self.plan.changes)
         return Ending(0, None)
 
     monkeypatch.setattr(Engine, "_perform", perform)
     if answer is not None:
         monkeypatch.setattr(sys, "stdin", Terminal(answer))
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    return main(["resume", "r", "--runs", str(folder.parent), *words]), gone_on
+    return main(["resume", "r", "--runs", str(folder.parent), *words]), proceed_refusal
 
 
 def records(folder: Path) -> list[Record]:
@@ -105,8 +105,8 @@ def test_at_a_terminal_a_resume_says_what_moves_and_asks(
 ) -> None:
     folder = left(tmp_path / "r")
     before = read_journal(folder / JOURNAL)
-    found, gone_on = resumed(folder, monkeypatch, answer)
-    assert (found, len(gone_on)) == (code, int(code == 0))
+    found, proceed_refusal = resumed(folder, monkeypatch, answer)
+    assert (found, len(proceed_refusal)) == (code, int(code == 0))
     words = capsys.readouterr().err
     assert "SIMULATED" in words
     assert STEP in words
@@ -131,8 +131,8 @@ def test_scripts_and_screens_are_not_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     folder = left(tmp_path / "r")
-    gone_on = [Changes([], askable="--screen" in words)]
-    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, gone_on)
+    proceed_refusal = [Changes([], can_ask="--screen" in words)]
+    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, proceed_refusal)
 
 
 @pytest.mark.parametrize(
@@ -150,8 +150,8 @@ def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
 ) -> None:
     folder = left(tmp_path / "r", simulated=False)
     before = read_journal(folder / JOURNAL)
-    found, gone_on = resumed(folder, monkeypatch, answer, *words)
-    assert (found, len(gone_on)) == (code, int(code == 0))
+    found, proceed_refusal = resumed(folder, monkeypatch, answer, *words)
+    assert (found, len(proceed_refusal)) == (code, int(code == 0))
     said = capsys.readouterr().err
     assert ("--unattended" in said) is (code == 2)
     assert (STEP in said) is (answer is not None)
@@ -259,8 +259,8 @@ def test_another_version_is_refused_where_nobody_can_be_asked(
     refusal = capsys.readouterr().err
     assert CHANGE in refusal
     assert "--accept-changes" in refusal
-    gone_on = [Changes([CHANGE], accepted=True, askable=False)]
-    assert resumed(folder, monkeypatch, None, *words, "--accept-changes") == (0, gone_on)
+    proceed_refusal = [Changes([CHANGE], accepted=True, can_ask=False)]
+    assert resumed(folder, monkeypatch, None, *words, "--accept-changes") == (0, proceed_refusal)
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,6 @@ def test_a_cell_slower_than_real_time_is_refused(
 def test_a_run_is_of_the_calibrated_machine(
     asked: int | None, calibrated: int | None, found: int | None
 ) -> None:
-    assert run_plan.calibrated_or_asked(asked, calibrated) == found
+    assert run_plan.checked_machine_seed(asked, calibrated) == found
     with pytest.raises(SettingsError, match="simulated machine 8"):
-        run_plan.calibrated_or_asked(7, 8)
+        run_plan.checked_machine_seed(7, 8)

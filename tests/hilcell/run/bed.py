@@ -156,7 +156,7 @@ class Screen:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Look until something is so: what another thread does tells nobody."""
+    """Verification until something is so: what another thread does tells nobody."""
     looks = threading.Event()
     while not condition():
         looks.wait(0.001)  # lets the other thread work

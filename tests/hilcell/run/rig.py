@@ -168,7 +168,7 @@ class Points:
         for number in range(self.count):
             if self.act is not None:
                 self.act(session, number)
-            session.floor_point(PointId("p", target=str(number)), session.cell.layout.floor[0])
+            session.floor_nest_point(PointId("p", target=str(number)), session.cell.layout.floor[0])
 
     def result(self, log: Log) -> dict[str, Any]:
         return {"measured": len(log.points)}

@@ -11,7 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.mover import Straight
+from hilcell.run.mover import StraightApproach
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.verdicts import base_at
@@ -147,7 +147,7 @@ def test_a_pose_of_a_cycle_is_approached_directly_from_the_one_before_it(
         if there:
             session.robot_to(before_rad, "before")
         moves.clear()
-        how = Straight(before_rad, 80.0)
+        how = StraightApproach(before_rad, 80.0)
         session.flange_point(PointId("flange", target="1"), S1100, HOME_RAD, straight=how)
 
     assert fault_of(bed, straight) == ""

@@ -15,15 +15,15 @@ from hilcell.ports import Array, DeviceError, RobotReading
 from hilcell.run import mover
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import (
-    check_path,
+    check_planned_path,
     check_poses,
-    check_rides,
-    check_stated,
+    check_slide_travel,
     check_sweep,
+    check_volumes_known,
     clear,
     clear_poses,
     leaves_cube,
-    stops_on_way,
+    waypoints,
 )
 from hilcell.run.interlocks import Blocked
 from procedures.base_frame import sweep
@@ -60,7 +60,7 @@ POST = with_box(CELL, -350.0, 0.0, 1500.0, (60.0, 60.0, 4000.0))
 def test_a_way_through_a_volume_is_refused_with_all_that_matters() -> None:
     assert clear(POST, S1100, LEFT[None], RIGHT[None]).tolist() == [False]
     with pytest.raises(Blocked) as caught:
-        check_path(POST, S1100, LEFT, RIGHT, "sweep of axis 1")
+        check_planned_path(POST, S1100, LEFT, RIGHT, "sweep of axis 1")
     error = caught.value
     assert (error.code, error.operation) == ("HC-B34", "sweep of axis 1")
     assert error.fields["keep_out"] == "part"
@@ -91,7 +91,7 @@ def test_a_way_from_nowhere_is_refused() -> None:
             assert clear(cell, S1100, HOME[None], joints[None]).tolist() == [False]
             assert clear_poses(cell, S1100, joints[None]).tolist() == [False]
         with pytest.raises(Blocked):
-            check_path(CELL, S1100, joints, HOME, "a way")
+            check_planned_path(CELL, S1100, joints, HOME, "a way")
         with pytest.raises(Blocked):
             check_poses(CELL, S1100, joints[None], "a pose")
 
@@ -123,7 +123,7 @@ def wall_beside(joints_rad: Array, gap_mm: float) -> Cell:
 
 def way(cell: Cell, start: Array, end: Array) -> list[Array]:
     try:
-        return stops_on_way(cell, S1100.rail_mm, start, end, "now")
+        return waypoints(cell, S1100.rail_mm, start, end, "now")
     except Blocked:
         return []
 
@@ -172,7 +172,7 @@ def test_a_cell_without_volumes_stays_where_it_was_stated() -> None:
     for refused in (
         lambda: check_poses(cell, S1100, OUT[None], "a free pose"),
         lambda: check_sweep(cell, S1100, cube[0], cube[0], "sweep of axis 1"),
-        lambda: check_stated(cell, "sweep"),
+        lambda: check_volumes_known(cell, "sweep"),
     ):
         with pytest.raises(Blocked) as caught:
             refused()
@@ -180,10 +180,10 @@ def test_a_cell_without_volumes_stays_where_it_was_stated() -> None:
 
 
 def test_the_slide_rides_with_a_safe_pose_that_is_clear_everywhere() -> None:
-    check_rides(CELL)
-    check_rides(bare(CELL))
+    check_slide_travel(CELL)
+    check_slide_travel(bare(CELL))
     with pytest.raises(Blocked, match="part"):
-        check_rides(with_box(CELL, -350.0, 1500.0, 1500.0, (300.0, 60.0, 4000.0)))
+        check_slide_travel(with_box(CELL, -350.0, 1500.0, 1500.0, (300.0, 60.0, 4000.0)))
 
 
 # -- before a motion ------------------------------------------------------------------------------
@@ -317,7 +317,7 @@ def test_a_sweep_through_a_volume_is_not_made(
     monkeypatch.setattr(mover, "sweeps_of", lambda robot: robot)
     bed = Bed(tmp_path, cell=cell)
     bed.robot.joints_rad = LEFT
-    order = mover.SweepOrder("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
+    order = mover.SweepCommand("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
 
     def go(session: CellSession, number: int) -> None:
         session.sweep(order)

@@ -15,7 +15,7 @@ from hilcell.geometry.clearance import Proof
 from hilcell.model.point import PointId
 from hilcell.ports import Array, RobotReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.collision import RESERVE_MM, ComingPoses, leaves_cube
+from hilcell.run.collision import RESERVE_MM, UpcomingPoses, leaves_cube
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -72,7 +72,7 @@ def test_a_way_within_the_reserve_of_a_proven_one_is_clear(seed: int) -> None:
     wanted_mm, rail_mm = around_of(CELL).wanted_mm, S1100.strip_mm
     from_rad, to_rad = HOME + np.radians(rng.uniform(-15.0, 15.0, (2, 6)))
     cell = beside_wall(from_rad, wanted_mm + rng.uniform(0.0, 1.4 * RESERVE_MM))
-    coming = ComingPoses(cell)
+    coming = UpcomingPoses(cell)
     coming.expect(rail_mm, np.array([from_rad, to_rad]))
     for read in deviations(rng, cell, posture(rail_mm, from_rad), 0.99 * RESERVE_MM):
         if coming.clear(read[0], read[1:], to_rad):
@@ -82,7 +82,11 @@ def test_a_way_within_the_reserve_of_a_proven_one_is_clear(seed: int) -> None:
 
 
 def test_a_way_from_beyond_the_reserve_is_proven_by_itself() -> None:
-    rng, coming, start = np.random.default_rng(1), ComingPoses(CELL), posture(S1100.strip_mm, LEFT)
+    rng, coming, start = (
+        np.random.default_rng(1),
+        UpcomingPoses(CELL),
+        posture(S1100.strip_mm, LEFT),
+    )
     coming.expect(S1100.strip_mm, np.array([LEFT, FARTHER]))
     for share, clear in ((0.99, True), (1.01, False)):
         for read in deviations(rng, CELL, start, share * RESERVE_MM):
@@ -91,7 +95,7 @@ def test_a_way_from_beyond_the_reserve_is_proven_by_itself() -> None:
 
 
 def test_a_robot_that_stands_nowhere_is_within_no_reserve() -> None:
-    coming = ComingPoses(CELL)
+    coming = UpcomingPoses(CELL)
     coming.expect(S1100.strip_mm, np.array([LEFT, FARTHER]))
     for axis, value in product(range(7), (np.nan, np.inf)):
         read = posture(S1100.strip_mm, LEFT)
@@ -106,14 +110,14 @@ def test_neither_of_both_ways_is_left_out() -> None:
     for from_rad, to_rad in ((HOME, LEFT), (low, HOME)):
         for more_mm, clear in ((-1.0, False), (RESERVE_MM + 1.0, True)):
             cell = beside_wall(HOME, around_of(CELL).wanted_mm + more_mm)
-            coming = ComingPoses(cell)
+            coming = UpcomingPoses(cell)
             coming.expect(S1100.strip_mm, np.array([from_rad, to_rad]))
             assert coming.clear(S1100.strip_mm, from_rad, to_rad) == clear
 
 
 def test_a_cell_without_volumes_expects_nothing() -> None:
     robot = msgspec.structs.replace(CELL.robot, envelope=None)
-    coming = ComingPoses(msgspec.structs.replace(CELL, robot=robot, keep_out=[]))
+    coming = UpcomingPoses(msgspec.structs.replace(CELL, robot=robot, keep_out=[]))
     coming.expect(S1100.strip_mm, np.array([LEFT, FARTHER]))
     assert not coming.clear(S1100.strip_mm, LEFT, FARTHER)
 
@@ -122,7 +126,7 @@ def test_what_leaves_the_cube_does_so_expected_or_not() -> None:
     cube_rad = CELL.robot.nominal().joints_for(CELL.grid.centre.matrix()[None])
     poses_rad = np.vstack([cube_rad, LEFT])
     for expected in (poses_rad[:0], poses_rad):
-        coming = ComingPoses(CELL)
+        coming = UpcomingPoses(CELL)
         coming.expect(S1100.strip_mm, expected)
         found = [coming.leaves_cube(joints_rad) for joints_rad in poses_rad]
         assert found == leaves_cube(CELL, poses_rad).tolist() == [False, True]

@@ -42,7 +42,7 @@ class Recorder:
     def post(self, command: str) -> None:
         self.told.append(command)
 
-    def gone_on(self, since: int) -> str:
+    def proceed_refusal(self, since: int) -> str:
         self.told.append(f"gone on since {since}")
         return self.refusal
 

@@ -12,7 +12,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.ports import Clock, RailReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.interlocks import TRIES, fresh
+from hilcell.run.interlocks import TRIES, fresh_reading
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
@@ -35,22 +35,22 @@ def age_s(reading: RailReading) -> float:
 
 
 def test_a_young_reading_is_taken_at_once() -> None:
-    assert age_s(fresh(aged(iter([0.0])), CLOCK, LIMIT_S)) < LIMIT_S
+    assert age_s(fresh_reading(aged(iter([0.0])), CLOCK, LIMIT_S)) < LIMIT_S
 
 
 def test_an_old_one_is_read_again() -> None:
-    assert age_s(fresh(aged(iter([9.0, 9.0, 0.0])), CLOCK, LIMIT_S)) < LIMIT_S
+    assert age_s(fresh_reading(aged(iter([9.0, 9.0, 0.0])), CLOCK, LIMIT_S)) < LIMIT_S
 
 
 def test_a_young_one_that_is_at_hand_is_not_read_again() -> None:
     at_hand = aged(iter([0.0]))()
-    assert fresh(aged(iter([])), CLOCK, LIMIT_S, at_hand) is at_hand
+    assert fresh_reading(aged(iter([])), CLOCK, LIMIT_S, at_hand) is at_hand
 
 
 @pytest.mark.parametrize("age", [9.0, float("nan")])
 def test_what_stays_old_is_left_to_the_interlocks(age: float) -> None:
     reads = iter([age] * TRIES + [0.0])
-    reading = fresh(aged(reads), CLOCK, LIMIT_S)
+    reading = fresh_reading(aged(reads), CLOCK, LIMIT_S)
     assert not age_s(reading) <= LIMIT_S
     assert next(reads) == 0.0
 

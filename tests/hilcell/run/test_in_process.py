@@ -17,7 +17,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.log import Log
 from hilcell.ports import Array, DeviceError, HilcellError, TrackerReading
-from hilcell.run.in_process import direct_run
+from hilcell.run.in_process import run_in_process
 from hilcell.run.procedure import Procedure
 from tests.whole.bench import SMALL
 from tests.whole.golden import GoldenRuns
@@ -30,7 +30,7 @@ NOISE_MM = 0.05  # of one visit: repeatability and tracker, as both runs measure
 
 def performed(folder: Path, values: Mapping[str, str] = SMALL, machine: int = 1) -> Log:
     cell = load_cell("paper", values)
-    return direct_run(cell, CALIBRATE, seed=1, machine_seed=machine, folder=folder)
+    return run_in_process(cell, CALIBRATE, seed=1, machine_seed=machine, folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_what_cannot_be_reached_is_one_error(tmp_path: Path) -> None:
 def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
     cell = msgspec.structs.replace(load_cell("paper"), simulation=None)
     with pytest.raises(SettingsError, match="real"):
-        direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
+        run_in_process(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
 
 
 def with_forearm(cell: Cell, by_mm: float) -> Cell:
@@ -111,7 +111,7 @@ def test_a_controller_with_another_forearm_is_refused_before_anything_moves(
 ) -> None:
     monkeypatch.setattr(DirectRobot, "move_to", None)
     with pytest.raises(DeviceError) as found:
-        direct_run(
+        run_in_process(
             with_forearm(load_cell("paper"), by_mm),
             HOME,
             seed=1,
@@ -131,5 +131,5 @@ def test_links_of_a_factory_are_journalled(tmp_path: Path, monkeypatch: pytest.M
     )
     for by_mm, found in ((0.0, False), (1.2, True)):
         cell = with_forearm(load_cell("paper"), by_mm)
-        log = direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
+        log = run_in_process(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
         assert log.by_factory_links == found

@@ -13,9 +13,9 @@ from hilcell.run.device_status import CellMonitor
 from hilcell.run.interlocks import (
     Blocked,
     check_joint_limits,
+    check_rail_may_move,
+    check_robot_may_move,
     check_strip,
-    rail_may_move,
-    robot_may_move,
 )
 from tests.clocks import DrivenClock
 from tests.hilcell.run.rig import desk
@@ -47,8 +47,8 @@ def rail(**changes: Any) -> RailReading:
 
 
 def test_they_open_on_good_readings() -> None:
-    rail_may_move(CELL, robot(), 10.1)
-    robot_may_move(CELL, rail(), S1100, 10.1)
+    check_rail_may_move(CELL, robot(), 10.1)
+    check_robot_may_move(CELL, rail(), S1100, 10.1)
 
 
 def off(axis: int, deg: float) -> np.ndarray:
@@ -72,7 +72,7 @@ def off(axis: int, deg: float) -> np.ndarray:
 )
 def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> None:
     with pytest.raises(Blocked, match=part):
-        rail_may_move(CELL, robot(**changes), now_s)
+        check_rail_may_move(CELL, robot(**changes), now_s)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
 )
 def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) -> None:
     with pytest.raises(Blocked, match=part):
-        robot_may_move(CELL, rail(**changes), S1100, now_s)
+        check_robot_may_move(CELL, rail(**changes), S1100, now_s)
 
 
 def test_a_strip_that_says_nothing_proves_no_station() -> None:

@@ -15,7 +15,7 @@ def nothing() -> None: ...
 def test_an_open_gate_is_passed_at_once() -> None:
     reported: list[str] = []
     gate = PauseGate(lambda: reported.append("rests"))
-    gate.passage(lambda: reported.append("waits"))
+    gate.pass_through(lambda: reported.append("waits"))
     assert reported == []
     assert not gate.closed
     assert not gate.resting
@@ -27,7 +27,7 @@ def test_who_comes_to_a_closed_gate_says_so_and_waits() -> None:
     gate.close()
     assert reported == []  # nobody stands there yet
     waits = threading.Semaphore(0)
-    worker = threading.Thread(target=gate.passage, args=(waits.release,))
+    worker = threading.Thread(target=gate.pass_through, args=(waits.release,))
     worker.start()
     for _ in range(3):
         waits.acquire()
@@ -45,7 +45,7 @@ def test_a_stop_ends_the_wait() -> None:
     gate = PauseGate(nothing)
     gate.close()
     with pytest.raises(Stopped):
-        gate.passage(stopped)
+        gate.pass_through(stopped)
 
 
 def test_opened_and_closed_in_haste_the_worker_is_never_in_between() -> None:
@@ -56,7 +56,7 @@ def test_opened_and_closed_in_haste_the_worker_is_never_in_between() -> None:
 
     def work() -> None:
         while not ended.is_set():
-            gate.passage(nothing)
+            gate.pass_through(nothing)
 
     worker = threading.Thread(target=work)
     worker.start()

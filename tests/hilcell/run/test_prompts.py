@@ -30,7 +30,7 @@ def gone() -> None:
 
 
 def test_a_look_that_nobody_answered_grows_old(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, "LOOK_S", 1000.0)  # looks once
+    monkeypatch.setattr(worker_module, "POLL_S", 1000.0)  # looks once
     with Live(bed, procedure(Points(1))) as live:
         live.until("state", "suspended")
         until(lambda: live.status("prompt")["age_s"] is not None)
@@ -185,7 +185,7 @@ def until_asked(bed: Bed, times: int) -> None:
 
 
 def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, "LOOK_S", 1000.0)  # looks for answers alone
+    monkeypatch.setattr(worker_module, "POLL_S", 1000.0)  # looks for answers alone
     good = [0]
 
     def answer() -> None:

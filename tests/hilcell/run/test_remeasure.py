@@ -12,7 +12,7 @@ from hilcell.journal.log import Log
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
-from hilcell.run.states import CALIBRATION, retake_refusal, still_refused
+from hilcell.run.states import CALIBRATION, remeasure_refusal, retake_refusal
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import procedure
 
@@ -73,7 +73,7 @@ def test_a_point_never_measured_is_refused_and_one_that_waits() -> None:
     log.take(Record(3, "", "event", "", {"what": "retake asked", "key": "key"}))
     assert list(log.retakes) == ["key"]
     assert "key" in retake_refusal(log, "key")
-    assert still_refused(log, log.points["key"]) == ""
+    assert remeasure_refusal(log, log.points["key"]) == ""
     log.take(Record(4, "", "point", "key", POINT | {"station": "S1100"}))
     assert list(log.retakes) == []
 

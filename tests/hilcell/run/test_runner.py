@@ -191,4 +191,4 @@ def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: bool) -
             log.take(Record(4, time, "event", "", announced))
         log.take(Record(seq, time, "state", "", {"machine": "run", "from": "idle", "to": to}))
     engine: Any = SimpleNamespace(log=log)
-    assert bool(Runner.gone_on(engine, since)) is refused
+    assert bool(Runner.proceed_refusal(engine, since)) is refused

@@ -115,7 +115,7 @@ def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) ->
 def test_a_script_that_resumes_an_attended_run_does_not_wait(tmp_path: Path) -> None:
     bed = Bed(tmp_path, unattended=False)
     change = other_rail(bed)
-    assert bed.run(procedure(Points(2)), Changes(askable=False)) == 2
+    assert bed.run(procedure(Points(2)), Changes(can_ask=False)) == 2
     assert change in bed.log().fault
 
 

@@ -10,30 +10,30 @@ from hilcell.cell.file import Cell
 from hilcell.invariants import judge
 from hilcell.journal.journal import read_journal
 from hilcell.run.meter import Meter
-from hilcell.run.worker import UnattendedWait
+from hilcell.run.worker import UnattendedPolling
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 
 
-def looks(wait: UnattendedWait, clock: DrivenClock) -> list[float]:
+def looks(wait: UnattendedPolling, clock: DrivenClock) -> list[float]:
     """Return when looks are due until the time is over."""
     found = []
     while not wait.over:
-        if wait.look_due():
+        if wait.poll_due():
             found.append(clock.at_s)
     return found
 
 
 def test_looks_come_less_and_less_often_and_once_more_at_the_end() -> None:
     clock = DrivenClock()
-    assert looks(UnattendedWait(clock, 900.0), clock) == [10, 30, 70, 150, 310, 610, 900]
+    assert looks(UnattendedPolling(clock, 900.0), clock) == [10, 30, 70, 150, 310, 610, 900]
 
 
 def test_all_waits_of_a_session_share_the_time() -> None:
     clock = DrivenClock()
-    wait = UnattendedWait(clock, 100.0)
-    while not wait.look_due():
+    wait = UnattendedPolling(clock, 100.0)
+    while not wait.poll_due():
         pass
     clock.at_s = 50.0  # measuring
     wait.begin()
@@ -43,10 +43,10 @@ def test_all_waits_of_a_session_share_the_time() -> None:
 
 def test_a_cause_that_is_back_at_once_is_looked_at_less_and_less_often() -> None:
     clock = DrivenClock()
-    wait, found = UnattendedWait(clock, 900.0), []
+    wait, found = UnattendedPolling(clock, 900.0), []
     while not wait.over:
         wait.begin()
-        while not wait.look_due():
+        while not wait.poll_due():
             pass
         found.append(clock.at_s)
         clock.at_s += 6.0  # another try
@@ -54,7 +54,7 @@ def test_a_cause_that_is_back_at_once_is_looked_at_less_and_less_often() -> None
 
 
 def test_without_time_there_is_no_wait() -> None:
-    assert UnattendedWait(DrivenClock(), 0.0).over
+    assert UnattendedPolling(DrivenClock(), 0.0).over
 
 
 FOR_EVER_S = 1e12

@@ -37,7 +37,7 @@ def grid(session: CellSession, count: int, warmer_k: dict[int, float], bed: Bed)
 def bed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bed:
     cell = load_cell("paper", QUICK)
     monkeypatch.setitem(PLAN, "cell", msgspec.to_builtins(cell))
-    monkeypatch.setattr("hilcell.run.worker.LOOK_S", 0.01)
+    monkeypatch.setattr("hilcell.run.worker.POLL_S", 0.01)
     return Bed(tmp_path, unattended=False, cell=cell)
 
 

@@ -87,7 +87,7 @@ def moved(x_mm: float, turn_rad: float = 0.0) -> Array:
 
 def measured_step(session: CellSession) -> None:
     for id, nest in zip(STEP, CELL.layout.floor, strict=True):
-        session.floor_point(id, nest)
+        session.floor_nest_point(id, nest)
 
 
 def struck(strike: Callable[[], None]) -> Act:
@@ -300,21 +300,21 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
     def act(session: CellSession, number: int) -> None:
         watch, journal = session, session._journal
         until(lambda: session.log.state == "running")  # another thread writes that
-        watch.prove_where_doubtful()
+        watch.verify_tracker_if_due()
         proofs = len(bed.events("tracker proven"))
         measured_step(session)
-        watch.prove_where_doubtful()
+        watch.verify_tracker_if_due()
         assert len(bed.events("tracker proven")) == proofs  # neither
         journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
-        watch.prove_where_doubtful()
+        watch.verify_tracker_if_due()
         assert len(bed.events("tracker proven")) == proofs + 1
         journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
-        watch.prove_where_doubtful()  # though nothing was measured since
+        watch.verify_tracker_if_due()  # though nothing was measured since
         assert len(bed.events("tracker proven")) == proofs + 2
         journal.append("state", "", {"machine": "run", "from": "paused", "to": "running"})
         for n in range(CELL.plan.prove_every):
-            session.floor_point(PointId("six", nest=str(n)), CELL.layout.floor[0])
-        watch.prove_where_doubtful()
+            session.floor_nest_point(PointId("six", nest=str(n)), CELL.layout.floor[0])
+        watch.verify_tracker_if_due()
         assert len(bed.events("tracker proven")) == proofs + 3
 
     assert performed(bed, act)["exit"] == 0, bed.log().fault
@@ -346,7 +346,7 @@ def test_what_rests_on_unproven_points_is_not_mended(
     floor = Floor(bed, monkeypatch)
 
     def act(session: CellSession, number: int) -> None:
-        session.floor_point(PointId("base", axis=1, number=0), CELL.layout.floor[0])
+        session.floor_nest_point(PointId("base", axis=1, number=0), CELL.layout.floor[0])
         session.frame("base", BASE)
         floor.T = moved(1.0)
         session.close_step()

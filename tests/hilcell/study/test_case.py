@@ -11,7 +11,7 @@ from hilcell.cell.devices import load_entry
 from hilcell.decoding import typed
 from hilcell.model.results import Calibrated
 from hilcell.ports import NoReading
-from hilcell.run.in_process import direct_run
+from hilcell.run.in_process import run_in_process
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
 from hilcell.study.case import RESULTS, figures, measured, packed, versions
@@ -30,7 +30,7 @@ def asked(tmp_path: Path) -> Study:
 def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) -> None:
     cell = cell_of(asked, {"layout.nest_samples": 3})
     row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
-    log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
+    log = run_in_process(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
     result = typed(CALIBRATE.result(log), Calibrated)
     assert row.figures == figures(result)
     assert (row.state, row.reason) == ("done", "")
@@ -92,7 +92,7 @@ def test_a_run_that_ends_early(
     def broken(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(case, "direct_run", broken)
+    monkeypatch.setattr(case, "run_in_process", broken)
     row = measured(packed(cell_of(asked, {})), 1, 1, versions())
     assert row.state == "failed"
     assert words in row.reason

@@ -19,16 +19,16 @@ class ScriptedEngine:
     def __init__(self) -> None:
         self.answer: HilcellError | None = None  # raised by each question; None: all is well
         self.asked: list[str] = []
-        self.patience_s: list[float | None] = []  # of each client
+        self.timeout_s: list[float | None] = []  # of each client
         self.open = 0
         self.opening, self.may_open = threading.Event(), threading.Event()
         self.may_open.set()
 
-    def of_run(self, _: Path, patience_s: float | None = None) -> Self:
+    def of_run(self, _: Path, timeout_s: float | None = None) -> Self:
         """Connect, when it may."""
         self.opening.set()
         self.may_open.wait()
-        self.patience_s.append(patience_s)
+        self.timeout_s.append(timeout_s)
         self.open += 1
         return self
 

@@ -13,7 +13,7 @@ from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Verdict
 from hilcell.run.control import Interlock
-from hilcell.run.forecast import Ahead, Forecast
+from hilcell.run.forecast import Forecast, RemainingSpan
 from hilcell.tui.layout import Stack
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE
@@ -34,7 +34,11 @@ def view_of(story: SampleRun, state: str = "running") -> RunView:
 
 def test_events_go_first_then_steps() -> None:
     view = view_of(measuring())
-    view.ahead = [Ahead(5, "flange", 3, 60.0), Ahead(6, "fit", 0, 1.0), Ahead(7, "flange", 6, 60.0)]
+    view.ahead = [
+        RemainingSpan(5, "flange", 3, 60.0),
+        RemainingSpan(6, "fit", 0, 1.0),
+        RemainingSpan(7, "flange", 6, 60.0),
+    ]
     heads = ("interlocks", "next steps", "newest events")
     seen = {}
     for rows in (4, 7, 12, 17):
@@ -90,8 +94,8 @@ def test_a_stale_status_frees_nothing() -> None:
 def test_steps_start_one_after_the_other() -> None:
     view = view_of(measuring())
     view.ahead = [
-        Ahead(5, "flange", 3, 80.0), Ahead(5, "10 readings", 3, 5.0), Ahead(5, "leg", 0, 14.0),
-        Ahead(6, "fit", 0, 0.0), Ahead(7, "flange", 6, 61.0),
+        RemainingSpan(5, "flange", 3, 80.0), RemainingSpan(5, "10 readings", 3, 5.0), RemainingSpan(5, "leg", 0, 14.0),
+        RemainingSpan(6, "fit", 0, 0.0), RemainingSpan(7, "flange", 6, 61.0),
     ]  # fmt: skip
     lines = [line.split() for line in drawn(Stack(*step_lines(view, UNICODE, 6))).splitlines()[1:]]
     assert [line[-2:] for line in lines] == [

@@ -18,7 +18,7 @@ from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import PointId
 from hilcell.model.records import Ended
 from hilcell.run.control import DeviceStatus, Interlock
-from hilcell.run.forecast import UnderWay
+from hilcell.run.forecast import SpanProgress
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE, to_ascii
 from hilcell.tui.text import devices
@@ -190,7 +190,7 @@ def test_the_step_is_shown_in_words_with_the_count_of_its_part() -> None:
     line = drawn(run_text.step(view), 79)
     assert "5 of 7  Robot grid" in line
     assert line.endswith(" 5 of 8")
-    view.span = UnderWay(50, 75, of_nests=False)
+    view.span = SpanProgress(50, 75, of_nests=False)
     assert drawn(run_text.step(view), 79).endswith(" 50 of 75")
     assert "7 of 7  Validation" in drawn(run_text.step(view_of("done")), 79)
     assert " of " not in drawn(run_text.step(view_of("checking")), 79)
@@ -212,10 +212,10 @@ def test_a_part_of_a_validation_is_named() -> None:
     assert ": corrected targets at S1100" in drawn(run_text.step(view), 79)
     story.point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
-    view.span = UnderWay(2, 3, of_nests=True)
+    view.span = SpanProgress(2, 3, of_nests=True)
     assert drawn(run_text.step(view), 79).endswith(" 2 of 3")
     assert "Validation: floor nests" in drawn(run_text.step(view), 79)
-    for span in (UnderWay(4, 8, of_nests=False), None):  # the count is of others
+    for span in (SpanProgress(4, 8, of_nests=False), None):  # the count is of others
         view.span = span
         assert "floor nests" not in drawn(run_text.step(view), 79)
 

@@ -64,7 +64,7 @@ def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(
     monkeypatch.setattr(sessions, "EngineClient", engine)
     session = session_of(tmp_path)
     session.ask("answer")
-    assert (engine.asked, engine.patience_s) == (["answer"], [TIMEOUT_S["answer"]])
+    assert (engine.asked, engine.timeout_s) == (["answer"], [TIMEOUT_S["answer"]])
     assert engine.open == 0  # a line of its own
     session.close(leave=True)
 
