@@ -237,9 +237,9 @@ class Watch(Meter):
         return motion_limits_mm(self.cell, run_noise(self.log), before, now)
 
     def _distance_limits_mm(self, before: Sequence[Point], now: Sequence[Point]) -> Array:
-        """Return by how much distances between nests (N, N) may seem to change, as `motion_limits_mm`.
+        """Return the limits (N, N) of changes of distances between nests; see `motion_limits_mm`.
 
-        Of the readings' noise counts what lies along the line between the two.
+        Of the readings' noise only the component along the line between two nests counts.
         """
         noise, at_mm = run_noise(self.log), positions_mm(before)
         mm2 = noise_at(noise, before) + noise_at(noise, now)
@@ -466,7 +466,7 @@ class Watch(Meter):
         )
 
     def _verify_ambient_temperature(self, near_mm: Array, then_c: float) -> Verification:
-        """Verification at the weather station; good once the air has been within the band long enough."""
+        """Read the weather station; passes once the air has been within the band long enough."""
         table, reflector = self.cell.room, self.cell.tracker.reflector
         try:
             reading = self.devices.tracker.measure(near_mm, reflector, 1)

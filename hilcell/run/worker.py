@@ -168,8 +168,8 @@ Message = Started | AtRest | PauseRequested | Asked | Verified | Ended
 class Worker:
     """Performs one procedure on one cell; ``send`` takes its messages and must not wait.
 
-    Other threads close and open ``gate``, answer through ``pending``, set ``may_proceed`` after `Verified`,
-    and set ``screen_known`` when the screen that ordered the run has come or was lost.
+    Other threads close and open ``gate``, answer through ``pending``, set ``may_proceed`` after
+    `Verified`, and set ``screen_known`` once the screen that ordered the run attends or is lost.
     """
 
     SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone

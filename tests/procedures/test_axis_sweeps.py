@@ -108,7 +108,7 @@ def blocks(stream: SweepStream) -> list[StreamBlock]:
 
 @pytest.fixture
 def bed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bed:
-    monkeypatch.setattr(mover.Mover, "PACE_S", 0.0)
+    monkeypatch.setattr(mover.Mover, "JOINT_POLL_S", 0.0)
     made = Bed(tmp_path, cell=SWEPT)
     robot = SweepingRobot(SWEPT, made.clock)
     made.devices = Devices(DeskRail(SWEPT, made.clock), robot, StreamingTracker(robot))

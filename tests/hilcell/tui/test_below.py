@@ -94,7 +94,8 @@ def test_a_stale_status_frees_nothing() -> None:
 def test_steps_start_one_after_the_other() -> None:
     view = view_of(measuring())
     view.ahead = [
-        RemainingSpan(5, "flange", 3, 80.0), RemainingSpan(5, "10 readings", 3, 5.0), RemainingSpan(5, "leg", 0, 14.0),
+        RemainingSpan(5, "flange", 3, 80.0), RemainingSpan(5, "10 readings", 3, 5.0),
+        RemainingSpan(5, "leg", 0, 14.0),
         RemainingSpan(6, "fit", 0, 0.0), RemainingSpan(7, "flange", 6, 61.0),
     ]  # fmt: skip
     lines = [line.split() for line in drawn(Stack(*step_lines(view, UNICODE, 6))).splitlines()[1:]]
