@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from drivers import supervision
 from drivers.device_errors import Garbled
-from drivers.spatialanalyzer import tracker_t2sa
 from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
 from drivers.tracker_readings import form_at
@@ -29,8 +28,8 @@ Make = Callable[..., T2saTracker]
 
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
-    monkeypatch.setattr(tracker_t2sa, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
-    monkeypatch.setattr(tracker_t2sa, "MEASURE_S", 0.3)
+    monkeypatch.setattr(t2sa, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
+    monkeypatch.setattr(t2sa, "MEASURE_S", 0.3)
     return wire_time(monkeypatch, supervision)
 
 
@@ -77,6 +76,12 @@ def tracker(make: Make) -> T2saTracker:
     return tracker
 
 
+def result(path: str, xyz_mm: Any) -> str:
+    """Return the line of a measurement that has read a position."""
+    x, y, z = xyz_mm
+    return f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
+
+
 def measuring(tracker: T2saTracker) -> DeviceError:
     """Return the error of a measurement."""
     return refusal(lambda: tracker.measure(PLACE, SMR, 1))
@@ -117,16 +122,16 @@ def test_a_bridge_that_says_so_is_simulated(peer: T2saPeer, make: Make) -> None:
 
 def test_an_instrument_that_stays_simulated_is_refused(peer: T2saPeer, make: Make) -> None:
     peer.answers["!SET_SIM"] = lambda _: "ERR-337 Failed to set simulation"
-    found = refusal(make().connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T71")
+    error = refusal(make().connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T71")
 
 
 def test_a_result_that_is_the_nominal_point_was_not_measured(
     tracker: T2saTracker, peer: T2saPeer
 ) -> None:
     peer.at_mm = np.array(POINTS["P1"]) + 0.3
-    found = refusal(lambda: tracker.measure(peer.at_mm, SMR, 1))  # the reflector is expected there
-    assert (type(found), found.code) == (DeviceRefused, "HC-T71")
+    error = refusal(lambda: tracker.measure(peer.at_mm, SMR, 1))  # the reflector is expected there
+    assert (type(error), error.code) == (DeviceRefused, "HC-T71")
 
 
 def test_a_cold_laser_is_switched_on_and_awaited(peer: T2saPeer, make: Make) -> None:
@@ -141,10 +146,10 @@ def test_a_cold_laser_is_switched_on_and_awaited(peer: T2saPeer, make: Make) -> 
 def test_a_laser_that_does_not_come_is_named(
     peer: T2saPeer, make: Make, monkeypatch: pytest.MonkeyPatch, state: str, code: str
 ) -> None:
-    monkeypatch.setattr(tracker_t2sa.T2saTracker, "WARM_S", 0.05)
+    monkeypatch.setattr(t2sa.T2saTracker, "WARM_S", 0.05)
     peer.laser = state
-    found = refusal(make().connect)
-    assert (type(found), found.code) == (DeviceError, code)
+    error = refusal(make().connect)
+    assert (type(error), error.code) == (DeviceError, code)
 
 
 @pytest.mark.parametrize(
@@ -156,8 +161,8 @@ def test_a_setting_that_is_refused_is_named(
     peer: T2saPeer, make: Make, command: str, code: int
 ) -> None:
     peer.answers[command] = lambda _: f"ERR-{code} Failed."
-    found = refusal(make(profile="x", working_frame="y").connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T06")
+    error = refusal(make(profile="x", working_frame="y").connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T06")
 
 
 @pytest.mark.parametrize(
@@ -172,9 +177,9 @@ def test_a_job_with_other_points_is_refused(
         return f"ACK-300 Measured single pt {path} result: X:{x + shift};Y:{y};Z:{z};today"
 
     peer.answers["?POINT_POS"] = position
-    found = refusal(make().connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T73")
-    assert words in found.found
+    error = refusal(make().connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T73")
+    assert words in error.found
 
 
 def test_a_point_that_the_job_lacks_is_named(peer: T2saPeer, make: Make) -> None:
@@ -186,8 +191,8 @@ def test_a_point_that_the_job_lacks_is_named(peer: T2saPeer, make: Make) -> None
 def test_a_list_that_is_missing_is_named_before_anything_is_sent(
     peer: T2saPeer, make: Make, name: str
 ) -> None:
-    found = refusal(make(points=name).connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T75")
+    error = refusal(make(points=name).connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T75")
     assert not peer.requests
 
 
@@ -197,8 +202,8 @@ def test_a_busy_bridge_is_awaited_and_not_for_ever(peer: T2saPeer, make: Make) -
     make().connect()
     for line, alarm in (("ACK-300 2FACE", "T21"), ("ERR-201 busy", "T21"), ("ERR-341 -", "T70")):
         peer.answers["?STAT"] = partial(str.format, line)
-        found = refusal(make().connect)
-        assert (type(found), found.code) == (DeviceError, f"HC-{alarm}")
+        error = refusal(make().connect)
+        assert (type(error), error.code) == (DeviceError, f"HC-{alarm}")
     assert not peer.halted.is_set()  # another program's measurement is not ended
 
 
@@ -209,12 +214,7 @@ def test_one_reading_is_of_two_measurements_with_their_spread(
     tracker: T2saTracker, peer: T2saPeer
 ) -> None:
     places = iter([PLACE, PLACE + [0.02, 0.0, 0.0]])
-
-    def measure(path: str) -> str:
-        x, y, z = next(places)
-        return f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
-
-    peer.answers["!MEAS_SINGLE_POINT"] = measure
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, next(places))
     reading = tracker.measure(PLACE, SMR, 1)
     assert reading.samples == 2
     np.testing.assert_allclose(reading.xyz_mm, PLACE + [0.01, 0, 0], atol=1e-9)
@@ -223,21 +223,18 @@ def test_one_reading_is_of_two_measurements_with_their_spread(
 
 
 def test_repeats_that_spread_are_no_reading(tracker: T2saTracker, peer: T2saPeer) -> None:
-    offs = iter([0.0, 0.2])
-
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
-        f"ACK-300 Single Point Measurement {path} result {4010 + next(offs)},-2990,5 today"
-    )
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T15")
+    places = iter([PLACE, PLACE + [0.2, 0.0, 0.0]])
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, next(places))
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T15")
 
 
 def test_a_place_beside_every_point_is_refused_before_anything_is_sent(
     tracker: T2saTracker, peer: T2saPeer
 ) -> None:
     peer.requests.clear()
-    found = refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))
-    assert (type(found), found.code) == (DeviceError, "HC-T74")
+    error = refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))
+    assert (type(error), error.code) == (DeviceError, "HC-T74")
     assert not peer.requests
 
 
@@ -245,13 +242,9 @@ def test_another_reflector_is_looked_past_from_other_points(
     tracker: T2saTracker, peer: T2saPeer
 ) -> None:
     honest = peer.answers["!MEAS_SINGLE_POINT"]
-
-    def measure(path: str) -> str | None:
-        if path.endswith("P3"):
-            return honest(path)
-        return f"ACK-300 Single Point Measurement {path} result 4100,-2990,5 today"
-
-    peer.answers["!MEAS_SINGLE_POINT"] = measure
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        honest(path) if path.endswith("P3") else result(path, (4100, -2990, 5))
+    )
     assert tracker.measure(PLACE, SMR, 1).samples == 2
     assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3, 3)]
 
@@ -260,17 +253,15 @@ def test_another_reflector_from_everywhere_is_no_reading(
     tracker: T2saTracker, peer: T2saPeer
 ) -> None:
     peer.at_mm = PLACE + [0.0, 5.1, 0.0]
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T16")
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T16")
     assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
 
 
 def test_the_former_result_again_is_no_measurement(tracker: T2saTracker, peer: T2saPeer) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
-        f"ACK-300 Single Point Measurement {path} result 4010.1,-2990.1,5.1 today"
-    )
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T76")
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, PLACE + 0.1)
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T76")
 
 
 @pytest.mark.parametrize(
@@ -279,12 +270,9 @@ def test_the_former_result_again_is_no_measurement(tracker: T2saTracker, peer: T
 def test_results_in_another_form_are_named(
     tracker: T2saTracker, peer: T2saPeer, values: Any
 ) -> None:
-    x, y, z = values
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
-        f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
-    )
-    found = measuring(tracker)
-    assert (type(found), found.code) == (DeviceError, "HC-T77")
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, values)
+    error = measuring(tracker)
+    assert (type(error), error.code) == (DeviceError, "HC-T77")
 
 
 @pytest.mark.parametrize("value", ["NaN", "1,5", "1e308"])
@@ -294,8 +282,8 @@ def test_a_result_that_is_no_number_is_no_reading(
     peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
         f"ACK-300 Measured single pt {path} result: X:4010.0;Y:{value};Z:5.0;today"
     )
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T14")
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T14")
 
 
 @pytest.mark.parametrize(
@@ -317,8 +305,8 @@ def test_codes_have_their_alarms(
     tracker: T2saTracker, peer: T2saPeer, code: int, alarm: str, kind: type
 ) -> None:
     peer.answers["!MEAS_SINGLE_POINT"] = lambda _: f"ERR-{code} Failed."
-    found = measuring(tracker)
-    assert (type(found), found.code, found.fields) == (kind, alarm, {"status": code})
+    error = measuring(tracker)
+    assert (type(error), error.code, error.fields) == (kind, alarm, {"status": code})
 
 
 def test_a_busy_bridge_is_asked_again(tracker: T2saTracker, peer: T2saPeer) -> None:
@@ -356,7 +344,7 @@ def lost(tracker: T2saTracker) -> None:
     [
         "hello",
         "ACK-300 READY",
-        "ACK-300 Single Point Measurement A;HILCELL;P4 result 1,2,3 today",
+        result("A;HILCELL;P4", (1, 2, 3)),
         "x" * 5000,
     ],
 )
@@ -379,8 +367,8 @@ def test_a_measurement_without_a_reply_is_halted(
     tracker: T2saTracker, peer: T2saPeer, time: WireTime
 ) -> None:
     honest = keeps_silent(peer, time)
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T13")
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T13")
     assert peer.requests[-2:] == ["!HALT", "?LSTA"]
     peer.answers["!MEAS_SINGLE_POINT"] = honest
     tracker.measure(PLACE, SMR, 1)
@@ -391,7 +379,7 @@ def test_a_measurement_without_a_reply_is_halted(
     "late",
     [
         "ERR-330 Error executing measure plan",
-        "ACK-300 Single Point Measurement A;HILCELL;P1 result 4011.0,-2990.0,5.0 today",
+        result("A;HILCELL;P1", (4011.0, -2990.0, 5.0)),
     ],
 )
 def test_the_reply_of_a_halted_measurement_is_not_the_next_ones(
@@ -415,7 +403,7 @@ def test_a_halt_that_is_not_confirmed_ends_the_connection(
 
 
 def test_a_result_of_a_program_that_ran_before_is_passed_over(peer: T2saPeer, make: Make) -> None:
-    old = "ACK-300 Single Point Measurement A;HILCELL;P1 result 1.0,2.0,3.0 today"
+    old = result("A;HILCELL;P1", (1.0, 2.0, 3.0))
     peer.answers["?STAT"] = lambda _: f"{old}\r\nACK-300 Instrument is connected"
     tracker = make()
     tracker.connect()

@@ -1,18 +1,19 @@
+"""An emScon tracker: measurements, both faces, and settings that another program changes."""
+
 from __future__ import annotations
 
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers import supervision
-from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
+from tests.drivers.leica.emscon_bed import POINT, SMR, Make, Quick, measuring, punctual
 from tests.drivers.leica.emscon_peer import (
     CLOSING,
     NOT_READY,
@@ -23,77 +24,13 @@ from tests.drivers.leica.emscon_peer import (
     reply,
     result,
 )
-from tests.drivers.peers import Server, WireTime, in_thread, refusal, wire_time
-
-POINT = np.array([4321.5, -250.25, 300.0])
-SMR = "SMR 1.5in"
+from tests.drivers.peers import Server, WireTime, in_thread, refusal
 
 
-class Quick(LeicaEmsconTracker):
-    REPLY_S = 0.3
-    MOVE_S = 0.3
-    RESULT_S = 0.2
-    INITIALIZE_S = 0.5
-
-
-@pytest.fixture
-def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
-    return wire_time(monkeypatch, supervision)
-
-
-def tracker_at(port: int, time: WireTime, **options: Any) -> Quick:
-    values: dict[str, Any] = {
-        "host": "127.0.0.1",
-        "port": port,
-        "reflector": SMR,
-        "max_std_mm": 0.05,
-        "find_radius_mm": 5.0,
-        "reading_s": 0.1,
-    }
-    return Quick(Quick.Options(**(values | options)), time)
-
-
-@pytest.fixture
-def peer() -> Iterator[EmsconPeer]:
-    with EmsconPeer() as peer:
-        yield peer
-
-
-def punctual(
-    monkeypatch: pytest.MonkeyPatch, tracker: Quick, peer: EmsconPeer, time: WireTime
-) -> None:
-    """Let no look take time while the peer has not answered yet, on however slow a PC."""
-    link, before, asked = tracker._wire(), peer.answered, list[str]()
-    send = link.send
-
-    def counted(data: bytes, operation: str) -> None:
-        asked.append(operation)
-        send(data, operation)
-
-    monkeypatch.setattr(link, "send", counted)
-    time.busy = lambda: peer.answered < before + len(asked)
-
-
-@pytest.fixture
-def tracker(peer: EmsconPeer, time: WireTime) -> Iterator[Quick]:
-    tracker = tracker_at(peer.server.port, time)
-    tracker.connect()
-    yield tracker
-    tracker.close()
-
-
-def measuring(tracker: Quick, samples: int = 1) -> DeviceError:
-    """Return the error of a measurement."""
-    return refusal(lambda: tracker.measure(POINT, SMR, samples))
-
-
-def test_connecting_sets_everything_and_tells_who_answered(
-    peer: EmsconPeer, time: WireTime
-) -> None:
+def test_connecting_sets_everything_and_tells_who_answered(peer: EmsconPeer, make: Make) -> None:
     peer.initialized = 3
-    tracker = tracker_at(peer.server.port, time, serial="390793", find_radius_mm=50.0)
+    tracker = make(serial="390793", find_radius_mm=50.0)
     (identity,) = tracker.connect()
-    tracker.close()
     assert (identity.serial, identity.model) == ("390793", "Leica, emScon 3.8.900")
     assert (identity.kind, identity.maker) == ("tracker", "Leica")
     assert (identity.firmware, identity.simulated) == ("emScon 3.8.900", False)
@@ -106,36 +43,34 @@ def test_connecting_sets_everything_and_tells_who_answered(
 
 
 @pytest.mark.parametrize("name", ["AT401", "AT401 (simulated)"])
-def test_a_tracker_tells_its_name(peer: EmsconPeer, time: WireTime, name: str) -> None:
+def test_a_tracker_tells_its_name(peer: EmsconPeer, make: Make, name: str) -> None:
     field = name.encode("utf-16-le").ljust(64, b"\0")
     body = struct.pack("<I64s", 8, field) + bytes(80)
     peer.answers[132] = partial(lambda body, _: [reply(132, body)], body)
-    tracker = tracker_at(peer.server.port, time)
+    tracker = make()
     (identity,) = tracker.connect()
     assert identity.model == f"Leica {name}, emScon 3.8.900"
     assert identity.simulated is ("simulated" in name)
     peer.answers[132] = lambda _: [failure(132, 2)]  # it need not have one
     (identity,) = tracker.connect()
-    tracker.close()
     assert identity.model == "Leica, emScon 3.8.900"
 
 
 @pytest.mark.parametrize("found", [5.001, np.nan, np.inf])
 def test_a_search_radius_that_reads_back_differently_is_refused(
-    peer: EmsconPeer, time: WireTime, found: float
+    peer: EmsconPeer, make: Make, found: float
 ) -> None:
     peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
-    refused = refusal(tracker_at(peer.server.port, time).connect)
+    refused = refusal(make().connect)
     assert (type(refused), refused.code) == (DeviceRefused, "HC-T06")
 
 
 def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(
-    peer: EmsconPeer, time: WireTime
+    peer: EmsconPeer, make: Make
 ) -> None:
     peer.answers[44] = lambda _: [reply(44, struct.pack("<di", 0.0499 / 3 * 3 * 1000, 10_000))]
-    tracker = tracker_at(peer.server.port, time, find_radius_mm=49.9)
+    tracker = make(find_radius_mm=49.9)
     tracker.connect()
-    tracker.close()
 
 
 def test_one_measurement(tracker: Quick, peer: EmsconPeer, time: WireTime) -> None:
@@ -180,8 +115,8 @@ def test_a_late_result_behind_the_acknowledgement_is_no_reading(
     peer.answers[49] = lambda _: [reply(49), late, READY, right] if at_once else [reply(49), late]
     if not at_once:
         peer.answers[41] = lambda _: next(proof)  # busy: it still measures
-    found = measuring(tracker)
-    assert (type(found), found.code, found.fields["results"]) == (NoReading, "HC-T31", 2)
+    error = measuring(tracker)
+    assert (type(error), error.code, error.fields["results"]) == (NoReading, "HC-T31", 2)
     assert peer.commands[-1] == 52
     peer.answers[49] = lambda _: [reply(49), READY, right]
     peer.answers[41] = lambda _: [reply(41, peer.settings[41])]
@@ -190,9 +125,9 @@ def test_a_late_result_behind_the_acknowledgement_is_no_reading(
 
 def test_a_late_result_of_another_point_is_refused(tracker: Quick, peer: EmsconPeer) -> None:
     peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 5.1, 0])]
-    found = measuring(tracker)
-    assert isinstance(found, NoReading)
-    assert found.fields["off_mm"] == pytest.approx(5.1)
+    error = measuring(tracker)
+    assert isinstance(error, NoReading)
+    assert error.fields["off_mm"] == pytest.approx(5.1)
 
 
 def test_no_result_is_no_reading_and_the_next_one_is_good(
@@ -241,8 +176,8 @@ def test_bad_results_are_no_readings(
     tracker: Quick, peer: EmsconPeer, answer: list[bytes], code: str
 ) -> None:
     peer.answers[49] = lambda _: answer
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, code)
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, code)
 
 
 def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) -> None:
@@ -265,21 +200,20 @@ def test_a_result_in_other_units_is_the_devices_failure_and_names_them(
     tracker: Quick, peer: EmsconPeer, unit: str, unit_mm: float
 ) -> None:
     peer.answers[49] = lambda _: [reply(49), result(POINT / unit_mm)]
-    found = measuring(tracker)
-    assert (found.code, found.fields["unit"]) == ("HC-T18", unit)
-    assert not isinstance(found, NoReading)
-    assert f"in {unit}" in found.found
+    error = measuring(tracker)
+    assert (error.code, error.fields["unit"]) == ("HC-T18", unit)
+    assert not isinstance(error, NoReading)
+    assert f"in {unit}" in error.found
 
 
 @pytest.mark.parametrize("monitor", [0, 1, 2])
 def test_air_counts_as_measured_where_the_weather_monitor_corrects_by_it(
-    peer: EmsconPeer, time: WireTime, monitor: int
+    peer: EmsconPeer, make: Make, monitor: int
 ) -> None:
     peer.weather_monitor = monitor
-    tracker = tracker_at(peer.server.port, time)
+    tracker = make()
     tracker.connect()
     reading = tracker.measure(POINT, SMR, 1)
-    tracker.close()
     assert reading.air == (Air(22.5, 1013.25, 45.0) if monitor == 2 else None)
 
 
@@ -296,9 +230,9 @@ def test_figures_beyond_all_reach_are_no_reading_in_few_words(
     tracker: Quick, peer: EmsconPeer, answer: bytes
 ) -> None:
     peer.answers[49] = lambda _: [reply(49), answer]
-    found = measuring(tracker)
-    assert (type(found), found.code) == (NoReading, "HC-T14")
-    assert len(str(found)) < 200
+    error = measuring(tracker)
+    assert (type(error), error.code) == (NoReading, "HC-T14")
+    assert len(str(error)) < 200
 
 
 def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPeer) -> None:
@@ -307,10 +241,10 @@ def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPee
     tracker.measure(POINT, SMR, 1)
     assert peer.commands[-4:] == [55, 63, 49, 41]
     peer.answers[63] = lambda _: [failure(63, 10004)]
-    found = measuring(tracker)
-    assert isinstance(found, NoReading)
-    assert "10004" in found.found
-    assert "37" in found.found, "what was tried before"
+    error = measuring(tracker)
+    assert isinstance(error, NoReading)
+    assert "10004" in error.found
+    assert "37" in error.found, "what was tried before"
 
 
 def test_not_ready_is_searched_once(tracker: Quick, peer: EmsconPeer) -> None:
@@ -348,9 +282,9 @@ def test_a_lost_initialisation_is_the_devices_failure(
     tracker: Quick, peer: EmsconPeer, status: int
 ) -> None:
     peer.answers[49] = lambda _: [failure(49, status)]
-    found = measuring(tracker)
-    assert not isinstance(found, NoReading)
-    assert found.fields["status"] == status
+    error = measuring(tracker)
+    assert not isinstance(error, NoReading)
+    assert error.fields["status"] == status
 
 
 @pytest.mark.parametrize(
@@ -365,17 +299,17 @@ def test_a_lost_initialisation_is_the_devices_failure(
     ],
 )
 def test_a_wrong_tracker_is_refused(
-    peer: EmsconPeer, time: WireTime, command: int, answer: list[bytes], code: str
+    peer: EmsconPeer, make: Make, command: int, answer: list[bytes], code: str
 ) -> None:
     peer.answers[command] = lambda _: answer
-    assert refusal(tracker_at(peer.server.port, time).connect).code == code
+    assert refusal(make().connect).code == code
 
 
-def test_a_tracker_that_does_not_initialise_is_refused(peer: EmsconPeer, time: WireTime) -> None:
+def test_a_tracker_that_does_not_initialise_is_refused(peer: EmsconPeer, make: Make) -> None:
     peer.initialized = 3
     peer.answers[7] = lambda _: [reply(7)]
-    found = refusal(tracker_at(peer.server.port, time).connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T04")
+    error = refusal(make().connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T04")
 
 
 def test_a_stop_gets_through_while_a_call_hangs(
@@ -415,7 +349,7 @@ def test_nonsense_is_never_sent(tracker: Quick, peer: EmsconPeer, near: Any, sam
     assert len(peer.commands) == before
 
 
-def test_a_dead_server_is_noticed_at_connect(time: WireTime) -> None:
+def test_a_dead_server_is_noticed_at_connect(time: WireTime, make: Make) -> None:
     silent = threading.Event()
 
     def serve(_: socket.socket) -> None:
@@ -423,7 +357,7 @@ def test_a_dead_server_is_noticed_at_connect(time: WireTime) -> None:
 
     time.silence(0.1)
     with Server(serve) as server:
-        assert refusal(tracker_at(server.port, time).connect).code == "HC-T02"
+        assert refusal(make(port=server.port).connect).code == "HC-T02"
         silent.set()
 
 
@@ -432,6 +366,206 @@ def test_a_stop_that_is_refused_is_reported_beside_the_cause(
 ) -> None:
     peer.answers[49] = lambda _: [reply(49), NOT_READY]
     peer.answers[52] = lambda _: [failure(52, 10014)]
-    found = measuring(tracker)
-    assert isinstance(found, NoReading)
-    assert "10014" in found.found
+    error = measuring(tracker)
+    assert isinstance(error, NoReading)
+    assert "10014" in error.found
+
+
+class TurningPeer:
+    """Lets a peer turn over; ``stuck`` keeps its face, whatever it answers."""
+
+    def __init__(self, peer: EmsconPeer, *, face: int = 1, stuck: bool = False) -> None:
+        self.face, self.stuck = face, stuck
+        self.seen: list[int] = []  # faces in which it measured
+        measure = peer.answers[49]
+
+        def measured(body: bytes) -> Sequence[bytes]:
+            self.seen.append(self.face)
+            return measure(body)
+
+        peer.answers[49] = measured
+        peer.answers[53] = self._turn
+        peer.answers[98] = lambda _: [reply(98, struct.pack("<i", self.face))]
+
+    def _turn(self, _: bytes) -> list[bytes]:
+        self.face = self.face if self.stuck else 3 - self.face
+        return [NOT_READY, reply(53)]
+
+
+def test_a_nest_is_measured_in_the_second_face_and_the_tracker_left_in_the_first(
+    peer: EmsconPeer, tracker: Quick
+) -> None:
+    turning = TurningPeer(peer)
+    reading = tracker.measure_back(POINT, SMR, 3)
+    tracker.measure(POINT, SMR, 1)
+    assert turning.seen == [2, 2, 2, 1]
+    assert turning.face == 1
+    assert (reading.samples, reading.reflector) == (3, SMR)
+    np.testing.assert_allclose(reading.xyz_mm, POINT)
+
+
+def test_it_is_left_in_the_first_face_where_the_beam_breaks_in_the_second(
+    peer: EmsconPeer, tracker: Quick
+) -> None:
+    turning = TurningPeer(peer)
+    peer.answers[49] = lambda _: [reply(49), NOT_READY]
+    error = refusal(lambda: tracker.measure_back(POINT, SMR, 1))
+    assert (type(error), error.code, turning.face) == (NoReading, "HC-T10", 1)
+
+
+def test_it_is_left_in_the_first_face_where_the_readings_of_the_second_spread(
+    peer: EmsconPeer, tracker: Quick
+) -> None:
+    turning, offs_mm = TurningPeer(peer), iter((-0.9, 0.9))
+    peer.answers[49] = lambda _: [reply(49), result(POINT + [0.0, next(offs_mm), 0.0])]
+    error = refusal(lambda: tracker.measure_back(POINT, SMR, 2))
+    assert (type(error), error.code, turning.face) == (NoReading, "HC-T15", 1)
+
+
+def test_a_face_that_reads_back_differently_is_refused(peer: EmsconPeer, tracker: Quick) -> None:
+    TurningPeer(peer, stuck=True)
+    error = refusal(lambda: tracker.measure_back(POINT, SMR, 1))
+    assert (error.code, error.fields["setting"], error.fields["written"]) == (
+        "HC-T06",
+        "face",
+        (2,),
+    )
+
+
+@pytest.mark.parametrize("face", [1, 2])
+def test_a_tracker_that_was_left_in_its_second_face_is_turned_back(
+    peer: EmsconPeer, make: Make, face: int
+) -> None:
+    turning = TurningPeer(peer, face=face)
+    tracker = make()
+    tracker.connect()
+    assert turning.face == 1
+    assert peer.commands.count(53) == face - 1
+
+
+def test_a_controller_that_does_not_tell_its_face_connects(peer: EmsconPeer, make: Make) -> None:
+    peer.answers[98] = lambda _: [failure(98, 2)]
+    tracker = make()
+    tracker.connect()
+    assert 53 not in peer.commands
+
+
+COMPENSATION, SERVER_STARTED = 11, 999
+FRAME = [0.0] * 6
+OTHERS = {  # what another program sets: the news of it, the command that reads it, its bytes
+    "search": (4, 44, struct.pack("<di", 12.0, 10_000)),
+    "units": (6, 6, struct.pack("<5I", 5, 0, 0, 0, 0)),
+    "reflector": (7, 41, struct.pack("<i", 4)),
+    "weather": (8, 48, struct.pack("<9i", 0, 0, 0, 0, 1, 0, 0, 0, 0)),
+    "transforms": (8, 48, struct.pack("<9i", 2, 1, 0, 0, 1, 0, 0, 0, 0)),
+    "axes": (12, 27, struct.pack("<i", 1)),
+    "orientation": (15, 13, struct.pack("<6d", 0.1, *FRAME[1:])),
+    "transformation": (16, 15, struct.pack("<7d", *FRAME, 1.0002)),
+    "mode": (17, 25, struct.pack("<i", 1)),
+    "stationary": (18, 29, struct.pack("<ii", 2000, 1)),
+    "face": (31, 98, struct.pack("<i", 2)),
+    "restarted": (SERVER_STARTED, 6, struct.pack("<5I", 0, 0, 0, 0, 0)),
+}
+
+
+def news(change: int) -> bytes:
+    return struct.pack("<III", 12, 8, change)
+
+
+@pytest.fixture
+def telling(peer: EmsconPeer, make: Make) -> Quick:
+    """Return a tracker whose controller reports its face."""
+    peer.settings[98] = struct.pack("<i", 1)
+    tracker = make(find_radius_mm=20.0)
+    tracker.connect()
+    return tracker
+
+
+def changed(error: DeviceError) -> bool:
+    return error.code == "HC-T06" and not isinstance(error, NoReading | DeviceRefused)
+
+
+@pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.parametrize("while_it", ["rests", "aims", "measures"])
+def test_what_another_program_sets_is_read_back_and_refused_until_it_is_set_again(
+    peer: EmsconPeer, telling: Quick, other: str, while_it: str
+) -> None:
+    change, read, body = OTHERS[other]
+    ours, go = peer.settings[read], peer.answers[55]
+
+    def set_by_another() -> bytes:
+        peer.settings[read] = body
+        return news(change)
+
+    if while_it == "rests":
+        peer.server.send(set_by_another())
+    if while_it == "aims":
+        peer.answers[55] = lambda body: [set_by_another(), *go(body)]
+    if while_it == "measures":
+        peer.answers[49] = lambda _: [reply(49), set_by_another(), READY, result(peer.xyz)]
+    assert changed(measuring(telling))
+    peer.answers[49] = lambda _: [reply(49), READY, result(peer.xyz)]
+    peer.answers[55] = go
+    assert changed(measuring(telling)), "until a new connect"
+    peer.settings[read] = ours
+    telling.connect()
+    assert telling.measure(POINT, SMR, 1).samples == 1
+
+
+@pytest.mark.parametrize("command", [1, 6, 42, 98, 132])
+def test_a_body_that_is_too_short_ends_the_connection(
+    peer: EmsconPeer, telling: Quick, command: int
+) -> None:
+    peer.answers[command] = lambda _: [reply(command, bytes(3))]
+    error = refusal(telling.connect)
+    assert (error.code, error.operation) == ("HC-T02", "decode")
+    assert "a reply of 3 bytes" in error.found
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_news_of_a_setting_that_is_still_ours_costs_one_question_more(
+    peer: EmsconPeer, telling: Quick, other: str
+) -> None:
+    change, read, _ = OTHERS[other]
+    telling.measure(POINT, SMR, 1)
+    counts = [peer.commands.count(read)]
+    for data in (news(change), b""):
+        peer.server.send(data)
+        telling.measure(POINT, SMR, 1)
+        counts.append(peer.commands.count(read))
+    each = int(read == 41)  # the reflector is read after each reading
+    assert np.diff(counts).tolist() == [each + 1, each]
+
+
+def test_a_compensation_by_another_program_is_refused_until_a_new_connect(
+    peer: EmsconPeer, telling: Quick
+) -> None:
+    peer.server.send(news(COMPENSATION))
+    assert changed(measuring(telling))
+    assert changed(measuring(telling))
+    telling.connect()
+    assert telling.measure(POINT, SMR, 1).samples == 1
+
+
+@pytest.mark.parametrize("scale", [1.0002, 0.9999999, float("nan")])
+def test_a_transformation_that_stretches_lengths_is_refused_while_it_is_in_use(
+    peer: EmsconPeer, make: Make, scale: float
+) -> None:
+    peer.settings[15] = struct.pack("<7d", *FRAME, scale)
+    tracker = make()
+    tracker.connect()
+    peer.settings[48] = struct.pack("<9i", 2, 1, 0, 0, 1, 0, 0, 0, 0)
+    error = refusal(tracker.connect)
+    assert (type(error), error.code) == (DeviceRefused, "HC-T06")
+    assert "scale" in error.found
+
+
+@pytest.mark.parametrize("answer", [failure(48, 2), reply(48, status=2), reply(48)])
+def test_an_older_controller_does_not_tell_its_frame(
+    peer: EmsconPeer, make: Make, answer: bytes
+) -> None:
+    peer.answers[48] = lambda _: [answer]
+    del peer.settings[13], peer.settings[15]
+    tracker = make()
+    tracker.connect()
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,18 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.ports import Array, DeviceError, NoReading, Stopped, Stream, StreamBlock, Streams
+from tests.drivers.leica.emscon_bed import POINT, SMR, Make, Quick, punctual
 from tests.drivers.leica.emscon_peer import NOT_READY, READY, EmsconPeer, failure, reply, result
-from tests.drivers.leica.test_tracker_leica_emscon import (
-    POINT,
-    SMR,
-    Quick,
-    punctual,
-    time,
-    tracker_at,
-)
 from tests.drivers.peers import WireTime, refusal, soon
-
-__all__ = ["time"]
 
 STATIONARY, CONTINUOUS = struct.pack("<i", 0), struct.pack("<i", 1)
 PARAMETERS = struct.pack("<4i", 10, 0, 0, 0)  # 10 ms, until stopped
@@ -39,19 +30,10 @@ FIRST, SECOND = (samples(np.arange(n, n + 4) / 100.0 + 7.0) for n in (0, 4))
 
 
 @pytest.fixture
-def peer() -> Iterator[EmsconPeer]:
-    with EmsconPeer() as peer:
-        peer.answers[START] = lambda _: [reply(START), READY, FIRST]
-        peer.answers[STOP] = lambda _: [SECOND, reply(STOP)]
-        yield peer
-
-
-@pytest.fixture
-def tracker(peer: EmsconPeer, time: WireTime) -> Iterator[Quick]:
-    tracker = tracker_at(peer.server.port, time)
-    tracker.connect()
-    yield tracker
-    tracker.close()
+def peer(peer: EmsconPeer) -> EmsconPeer:
+    peer.answers[START] = lambda _: [reply(START), READY, FIRST]
+    peer.answers[STOP] = lambda _: [SECOND, reply(STOP)]
+    return peer
 
 
 def flown(stream: Stream) -> list[StreamBlock]:
@@ -116,17 +98,17 @@ def test_what_ends_a_stream_is_no_reading_and_restores(
     peer: EmsconPeer, tracker: Quick, packet: bytes, code: str
 ) -> None:
     peer.answers[START] = lambda _: [reply(START), READY, FIRST + packet]
-    found = refusal(lambda: fly(tracker))
-    assert (type(found), found.code) == (NoReading, code)
+    error = refusal(lambda: fly(tracker))
+    assert (type(error), error.code) == (NoReading, code)
     assert peer.settings[25] == STATIONARY
     assert peer.commands[-3:] == [STOP, SET_MODE, 25]
 
 
 def test_another_reflector_is_no_reading(peer: EmsconPeer, tracker: Quick) -> None:
     peer.answers[START] = lambda _: [reply(START), samples(np.array([7.0]), POINT + 6.0)]
-    found = refusal(lambda: fly(tracker))
-    assert isinstance(found, NoReading)
-    assert found.fields["off_mm"] == pytest.approx(6.0 * np.sqrt(3))
+    error = refusal(lambda: fly(tracker))
+    assert isinstance(error, NoReading)
+    assert error.fields["off_mm"] == pytest.approx(6.0 * np.sqrt(3))
 
 
 @pytest.mark.parametrize("unit", [1000.0, 0.001, 3.0])
@@ -185,11 +167,10 @@ def test_a_stop_while_a_failed_stream_ends_does_not_hide_the_failure(
     assert len(caught.value.__notes__) == 1
 
 
-def test_a_stream_left_behind_is_ended_by_connect(peer: EmsconPeer, time: WireTime) -> None:
+def test_a_stream_left_behind_is_ended_by_connect(peer: EmsconPeer, make: Make) -> None:
     peer.settings[25] = CONTINUOUS
-    tracker = tracker_at(peer.server.port, time)
+    tracker = make()
     tracker.connect()
-    tracker.close()
     assert peer.commands.index(STOP) < peer.commands.index(SET_MODE)
     assert peer.settings[25] == STATIONARY
 
@@ -215,3 +196,16 @@ def test_an_impossible_stream_is_refused(tracker: Quick, near_mm: Array, rate_hz
 
 def test_the_rate_is_one_that_the_tracker_has(tracker: Quick) -> None:
     assert tracker.stream(POINT, SMR, 300.0).rate_hz == pytest.approx(1000.0 / 3)
+
+
+def test_a_stream_of_another_reflector_is_refused(peer: EmsconPeer, tracker: Quick) -> None:
+    times_s = 7.0 + np.arange(4) / 100.0
+
+    def start(_: bytes) -> list[bytes]:
+        peer.settings[41] = struct.pack("<i", 4)
+        return [reply(49), READY, struct.pack("<III", 12, 8, 7), samples(times_s)]
+
+    peer.answers[49] = start
+
+    assert refusal(lambda: fly(tracker, collected=False)).code == "HC-T06"
+    assert peer.settings[25] == struct.pack("<i", 0)
