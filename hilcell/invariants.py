@@ -20,8 +20,8 @@ from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
 from hilcell.identity import Identity
-from hilcell.journal.journal import FETCH, Record, StorageError
-from hilcell.journal.log import INTERRUPTED, PROOFS, other_assets
+from hilcell.journal.journal import RESTORE_ADVICE, Record, StorageError
+from hilcell.journal.log import PROOFS, UNWATCHED_STATES, changed_asset_kinds
 from hilcell.journal.states import OVER, WAITING
 from hilcell.model import events
 from hilcell.model.frame import Frame
@@ -31,7 +31,7 @@ from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 
 FUTURE_S = -0.001  # two readings of one clock
-NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
+NO_READING = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
 
 INVARIANTS = {
@@ -56,7 +56,7 @@ INVARIANTS = {
 }
 
 
-class Break(NamedTuple):
+class Violation(NamedTuple):
     """A place where an invariant is broken."""
 
     seq: int
@@ -64,12 +64,12 @@ class Break(NamedTuple):
 
 
 @dataclass(slots=True)
-class Proof:
+class InvariantResult:
     """``unproven`` are places where the journal says that a device could not tell."""
 
     checked: int = 0
-    broken: list[Break] = field(default_factory=list)
-    unproven: list[Break] = field(default_factory=list)
+    broken: list[Violation] = field(default_factory=list)
+    unproven: list[Violation] = field(default_factory=list)
 
     @property
     def holds(self) -> bool:
@@ -79,12 +79,12 @@ class Proof:
         """Count one check; None is one that proves nothing."""
         self.checked += holds is not None
         if not holds:
-            (self.unproven if holds is None else self.broken).append(Break(seq, what))
+            (self.unproven if holds is None else self.broken).append(Violation(seq, what))
 
 
-def judge(records: Iterable[Record]) -> dict[str, Proof]:
+def check_invariants(records: Iterable[Record]) -> dict[str, InvariantResult]:
     """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
-    proofs, checker = {name: Proof() for name in INVARIANTS}, Checker()
+    proofs, checker = {name: InvariantResult() for name in INVARIANTS}, Checker()
     for record in records:
         try:
             for invariant, holds, what in checker.checks(record):
@@ -93,7 +93,7 @@ def judge(records: Iterable[Record]) -> dict[str, Proof]:
         except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
             raise StorageError(
                 f"record {record.seq} ({record.kind} {record.key or '-'}) is damaged: {error}; "
-                f"{FETCH}",
+                f"{RESTORE_ADVICE}",
                 code="HC-J02",
             ) from error
     return proofs
@@ -142,7 +142,7 @@ class CellFacts(msgspec.Struct, frozen=True):
 
 
 @dataclass(slots=True)
-class Scene:
+class RecordedRun:
     """``points`` are those that count, ``unproven`` those since the tracker's last proof."""
 
     seq: int = 0
@@ -218,7 +218,7 @@ class Scene:
 
     def _take_state(self, life: StateChanged) -> None:
         self.state = life.to
-        self.interrupted |= life.to in INTERRUPTED
+        self.interrupted |= life.to in UNWATCHED_STATES
         if life.to == "checking":
             self.session, self.verified = self.session + 1, False
             self.held, self.last, self.last_key = "", None, ""
@@ -307,7 +307,7 @@ def nest_of(key: str) -> str:
 Check: TypeAlias = tuple[str, bool | None, str]
 
 
-class Checker(Scene):
+class Checker(RecordedRun):
     """Judges each record by what the records before it say, which `take` adds."""
 
     def checks(self, record: Record) -> Iterator[Check]:
@@ -352,7 +352,7 @@ class Checker(Scene):
     # -- motions, by what was known when each was journalled ----------------------------------
 
     def _motion(self, key: str, motion: Intended) -> Iterator[Check]:
-        action, seen = motion.action, motion.seen or NOT_SEEN
+        action, seen = motion.action, motion.seen or NO_READING
         yield "I5", not self.stands, f"{action} begun while {self.state}"
         found = f"{action} ordered by session {motion.session}, {self.session} holds the run"
         yield "I11", motion.session == self.session, found
@@ -618,7 +618,7 @@ class Checker(Scene):
     def _identities(self, event: events.Connected) -> Check:
         """Compare what answers with what answered before."""
         before, now = ({each.kind: each for each in of} for of in (self.devices, event.devices))
-        changed = other_assets(before, now)
+        changed = changed_asset_kinds(before, now)
         changed += ["hilcell"] if self.hilcell not in ("", event.hilcell) else []
         what = f"changed, and nobody has accepted it: {', '.join(changed)}"
         return "I18", self.accepted or not changed, what

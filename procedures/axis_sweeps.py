@@ -29,7 +29,7 @@ from hilcell.run.mover import SweepCommand
 from hilcell.run.procedure import Result
 from procedures import plan
 
-WAYS = ("up", "down")
+DIRECTIONS = ("up", "down")
 TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
 STREAM_S = 1.5  # begin and end of a stream
 
@@ -86,7 +86,7 @@ class AxisSweeps:
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         cube = cube_joints(cell)
         for axis in axes_of(cell):
-            for way in WAYS:
+            for way in DIRECTIONS:
                 start_rad, end_rad = ends_rad(cell, cube, axis, way)
                 check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {way}")
                 path_rad = np.linspace(start_rad, end_rad, seen_at)
@@ -100,7 +100,7 @@ class AxisSweeps:
                 seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
                 seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
-        count = len(WAYS) * len(axes_of(cell))
+        count = len(DIRECTIONS) * len(axes_of(cell))
         return PlannedStep.of_spans(
             self.name, 0, [Span("sweep", count, seconds), *plan.closing(cell)]
         )
@@ -121,7 +121,7 @@ class AxisSweeps:
     def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> CurveMeasured:
         """Return an axis's result, of further sweeps where the first cannot be used."""
         for attempt in range(1, ATTEMPTS + 1):
-            up, down = (self._sweep(session, cube, axis, way, attempt) for way in WAYS)
+            up, down = (self._sweep(session, cube, axis, way, attempt) for way in DIRECTIONS)
             found = swept_axis(up, down, session.cell.robot.arm(), axis - 1)
             if not found.reason:
                 break

@@ -99,7 +99,9 @@ TO_STATION = (Home(), WorldFrame(), HoldStation())
 TO_GRID = (*TO_STATION, BaseFrame(), RobotGrid())
 
 HOME = Procedure("home", "park the robot; on a rail, reference its drive", (Home(),), point_table)
-WORLD_FRAME = Procedure("world-frame", "frame {W}", (Home(), WorldFrame(proves=True)), point_table)
+WORLD_FRAME = Procedure(
+    "world-frame", "frame {W}", (Home(), WorldFrame(verifies=True)), point_table
+)
 STATION_REPEATABILITY = Procedure(
     "station-repeatability",
     "15 approaches of a station without and with the strip",

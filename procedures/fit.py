@@ -111,7 +111,7 @@ def _orients(cell: Cell, name: str, measured: Measured) -> bool:
     return MODELS[name].learn(measured).predict(vertex).orientation is not None
 
 
-IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
+SIGN_IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
 
 
 class SignErrors(StepResult, frozen=True, kw_only=True):
@@ -140,8 +140,8 @@ class SignCheck:
         )
         last = there if cell.plan.quick else plan.stations_in_order(cell)[-1]
         back = plan.leg(cell, last, there)
-        both = plan.flange_points(cell, joints_rad[[0] * len(IDS)])
-        return PlannedStep.of_spans(self.name, len(IDS), [*back, both, *plan.closing(cell)])
+        both = plan.flange_points(cell, joints_rad[[0] * len(SIGN_IDS)])
+        return PlannedStep.of_spans(self.name, len(SIGN_IDS), [*back, both, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Send both, measure, and journal the verdict."""
@@ -153,7 +153,7 @@ class SignCheck:
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
         for how, command in commands.items():
             joints = plan.joints_for(session.cell, command)[0]
-            session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
+            session.flange_point(SIGN_IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
         found = sign_errors(session.log)
         limit = self._limit(session.log, found.before_mm)
@@ -181,14 +181,14 @@ class SignCheck:
         The wrong sign gives about 2, a right correction less than the middle.
         """
         clearly = 0.5  # the corrected error over the one before
-        noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
+        noise, points = run_noise(log), [log.point(id) for id in SIGN_IDS.values()]
         before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
         noise_mm = float(np.sqrt(corrected_mm2 + clearly**2 * before_mm2))
         return min(1.0, clearly + 2.0 * noise_mm / before_mm)
 
 
 def sign_errors(log: Log) -> SignErrors:
-    points = [log.point(id) for id in IDS.values()]
+    points = [log.point(id) for id in SIGN_IDS.values()]
     before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
     ratio = corrected_mm / before_mm
     return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)

@@ -37,7 +37,7 @@ from hilcell.run.procedure import Procedure, Result
 from procedures import plan
 from procedures.base_frame import BaseFrame
 from procedures.rail import HoldStation
-from procedures.recheck import use
+from procedures.recheck import adopt_calibration
 from procedures.world_frame import Home, WorldFrame
 
 
@@ -59,7 +59,7 @@ class BaseOfTest:
     def perform(self, session: CellSession) -> None:
         """Frame {B}, or take it from the calibration."""
         if session.cell.iso9283.calibration:
-            use(session, ISO)
+            adopt_calibration(session, ISO)
         else:
             BaseFrame().perform(session)
 

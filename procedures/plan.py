@@ -47,8 +47,8 @@ def angles_deg(T_W_B: Array, poses: Array) -> Array:
     return zyx_from_pose(T_W_B @ poses)[:, 3:]
 
 
-def turned(poses: Array, turns_rad: Array) -> Array:
-    """Return poses (N, 4, 4) turned on the spot by rotation vectors (N, 3) in {B}."""
+def reoriented(poses: Array, turns_rad: Array) -> Array:
+    """Return poses (N, 4, 4) reoriented on the spot by rotation vectors (N, 3) in {B}."""
     return matrix(from_rotvec(turns_rad) @ poses[:, :3, :3], poses[:, :3, 3])
 
 
@@ -100,7 +100,7 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
 # -- durations ------------------------------------------------------------------------------------
 
 
-SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
+MOTION_END_S = 0.06  # until a driver has looked often enough to see that a motion has ended
 
 
 def measure_s(cell: Cell, samples: int) -> float:
@@ -113,12 +113,12 @@ def readings(cell: Cell, count: int, samples: int) -> Span:
     return Span(f"{samples} readings", count, count * measure_s(cell, samples))
 
 
-def floor_points(cell: Cell) -> Span:
+def floor_nest_points(cell: Cell) -> Span:
     """Return the span of the floor nests, of which {W} is framed."""
     return readings(cell, len(cell.layout.floor), cell.nest_samples)
 
 
-def _proof(cell: Cell) -> Span:
+def _tracker_check(cell: Cell) -> Span:
     """Return the span of the floor nests, which prove that the tracker has not moved."""
     return readings(cell, len(cell.layout.floor), cell.proof_samples)
 
@@ -126,8 +126,8 @@ def _proof(cell: Cell) -> Span:
 def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:
     """Return the spans of `CellSession.close_step`, and of proofs before it within many points."""
     if cell.layout.by_hand:
-        return [_proof(cell)] if carried else []
-    return [_proof(cell)] * math.ceil(points / cell.plan.prove_every)
+        return [_tracker_check(cell)] if carried else []
+    return [_tracker_check(cell)] * math.ceil(points / cell.plan.prove_every)
 
 
 def robot_moves_s(
@@ -144,7 +144,7 @@ def robot_moves_s(
     trapezoid_s = at_full_speed_s / share + ramp_s
     triangle_s = 2.0 * np.sqrt(cell.robot.ramp_s * at_full_speed_s)
     moves_s: Array = np.where(at_full_speed_s > share * ramp_s, trapezoid_s, triangle_s)
-    return moves_s + SEEN_S
+    return moves_s + MOTION_END_S
 
 
 def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span:
@@ -182,7 +182,7 @@ def rail_travel_s(cell: Cell, distance_mm: float) -> float:
     peak_mm_s = min(speed_mm_s, math.sqrt(abs(distance_mm) * acceleration_mm_s2))
     ramps_s = peak_mm_s / acceleration_mm_s2
     travel_s = abs(distance_mm) / peak_mm_s + ramps_s if distance_mm else 0.0
-    return travel_s + SEEN_S + cell.rail.standstill_dwell_s
+    return travel_s + MOTION_END_S + cell.rail.standstill_dwell_s
 
 
 def rail_move_s(cell: Cell, distance_mm: float) -> float:
@@ -203,10 +203,10 @@ def first_hold(cell: Cell, station: Station) -> list[Span]:
     if not cell.has_rail:
         return []
     way_s = approach_s(cell, cell.rail.travel_min_mm, station)
-    return [Span("leg", 0, way_s), *hold_proof(cell)]
+    return [Span("leg", 0, way_s), *hold_check(cell)]
 
 
-def hold_proof(cell: Cell) -> list[Span]:
+def hold_check(cell: Cell) -> list[Span]:
     """Return the span of the slide nest that proves a hold; none where one reflector is carried."""
     return [] if cell.layout.by_hand else [readings(cell, 1, cell.tracker.samples)]
 
@@ -216,7 +216,7 @@ def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
     if here == there:
         return []
     seconds = park_s(cell) + approach_s(cell, here.rail_mm, there)
-    return [Span("leg", 0, seconds), *hold_proof(cell)]
+    return [Span("leg", 0, seconds), *hold_check(cell)]
 
 
 def homing_s(cell: Cell) -> float:
@@ -225,4 +225,4 @@ def homing_s(cell: Cell) -> float:
         return 0.0
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
     way_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
-    return way_s + SEEN_S + cell.settle.rail_s
+    return way_s + MOTION_END_S + cell.settle.rail_s

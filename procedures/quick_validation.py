@@ -105,7 +105,7 @@ def guard_at(log: Log, station: str) -> Guard:
     return guard_of(log, len(validation(log, [station])[Sent.CHOSEN]))
 
 
-def keep_guard(session: CellSession, station: str) -> None:
+def record_guard(session: CellSession, station: str) -> None:
     """Journal the U by which a station was decided, once."""
     if station not in [each.station for each in session.log.happened(StationDecided)]:
         guard = guard_at(session.log, station)

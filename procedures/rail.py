@@ -163,7 +163,7 @@ def survey_table(result: Result) -> Table:
 # -- stations -------------------------------------------------------------------------------------
 
 APPROACH_MM = 150.0
-HOWS = ("plain", "strip")
+METHODS = ("plain", "strip")
 
 
 class HoldStation(Step):
@@ -229,7 +229,7 @@ class StationRepeatability:
         visits = 2 * cell.survey.repeats
         plain = Span("plain approach", visits, visits * (each_s + away_s))
         by_strip = Span("strip approach", visits, visits * (each_s + by_strip_s))
-        points = len(HOWS) * visits
+        points = len(METHODS) * visits
         return PlannedStep.of_spans(
             self.name, points, [plain, by_strip, *closing(cell, points=points)]
         )
@@ -238,7 +238,7 @@ class StationRepeatability:
         """Approach, measure, go away, come back."""
         repeats = session.cell.survey.repeats
         ways = {"one_side": [-1] * repeats, "random": random_sides(session.seed, repeats)}
-        for how in HOWS:
+        for how in METHODS:
             for way, sides in ways.items():
                 for number, side in enumerate(sides):
                     self._visit(session, how, way, number, side)
@@ -262,7 +262,7 @@ class StationRepeatability:
     def result(self, log: Log) -> Result:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""
         below, random = (
-            {how: approaches(log, how, way) for how in HOWS} for way in ("one_side", "random")
+            {how: approaches(log, how, way) for how in METHODS} for way in ("one_side", "random")
         )
         found = StationRepeated(
             repeats=log.cell.survey.repeats, **random, one_side=OneSide(**below)

@@ -36,7 +36,7 @@ from hilcell.present.table import Column, Table, vector
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
-from procedures.plan import check_reach, closing, drivable, flange_points, turned
+from procedures.plan import check_reach, closing, drivable, flange_points, reoriented
 from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
@@ -67,7 +67,7 @@ class Recheck:
 
     def perform(self, session: CellSession) -> None:
         cell = session.cell
-        calibration = use(session, TABLE)
+        calibration = adopt_calibration(session, TABLE)
         station = cell.reference
         targets_mm = places_mm(calibration, cell.recheck.poses, session.seed)
         nominal_mm = apply(session.log.matrix("base"), targets_mm)
@@ -98,7 +98,7 @@ class Recheck:
         return {KIND: recheck_result(log)}
 
 
-def use(session: CellSession, table: str) -> Calibration:
+def adopt_calibration(session: CellSession, table: str) -> Calibration:
     """Return the calibration that this run uses; keep it, and its base frame, in the journal."""
     calibration = calibration_in(session.log)
     if calibration is None:
@@ -125,7 +125,7 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
 
 
 def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
-    """Return poses (N, 4, 4), every other one turned where other orientations are calibrated.
+    """Return poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
 
     Turned poses tell a reflector that slipped on its mount from a base that moved. A pose that
     cannot be driven to so keeps its orientation.
@@ -136,7 +136,7 @@ def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     station, tilt_share = cell.reference, 0.9  # of the angle by which targets may turn
     for n in range(1, len(poses), 2):
         turns = np.radians(tilt_share * tilt_deg) * np.roll(AXES, -n, axis=0)
-        tried = turned(np.tile(poses[n], (len(turns), 1, 1)), turns)
+        tried = reoriented(np.tile(poses[n], (len(turns), 1, 1)), turns)
         driven = np.flatnonzero(drivable(cell, station, tried))
         if len(driven):
             poses[n] = tried[driven[0]]

@@ -92,10 +92,10 @@ class Revisits:
             self._judge(session)
 
     def _judge(self, session: CellSession) -> None:
-        turned = reversal(session.log) if self._kind == REVISIT else None
+        lost_motion = reversal(session.log) if self._kind == REVISIT else None
         found = revisits(session.log, self._kind)
-        if turned is not None:
-            session.judge("reversal", turned)
+        if lost_motion is not None:
+            session.judge("reversal", lost_motion)
         suspicion = established(session.log, self._kind) or found.suspicion
         judged = Revisited(
             holds=found.holds and suspicion is None,
@@ -114,10 +114,10 @@ class Revisits:
         """Return the lost motion, after the grid; at the end all that is suspected in the run."""
         if self._kind == CLOSING:
             return {"suspicions": suspicions_of(log)}
-        turned = reversal(log)
-        if turned is None:
+        lost_motion = reversal(log)
+        if lost_motion is None:
             return {}
-        figures: dict[str, object] = msgspec.to_builtins(turned)
+        figures: dict[str, object] = msgspec.to_builtins(lost_motion)
         del figures["holds"]
         return {"reversal": figures}
 

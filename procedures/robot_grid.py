@@ -142,11 +142,11 @@ CANDIDATES = 128
 
 
 class ChosenPoses:
-    """Drives to the poses that say most beside the grid: of a quick plan, or of turned targets."""
+    """Drives to the most informative poses beside the grid: of a quick or a reoriented plan."""
 
     name = "chosen-poses"
     needs = "the grid, and the sweeps where there are any"
-    moves = "the robot in the cube, the tool turned"
+    moves = "the robot in the cube, the tool reoriented"
     measures = "the reflectors on the flange at every chosen pose"
     yields = "more certain kinematics"
 
@@ -210,23 +210,23 @@ def choice(log: Log, joints_rad: Array) -> Design:
 
 
 def candidates_rad(cell: Cell) -> Array:
-    """Return joints (N, 6) of poses in the cube that can be driven to, each other one turned."""
-    drawn = _spread(CANDIDATES, 6)
+    """Return joints (N, 6) of drivable poses in the cube, every other one reoriented."""
+    drawn = _evenly_spread(CANDIDATES, 6)
     drawn[::2, 3:] = 0.5
-    return _driven_rad(cell, drawn, max(cell.plan.turn_deg, cell.plan.tilt_deg))
+    return _drivable_rad(cell, drawn, max(cell.plan.turn_deg, cell.plan.tilt_deg))
 
 
 def judged_rad(cell: Cell) -> Array:
     """Return joints (N, 6) of poses like the targets', over which predictions are to be certain."""
     if not cell.plan.tilt_deg:
-        return plan.joints_for(cell, _places_mm(cell, _spread(64, 3)))
-    return _driven_rad(cell, _spread(64, 6), cell.plan.tilt_deg)
+        return plan.joints_for(cell, _places_mm(cell, _evenly_spread(64, 3)))
+    return _drivable_rad(cell, _evenly_spread(64, 6), cell.plan.tilt_deg)
 
 
-def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
+def _drivable_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
     """Return joints (M, 6) of drawn poses (N, 6) that can be driven to: place and turn, 0..1."""
     turns_rad = (2.0 * drawn[:, 3:] - 1.0) * np.radians(turn_deg) / np.sqrt(3.0)
-    poses = plan.turned(plan.poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
+    poses = plan.reoriented(plan.poses_at(cell, _places_mm(cell, drawn[:, :3])), turns_rad)
     return cell.robot.nominal().joints_for(poses[plan.drivable(cell, cell.reference, poses)])
 
 
@@ -235,7 +235,7 @@ def _places_mm(cell: Cell, shares: Array) -> Array:
     return grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
 
 
-def _spread(count: int, dimensions: int) -> Array:
+def _evenly_spread(count: int, dimensions: int) -> Array:
     """Return points (N, D) that fill the unit cube evenly, however few (Roberts' sequence)."""
     root = 2.0
     for _ in range(50):

@@ -35,7 +35,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from procedures.plan import check_reach, closing, first_hold, flange_points
-from procedures.recheck import use
+from procedures.recheck import adopt_calibration
 from procedures.world_frame import Home, WorldFrame
 
 TABLE = "targets"
@@ -64,7 +64,7 @@ class TargetPass:
 
     def perform(self, session: CellSession) -> None:
         """Keep calibration and targets, measure, judge."""
-        cell, calibration = session.cell, use(session, TABLE)
+        cell, calibration = session.cell, adopt_calibration(session, TABLE)
         if listed(session.log) is None:
             names, values = targets_of(cell)
             file = str(_table_of(cell))

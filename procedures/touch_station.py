@@ -46,7 +46,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from procedures import plan
-from procedures.recheck import use
+from procedures.recheck import adopt_calibration
 from procedures.world_frame import Home, WorldFrame
 
 MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
@@ -208,7 +208,7 @@ class TouchStation:
 
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""
-        calibration, station = use(session, TABLE), station_of(session.cell)
+        calibration, station = adopt_calibration(session, TABLE), station_of(session.cell)
         reference = session.cell.reference
         for each in (reference, station):
             key, entry = f"station.{each.name}", self._entry(calibration, each)

@@ -89,7 +89,7 @@ class Validate:
                 count = sum(span.measured for span in measured)
                 proofs = (
                     plan.closing(cell, carried=True, points=count)
-                    if how in self._closed(cell)
+                    if how in self._verified_after(cell)
                     else []
                 )
                 spans += [*measured, *proofs]
@@ -112,8 +112,8 @@ class Validate:
                 for numbers in quick_validation.rounds(session.log, name, how) if quick else every:
                     self._send(session, station, how, numbers, poses, models.get(how))
                 if quick and how == Sent.CHOSEN:
-                    quick_validation.keep_guard(session, name)
-                if how in self._closed(cell):
+                    quick_validation.record_guard(session, name)
+                if how in self._verified_after(cell):
                     session.close_step(carried=True)
         self._judge(session)
         judge_suspicions(session)
@@ -154,13 +154,13 @@ class Validate:
         limits = limits_of(session.cell)
         for where, stations in judged_places(session.cell).items():
             place = self._place_of(session.log, where, stations)
-            turned = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
+            orientations = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
             found = judged(
                 place.chosen.mean,
                 place.chosen.max,
                 limits,
                 guard_of(session.log, place.points),
-                orientation=largest_orientation_error(session.log, turned),
+                orientation=largest_orientation_error(session.log, orientations),
                 also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
                 words="" if place.decision is None else place.decision.text,
             )
@@ -251,7 +251,7 @@ class Validate:
         )
 
     @staticmethod
-    def _closed(cell: Cell) -> tuple[Sent, ...]:
+    def _verified_after(cell: Cell) -> tuple[Sent, ...]:
         """Return the ways after which the tracker is proven; the last of each station at least.
 
         Once a station in a quick plan, and where the reflector is carried by hand.
@@ -291,11 +291,13 @@ def judge_suspicions(session: CellSession) -> None:
 
 
 def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
-    """Return the targets' poses (N, 4, 4) in {B} by station, turned where the plan says so.
+    """Return the targets' poses (N, 4, 4) in {B} by station, reoriented where the plan says so.
 
     A target of which no drawn turn can be driven to keeps the grid's orientation.
     """
-    found = {name: plan.poses_at(cell, at_mm) for name, at_mm in _seen(cell, seed).items()}
+    found = {
+        name: plan.poses_at(cell, at_mm) for name, at_mm in _visible_targets(cell, seed).items()
+    }
     if cell.plan.grid_orientations:
         others = plan.more_orientations(cell)
         for name, poses in found.items():  # in the orientations of the grid, in turn
@@ -311,7 +313,7 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
     return found
 
 
-def _seen(cell: Cell, seed: int) -> dict[str, Array]:
+def _visible_targets(cell: Cell, seed: int) -> dict[str, Array]:
     """Return the targets (N, 3) in {B} by station, drawn again where a nest is in the way."""
     found, station = targets(cell, seed), cell.station_named
     for draw in range(DRAWS):
@@ -325,12 +327,12 @@ def _seen(cell: Cell, seed: int) -> dict[str, Array]:
 
 
 def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator) -> Array:
-    """Return poses (N, 4, 4), each turned by up to the plan's tilt about any axis."""
+    """Return poses (N, 4, 4), each reoriented by up to the plan's tilt about any axis."""
     poses, left = poses.copy(), np.arange(len(poses))
     for _ in range(DRAWS):
         turns = rng.standard_normal((len(left), 3))
         turns *= np.radians(cell.plan.tilt_deg) / np.linalg.norm(turns, axis=1, keepdims=True)
-        tried = plan.turned(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
+        tried = plan.reoriented(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
         driven = plan.drivable(cell, station, tried)
         poses[left[driven]] = tried[driven]
         left = left[~driven]

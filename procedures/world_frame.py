@@ -1,7 +1,7 @@
 """The first acts of a run: the drive's reference, {W}, and proofs of the tracker itself.
 
 {W} is constructed from three nests on the floor (section 5.1), the tracker's anchor. Certified
-lengths prove the tracker's scale there; its second face proves its axes, at start and end.
+lengths prove the tracker's scale there; its second face verifies its axes, at start and end.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ class SetUps(StepResult, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class WorldFrame:
-    """Measures the floor nests; on resume it proves first that the tracker has not moved.
+    """Measures the floor nests; on resume it verifies first that the tracker has not moved.
 
-    ``proves``: it does so at its end as well, where no other step will.
+    ``verifies``: it does so at its end as well, where no other step will.
     """
 
-    proves: bool = False
+    verifies: bool = False
     name = "world-frame"
     needs = "reflectors in the floor nests, and on bars of known length"
     moves = "nothing"
@@ -78,16 +78,16 @@ class WorldFrame:
         plan.check_range(
             cell, np.array([nest.xyz_mm for nest in bar]).reshape(-1, 3), "bar's nests"
         )
-        spans = [plan.floor_points(cell)]
+        spans = [plan.floor_nest_points(cell)]
         spans += [plan.readings(cell, len(bar), cell.nest_samples)] if bar else []
-        spans += plan.closing(cell) if self.proves else []
+        spans += plan.closing(cell) if self.verifies else []
         return PlannedStep.of_spans(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
         """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
         self._check_lengths(session)
-        if self.proves and not session.cell.layout.by_hand:
+        if self.verifies and not session.cell.layout.by_hand:
             session.frame_world()
         session.reach("frame_world")
 

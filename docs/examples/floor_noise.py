@@ -11,7 +11,7 @@ from hilcell.model.results import StepResult
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
-from procedures.plan import floor_points
+from procedures.plan import floor_nest_points
 from procedures.world_frame import Home, WorldFrame
 
 
@@ -32,7 +32,7 @@ class FloorNoise:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step; raises `HilcellError` for points that cannot be measured."""
-        return PlannedStep.of_spans(self.name, len(cell.layout.floor), [floor_points(cell)])
+        return PlannedStep.of_spans(self.name, len(cell.layout.floor), [floor_nest_points(cell)])
 
     def perform(self, session: CellSession) -> None:
         """Measure; the session skips points that the journal holds."""

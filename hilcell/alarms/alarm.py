@@ -115,7 +115,7 @@ def findings_of(error: Json) -> list[Finding]:
 
 
 DRIFT_LIMIT_K = 2.0
-GO_ON = "space"  # the usual key
+CONTINUE_KEY = "space"  # the usual key
 Cause = Literal[
     "watched",  # looked at again and again: raised for as long as it is there
     "not watched",  # whether it is there is not known before the run goes on
@@ -154,7 +154,7 @@ class Alarm:
 
 
 def alarms_of(
-    log: Log, run: str, *, live: bool, go_on: str = GO_ON, lost: bool = False
+    log: Log, run: str, *, live: bool, go_on: str = CONTINUE_KEY, lost: bool = False
 ) -> list[Alarm]:
     """Return the alarms of a run, newest last; ``live``: its engine is at work.
 

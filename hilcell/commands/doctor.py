@@ -30,7 +30,7 @@ from hilcell.commands.console import print_data, print_json
 from hilcell.commands.signatures import Doctor
 from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.journal import StorageError
-from hilcell.journal.runs import bytes_free, bytes_needed, existing
+from hilcell.journal.runs import bytes_free, bytes_needed, nearest_existing
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
 from hilcell.sanitize import harmless_lines
@@ -157,7 +157,7 @@ def loopback() -> Finding:
 
 def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
     """Check the folder of runs: that it can be written, its space, and that its disk is local."""
-    folder, where = existing(runs), str(runs.absolute())
+    folder, where = nearest_existing(runs), str(runs.absolute())
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"\0")

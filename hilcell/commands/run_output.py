@@ -32,7 +32,7 @@ from hilcell.decoding import Json
 from hilcell.errors import RESUMABLE, DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED
 from hilcell.journal.journal import Record, StorageError
-from hilcell.journal.labels import verdict_words
+from hilcell.journal.labels import verdict_label
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
 from hilcell.journal.states import WAITING
@@ -307,7 +307,7 @@ def kind_of(log: Log) -> str:
 def failed_words(key: str, verdict: Verdict) -> str:
     """Return a verdict that does not hold in words: its outcome, its subject, what decided."""
     code = code_of_verdict(key, verdict.outcome)
-    words = f"{verdict.outcome.words}: {verdict_words(key)}: {verdict.why}"
+    words = f"{verdict.outcome.words}: {verdict_label(key)}: {verdict.why}"
     return f"{words} (hilcell explain {code})"
 
 

@@ -18,7 +18,7 @@ from hilcell.commands.console import print_json, print_message, print_table, ter
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.commands.signatures import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.decoding import Json
-from hilcell.invariants import INVARIANTS, Break, Proof, judge
+from hilcell.invariants import INVARIANTS, InvariantResult, Violation, check_invariants
 from hilcell.journal.calibration_status import CalibrationStatus
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
@@ -194,7 +194,7 @@ def show(args: Show) -> int:
 
 def _check(folder: Path, *, as_json: bool) -> int:
     """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
-    proofs = judge(read_records(folder))
+    proofs = check_invariants(read_records(folder))
     if as_json:
         found = {
             name: {
@@ -207,7 +207,7 @@ def _check(folder: Path, *, as_json: bool) -> int:
         }
         print_json({"run": encodable(folder.name), "invariants": found})
     else:
-        columns: list[Column[tuple[str, Proof]]] = [
+        columns: list[Column[tuple[str, InvariantResult]]] = [
             Column("", itemgetter(0)),
             Column("invariant", lambda row: INVARIANTS[row[0]]),
             Column("holds", lambda row: _held(row[1])),
@@ -224,11 +224,11 @@ def _check(folder: Path, *, as_json: bool) -> int:
     return 0 if all(proof.holds for proof in proofs.values()) else 1
 
 
-def _listed(breaks: Sequence[Break]) -> list[Json]:
+def _listed(breaks: Sequence[Violation]) -> list[Json]:
     return [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
 
 
-def _held(verdict: Proof) -> str:
+def _held(verdict: InvariantResult) -> str:
     """Return the verdict in words; an invariant that was never judged is not claimed."""
     if not verdict.holds:
         return "BROKEN"

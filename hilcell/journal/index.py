@@ -30,7 +30,14 @@ import msgspec
 from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError, one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
-from hilcell.journal.journal import ABSENT, BEYOND, FETCH, NeverBegan, Record, StorageError
+from hilcell.journal.journal import (
+    ACCESS_ERRORS,
+    NOT_FOUND_ERRNOS,
+    RESTORE_ADVICE,
+    NeverBegan,
+    Record,
+    StorageError,
+)
 from hilcell.journal.runs import JOURNAL, is_run, live_engine, read_records, run_folders, unusable
 from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import CalibrationRevoked, CalibrationUsed, Connected, SessionOrdered
@@ -167,9 +174,11 @@ def _check_journal(folder: Path) -> None:
     """Raise `StorageError` where a run's folder has lost its journal."""
     journal = folder / JOURNAL
     if _is_folder(journal):
-        raise StorageError(f"journal {journal}: it is a folder, expected a file; {FETCH}")
+        raise StorageError(f"journal {journal}: it is a folder, expected a file; {RESTORE_ADVICE}")
     if folder.name and _is_folder(folder):
-        raise StorageError(f"journal {journal}: no such file in the folder of the run; {FETCH}")
+        raise StorageError(
+            f"journal {journal}: no such file in the folder of the run; {RESTORE_ADVICE}"
+        )
 
 
 def _is_folder(path: Path) -> bool:
@@ -405,7 +414,7 @@ def _stamp(journal: str, now_s: float) -> str | None:
     try:
         file = os.stat(journal)  # noqa: PTH116 - as above
     except OSError as error:
-        return None if error.errno in ABSENT else ""  # reading it reports the cause
+        return None if error.errno in NOT_FOUND_ERRNOS else ""  # reading it reports the cause
     if not stat.S_ISREG(file.st_mode):
         return None
     # Records that are committed but not yet in the main file leave that one as it was.
@@ -511,7 +520,7 @@ def _spared(index: Path) -> Iterator[None]:
         yield
     except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
-        if code & 0xFF not in (*BEYOND, sqlite3.SQLITE_FULL):
+        if code & 0xFF not in (*ACCESS_ERRORS, sqlite3.SQLITE_FULL):
             for file in (index, index.with_name(f"{NAME}-journal")):
                 with suppress(OSError):
                     file.unlink()

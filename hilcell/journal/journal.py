@@ -74,15 +74,20 @@ Body: TypeAlias = Json | msgspec.Struct  # of a record to be written
 FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
 SYNCHRONOUS = "FULL"  # an append returns when its record is on the disk
-ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
-LARGEST = 2**28  # bytes of a journal; one of a thousand points has some 2**23
-LARGEST_RECORD = 2**25  # bytes
+NOT_FOUND_ERRNOS = (
+    errno.ENOENT,
+    errno.ENOTDIR,
+    errno.ELOOP,
+    errno.ENAMETOOLONG,
+)  # other errors hide a file
+MAX_JOURNAL_BYTES = 2**28  # bytes of a journal; one of a thousand points has some 2**23
+MAX_RECORD_BYTES = 2**25  # bytes
 # Of SQLite's machine, which takes some 15 for a record: reading ends, also of a hostile file.
-MOST_STEPS, STEPS = 2 * 10**8, 10**6
+MAX_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
-FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
+RESTORE_ADVICE = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 # Raised where a file is read that is no journal of ours.
-BROKEN = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
+CONTENT_ERRORS = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
 
 _TABLES = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -101,7 +106,7 @@ BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 """
 
 _SCHEMA = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL"
-BEYOND = (  # errors that are not of the file's content
+ACCESS_ERRORS = (  # errors that are not of the file's content
     sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED,
     sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY,
 )  # fmt: skip
@@ -131,7 +136,7 @@ class Damaged(StorageError):
     def __init__(self, path: Path, damage: str, record: int) -> None:
         super().__init__(
             f"journal {path}: {damage}; the file was changed or damaged, and its results cannot be "
-            f"trusted; {FETCH}",
+            f"trusted; {RESTORE_ADVICE}",
             record=record,
         )
         self.damage = damage
@@ -193,7 +198,7 @@ class Journal:
             _check_kinds(path)
         try:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute(f"PRAGMA synchronous={SYNCHRONOUS}")
             self._base.execute("PRAGMA cache_size=-256")  # KiB: the last pages are enough
@@ -316,9 +321,9 @@ class Journal:
 
     def _check_size(self) -> None:
         """Write no journal that nobody reads."""
-        if (size := sum(file.size for file in self._files)) > LARGEST:
+        if (size := sum(file.size for file in self._files)) > MAX_JOURNAL_BYTES:
             raise StorageError(
-                f"journal {self.path}: it has {size} bytes, expected at most {LARGEST}; "
+                f"journal {self.path}: it has {size} bytes, expected at most {MAX_JOURNAL_BYTES}; "
                 "start a new run",
                 code="HC-J01",
             )
@@ -353,12 +358,12 @@ def _not_finite(value: object) -> str:
     return next((where + bad for where, bad in parts), "")
 
 
-def is_there(path: Path) -> bool:
+def is_regular_file(path: Path) -> bool:
     """Whether a file is at a path; raises `OSError` where that cannot be found out."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:
-        if error.errno in ABSENT:
+        if error.errno in NOT_FOUND_ERRNOS:
             return False
         raise
 
@@ -378,7 +383,7 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     Reading from the first record on verifies the hash chain.
     """
     try:
-        if not is_there(path):
+        if not is_regular_file(path):
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
         _check_kinds(path)
         with closing(_reader(path)) as base:
@@ -401,23 +406,23 @@ def _check_kinds(path: Path) -> None:
         try:
             found = file.stat()
         except OSError as error:
-            if error.errno in ABSENT:
+            if error.errno in NOT_FOUND_ERRNOS:
                 continue
             raise
         if not stat.S_ISREG(found.st_mode):
             raise StorageError(
-                f"journal {path}: {file.name} is no regular file; {FETCH}", code="HC-J02"
+                f"journal {path}: {file.name} is no regular file; {RESTORE_ADVICE}", code="HC-J02"
             )
         size += found.st_size
-    if size > LARGEST:
-        found_bytes = f"it has {size} bytes, expected at most {LARGEST}"
-        raise StorageError(f"journal {path}: {found_bytes}; {FETCH}", code="HC-J02")
+    if size > MAX_JOURNAL_BYTES:
+        found_bytes = f"it has {size} bytes, expected at most {MAX_JOURNAL_BYTES}"
+        raise StorageError(f"journal {path}: {found_bytes}; {RESTORE_ADVICE}", code="HC-J02")
 
 
 def _bound(base: sqlite3.Connection) -> None:
     """Let no record be larger than one may be, and no query take for ever."""
-    left = iter(range(MOST_STEPS // STEPS))
-    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
+    left = iter(range(MAX_STEPS // STEPS))
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
     base.set_progress_handler(lambda: next(left, None) is None, STEPS)
 
 
@@ -501,9 +506,9 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             wanted += 1
         if not after:
             _check_pages(base, path)  # they may hide the last records, while the chain holds
-    except (*BROKEN, sqlite3.Error) as error:
+    except (*CONTENT_ERRORS, sqlite3.Error) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
-        if code in BEYOND:
+        if code in ACCESS_ERRORS:
             raise
         other = "not a journal, or " if code == sqlite3.SQLITE_NOTADB else ""
         damage = f"{other}damaged at record {wanted}: {_cause(error)}"

@@ -19,25 +19,25 @@ from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
 
 
-def in_words(text: str, log: Log) -> str:
+def with_labels(text: str, log: Log) -> str:
     """Return a text with its keys of points and verdicts in words."""
     verdict = r"(?<![\w/])verdict ([^\s,;:]*[^\s,;:.])"
-    text = re.sub(verdict, lambda found: verdict_words(found[1]), text)
+    text = re.sub(verdict, lambda found: verdict_label(found[1]), text)
     key = rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]"
-    return re.sub(key, lambda found: key_words(found[0], log), text)
+    return re.sub(key, lambda found: point_label(found[0], log), text)
 
 
-def key_words(key: str, log: Log) -> str:
+def point_label(key: str, log: Log) -> str:
     """Return a key in words, with the station where that is known."""
     point = log.points.get(key)
     if point is not None:
         return point.id.words(point.station)
-    id = id_of(key, log)
+    id = point_id(key, log)
     of_grid = id.kind == "grid" and log.plan is not None and not id.station
     return id.words(log.cell.grid.station if of_grid else "")
 
 
-def verdict_words(key: str) -> str:
+def verdict_label(key: str) -> str:
     """Return the subject of a verdict: *validation at S1100*."""
     if key.startswith(VALIDATION):
         place = key.removeprefix(VALIDATION)
@@ -45,7 +45,7 @@ def verdict_words(key: str) -> str:
     return verdict_title(key)
 
 
-def id_of(key: str, log: Log) -> PointId:
+def point_id(key: str, log: Log) -> PointId:
     """Return a point's identity, as far as its key shows it where it is not measured."""
     if key in log.points:
         return log.points[key].id
@@ -72,7 +72,7 @@ def id_of(key: str, log: Log) -> PointId:
     return PointId(kind, target=" ".join(rest), **found)
 
 
-def procedure_words(name: str) -> str:
+def procedure_label(name: str) -> str:
     special = {
         "calibrate": "Calibration",
         "recheck": "Re-check",
@@ -83,7 +83,7 @@ def procedure_words(name: str) -> str:
     return special.get(name, name.replace("-", " ").capitalize())
 
 
-def step_words(name: str, *, has_rail: bool) -> str:
+def step_label(name: str, *, has_rail: bool) -> str:
     """Return a step's name in words; without a rail the robot alone is homed."""
     without_rail = {
         "home": "Park the robot",
@@ -103,12 +103,12 @@ def step_words(name: str, *, has_rail: bool) -> str:
     return special.get(name, name.replace("-", " ").capitalize())
 
 
-def happened_words(event: Event | OtherEvent, log: Log) -> str:
+def event_label(event: Event | OtherEvent, log: Log) -> str:
     """Return an event in words, its points by name; "" where there is nothing to say."""
     if isinstance(event, StepBegun):
         has_rail = log.plan is None or log.cell.has_rail
-        return replace(event, name=step_words(event.name, has_rail=has_rail)).text
-    return in_words(event.text, log)
+        return replace(event, name=step_label(event.name, has_rail=has_rail)).text
+    return with_labels(event.text, log)
 
 
 def in_zone(t: str, zone: tzinfo | None = None) -> datetime:
@@ -127,18 +127,18 @@ def offset_min() -> int:
     return 0 if ahead is None else round(ahead.total_seconds() / 60)
 
 
-def local_words(t: str, zone: tzinfo | None = None) -> str:
+def local_time_text(t: str, zone: tzinfo | None = None) -> str:
     """Return the time of day in a zone, which is named."""
     return f"{in_zone(t, zone):%H:%M:%S %Z}"
 
 
-def time_words(t: str, zone: tzinfo | None = None) -> str:
+def time_text(t: str, zone: tzinfo | None = None) -> str:
     """Return the time of day with its zone, and in UTC where that is another."""
     ahead = in_zone(t, zone).utcoffset()
-    return f"{local_words(t, zone)}, {t[11:19]} UTC" if ahead else local_words(t, zone)
+    return f"{local_time_text(t, zone)}, {t[11:19]} UTC" if ahead else local_time_text(t, zone)
 
 
-def span_words(first: str, last: str, zone: tzinfo | None = None) -> str:
+def period_text(first: str, last: str, zone: tzinfo | None = None) -> str:
     """Return from when to when, to the second, with the zone, and in UTC where that is another."""
     begin, end = in_zone(first, zone), in_zone(last, zone)
     same_day = begin.date() == end.date()

@@ -57,7 +57,7 @@ Args = TypeVarTuple("Args")
 # ``world.2``, that of the first ``world``.
 
 PROOFS = ("world", "control")  # kinds of points
-INTERRUPTED = ("paused", "suspended", "checking")  # states in which nobody sees a bump
+UNWATCHED_STATES = ("paused", "suspended", "checking")  # states in which nobody sees a bump
 
 
 def world_key(set_up: int) -> str:
@@ -105,7 +105,7 @@ class SetUps:
             case Frame() if record.key == world_key(self.number):
                 self._prove()
             case StateChanged(machine="run", to=to):
-                self.interrupted |= to in INTERRUPTED
+                self.interrupted |= to in UNWATCHED_STATES
             case events.StreamRecorded(key=key):
                 self.unproven[key] = None
             case events.TrackerMoved(set_up=number, invalid=invalid):
@@ -128,7 +128,7 @@ class SetUps:
 # -- the log --------------------------------------------------------------------------------------
 
 
-class Driven:
+class VisitedPoses:
     """Takes a run's records in their order.
 
     A motion has come to its end where a point or another motion follows it in the same session.
@@ -163,7 +163,7 @@ class Driven:
         return bool(near.any())
 
 
-class Ordered(NamedTuple):
+class OrderedMotion(NamedTuple):
     """A motion that was ordered, to a point (its key) or a place."""
 
     seq: int
@@ -240,7 +240,7 @@ class Log:
         self.fault = ""
         self.moved = False  # in this session
         self.visit = 0  # one more with each order to the slide: a touched base is of one visit
-        self.driven = Driven()
+        self.visited_poses = VisitedPoses()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: events.LinkCounted | None = None  # of all sessions that have ended by themselves
@@ -252,7 +252,7 @@ class Log:
         self.newest: Record | None = None
         self.version = self.measured_version = 0  # newest record; newest point, frame or event
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
-        self.order: Ordered | None = None  # the last motion that is not known to have ended
+        self.order: OrderedMotion | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
         self._computed: dict[object, tuple[int, Any]] = {}
         for record in records:
@@ -281,12 +281,12 @@ class Log:
             case Ended():
                 self.end = fact
             case Intended():
-                self.moved, self.order = True, Ordered(record.seq, record.key, fact)
+                self.moved, self.order = True, OrderedMotion(record.seq, record.key, fact)
                 self.visit += fact.action.startswith("rail.")
             case events.Event() | events.OtherEvent():
                 self.events.append(record)
                 self._take_event(fact)
-        self.driven.take(record)
+        self.visited_poses.take(record)
         for key in self.set_ups.take(record):
             self._drop(key)
 
@@ -619,7 +619,7 @@ def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
     return noise.at(positions_mm(points), [point.samples for point in points])
 
 
-def other_assets(before: Mapping[str, Identity], now: Mapping[str, Identity]) -> list[str]:
+def changed_asset_kinds(before: Mapping[str, Identity], now: Mapping[str, Identity]) -> list[str]:
     """Return the kinds of assets that are not the same ones now; both are by kind.
 
     A firmware that was not stated once proves nothing.
@@ -635,7 +635,9 @@ def other_assets(before: Mapping[str, Identity], now: Mapping[str, Identity]) ->
     return [kind for kind in kinds if not same(before.get(kind), now.get(kind))]
 
 
-def differing(first: list[Identity], second: list[Identity]) -> list[tuple[Identity, Identity]]:
+def different_assets(
+    first: list[Identity], second: list[Identity]
+) -> list[tuple[Identity, Identity]]:
     """Return the assets of one kind that are not the same ones in both runs, by serial number."""
     there = {asset.kind: asset for asset in second}
     pairs = ((one, there[one.kind]) for one in first if one.kind in there)

@@ -18,7 +18,14 @@ import msgspec
 
 from hilcell.decoding import decoded
 from hilcell.errors import HilcellError, one_line
-from hilcell.journal.journal import FETCH, NeverBegan, Record, StorageError, is_there, read_journal
+from hilcell.journal.journal import (
+    RESTORE_ADVICE,
+    NeverBegan,
+    Record,
+    StorageError,
+    is_regular_file,
+    read_journal,
+)
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
@@ -55,7 +62,7 @@ def make_folder(folder: Path) -> None:
         raise StorageError(f"run folder {folder} cannot be used: {error.strerror}") from error
 
 
-def forget(folder: Path) -> None:
+def remove_unbegun(folder: Path) -> None:
     """Remove the journal of a run that never began, and its folder where nothing else is in it."""
     for suffix in ("", "-wal", "-shm"):
         (folder / f"{JOURNAL}{suffix}").unlink(missing_ok=True)
@@ -84,7 +91,7 @@ def unusable(runs: Path, error: OSError) -> HilcellError:
 def is_run(folder: Path) -> bool:
     """Whether a folder holds a journal, or may: one that must not be looked into counts."""
     try:
-        return is_there(folder / JOURNAL)
+        return is_regular_file(folder / JOURNAL)
     except OSError:
         return True
 
@@ -101,7 +108,7 @@ def read_log(folder: Path) -> Log:
     except Exception as error:  # whatever its records hold, they are refused in words
         raise StorageError(
             f"journal {folder / JOURNAL}: its records are no run's: {one_line(error)}; another "
-            f"version of hilcell wrote it, or somebody has changed it; {FETCH}",
+            f"version of hilcell wrote it, or somebody has changed it; {RESTORE_ADVICE}",
             code="HC-J02",
         ) from error
 
@@ -115,7 +122,7 @@ def read_records(folder: Path) -> list[Record]:
     if later:
         raise StorageError(
             f"journal {journal}: it is empty, although {later[0]} is there: its records are lost; "
-            f"{FETCH}",
+            f"{RESTORE_ADVICE}",
             code="HC-J02",
         )
     raise NeverBegan(
@@ -140,19 +147,19 @@ def read_engine_file(folder: Path) -> EngineFile | None:
 
     That of a copied folder speaks of the original's engine, which moves the machine.
     """
-    engine = _stated(folder)
+    engine = _engine_file_in(folder)
     if engine is None or not engine.folder:
         return engine
     first = Path(engine.folder)  # a copied folder's still has the file, a moved one's has not
     try:
-        return None if not first.samefile(folder) and _stated(first) == engine else engine
+        return None if not first.samefile(folder) and _engine_file_in(first) == engine else engine
     except (OSError, ValueError):  # a name that no file can have
         return engine
 
 
-def _stated(folder: Path) -> EngineFile | None:
+def _engine_file_in(folder: Path) -> EngineFile | None:
     try:
-        if not is_there(folder / ENGINE):
+        if not is_regular_file(folder / ENGINE):
             return None  # opening a pipe may never end
         with (folder / ENGINE).open("rb") as file:
             return decoded(file.read(2**16), EngineFile)  # a longer one is none
@@ -196,21 +203,21 @@ def bytes_free(folder: Path) -> int:
     """Return the room on the disk of a folder, which may be yet to be made; raises `OSError`."""
     import shutil  # a list of runs does without
 
-    return shutil.disk_usage(existing(folder)).free
+    return shutil.disk_usage(nearest_existing(folder)).free
 
 
-def existing(folder: Path) -> Path:
+def nearest_existing(folder: Path) -> Path:
     """Return the folder, or the nearest above it that exists."""
     whole = folder.absolute()
     return next(each for each in (whole, *whole.parents) if each.exists())
 
 
-def can_be_made(folder: Path) -> bool:
+def is_writable(folder: Path) -> bool:
     """Whether a folder can be made and written in, were there room for it."""
     import tempfile
 
     try:
-        Path(tempfile.mkdtemp(prefix=".hilcell-", dir=existing(folder))).rmdir()
+        Path(tempfile.mkdtemp(prefix=".hilcell-", dir=nearest_existing(folder))).rmdir()
     except OSError as error:
         return error.errno in (errno.ENOSPC, errno.EDQUOT)
     return True
@@ -220,7 +227,7 @@ def check_space(runs: Path, points: int) -> None:
     """Refuse a run that its disk has no room for; raises `HilcellError`."""
     with suppress(OSError):  # a folder that cannot be looked at is refused where it is made
         free, wanted = bytes_free(runs), bytes_needed(points)
-        if free < wanted and can_be_made(runs):
+        if free < wanted and is_writable(runs):
             raise HilcellError(
                 f"folder of runs {runs.absolute()}: {free / 1e6:.1f} MB of its disk are free, "
                 f"expected {wanted / 1e6:.1f} MB for a run of {points} points; make room, or "

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.identification.axis_motion import SweepStream
-from hilcell.journal.journal import FETCH, StorageError, is_there
+from hilcell.journal.journal import RESTORE_ADVICE, StorageError, is_regular_file
 from hilcell.model.events import StreamRecorded
 from hilcell.ports import JointSample, NoReading, StreamBlock
 
@@ -171,7 +171,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> SweepStream:
             code="HC-J03",
         )
     try:
-        if not is_there(path):  # opening a pipe may never end
+        if not is_regular_file(path):  # opening a pipe may never end
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
         data = path.read_bytes()
     except OSError as error:
@@ -179,7 +179,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> SweepStream:
     if hashlib.sha256(data).hexdigest() != record.sha256:
         raise StorageError(
             f"stream {path}: it is not the one that was written; the file was changed or damaged, "
-            f"and its results cannot be trusted; {FETCH}",
+            f"and its results cannot be trusted; {RESTORE_ADVICE}",
             code="HC-J02",
         )
     found: dict[object, list[Rows]] = {kind: [np.zeros(0, kind)] for kind in (SAMPLES, JOINTS)}

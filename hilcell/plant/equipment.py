@@ -26,7 +26,7 @@ from sqlalchemy import Connection, and_, func, or_, select
 from hilcell.decoding import Json, typed
 from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
-from hilcell.journal.log import other_assets
+from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
 from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.record import TRACKER
@@ -275,7 +275,7 @@ class _Robots:
         found = [
             f"{kind} {before[kind].serial} {before[kind].firmware} -> "
             f"{now[kind].serial} {now[kind].firmware}"
-            for kind in other_assets(before, now)
+            for kind in changed_asset_kinds(before, now)
             if kind in before and kind in now
         ]
         for row in self.connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):

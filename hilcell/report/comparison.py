@@ -36,7 +36,7 @@ from hilcell.geometry.statistics import (
     pooled_std_mm,
     variance_of_mean,
 )
-from hilcell.journal.log import Log, differing
+from hilcell.journal.log import Log, different_assets
 from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent
@@ -371,7 +371,7 @@ class _Runs:
         for which, log in zip(("first", "second"), self._logs, strict=True):
             if log.points and not log.temperatures_c():
                 yield f"the {which} run's tracker had no weather station: the air is not compared"
-        for one, other in differing(*(log.assets for log in self._logs)):
+        for one, other in different_assets(*(log.assets for log in self._logs)):
             yield f"the {one.kind} differs: {one.text} in the first run, {other.text} in the second"
         seeds = [log.inputs.machine_seed for log in self._logs]
         if None not in seeds and seeds[0] != seeds[1]:

@@ -25,7 +25,7 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.journal.calibration_facts import SUSPECTED
-from hilcell.journal.labels import in_zone, verdict_words
+from hilcell.journal.labels import in_zone, verdict_label
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked, Verdict
@@ -379,7 +379,7 @@ def instruments(facts: Facts) -> Table:
 def verdicts(facts: Facts) -> Table:
     """Return the verdicts, with the figures behind them."""
     columns: tuple[Column[tuple[str, Verdict]], ...] = (
-        Column("judged", lambda row: verdict_words(row[0])),
+        Column("judged", lambda row: verdict_label(row[0])),
         Column("verdict", lambda row: "holds" if row[1].holds else "does not hold"),
         Column("by", lambda row: with_signs(row[1].words)),
     )

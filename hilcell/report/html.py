@@ -18,7 +18,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.undetectable_errors import unseen
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.labels import span_words
+from hilcell.journal.labels import period_text
 from hilcell.model.events import URAD, CurveMeasured
 from hilcell.model.point import CONTROL
 from hilcell.model.verdicts import Fitted
@@ -319,4 +319,4 @@ def sentence(facts: Facts) -> str:
 
 def measured(facts: Facts) -> str:
     """Return from when to when the run went."""
-    return span_words(facts.records[0].t, facts.last.t, facts.zone)
+    return period_text(facts.records[0].t, facts.last.t, facts.zone)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 from hilcell.journal.journal import Record
-from hilcell.journal.labels import happened_words, in_words, in_zone, key_words, step_words
+from hilcell.journal.labels import event_label, in_zone, point_label, step_label, with_labels
 from hilcell.journal.log import Log
 from hilcell.model.events import (
     ChangesAccepted,
@@ -93,7 +93,7 @@ class _Course:
                 known.add(fact.name)
             step = None if starts else step
             if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
-                again = key_words(record.key, self.facts.log)
+                again = point_label(record.key, self.facts.log)
                 lines.append(Line(record.t, f"Measured again: {again}."))
             elif step is not None:
                 step.take(record, log)
@@ -118,7 +118,7 @@ class _Course:
         at_work = ("checking", "running")
         match fact:
             case StateChanged(machine="run", to=to, reason=why):
-                reason = after(in_words(why, self.facts.log))
+                reason = after(with_labels(why, self.facts.log))
                 if to in states:
                     return [f"{states[to]}{reason}."]
                 return [f"Goes on{reason}."] if log.state not in ("idle", *at_work) else []
@@ -138,11 +138,11 @@ class _Course:
         """Return an event as a sentence, in the screen's words."""
         match event:
             case StepBegun(name=name):
-                words = step_words(name, has_rail=self.facts.cell.has_rail)
+                words = step_label(name, has_rail=self.facts.cell.has_rail)
             case PosesChosen():
                 words = f"poses chosen: {self._chosen_poses_words(self.facts, event)}"
             case _:
-                words = happened_words(event, self.facts.log).replace("urad", "µrad")
+                words = event_label(event, self.facts.log).replace("urad", "µrad")
         return f"{words[:1].upper()}{words[1:]}."
 
     @staticmethod
@@ -158,7 +158,7 @@ class _Course:
     def _cut_off(log: Log) -> str:
         """Return how the session before ended, which did not end by itself."""
         newest = [*log.points][-1:]
-        since = f"after {key_words(newest[0], log)}" if newest else "before its first point"
+        since = f"after {point_label(newest[0], log)}" if newest else "before its first point"
         how = "Engine gone without notice (killed, or power lost)"
         return f"{how} {since}, while the run was {log.state}."
 

@@ -34,7 +34,7 @@ import msgspec
 from hilcell.atomic_files import NotWritten, write_whole
 from hilcell.decoding import Json, decoded, typed
 from hilcell.errors import HilcellError
-from hilcell.journal.journal import StorageError, is_there
+from hilcell.journal.journal import StorageError, is_regular_file
 from hilcell.journal.runs import ENGINE, EngineFile, read_engine_file
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import AlarmsAcknowledged
@@ -466,7 +466,7 @@ def stop_engine(folder: Path) -> bool:
 
 def _missing(folder: Path) -> str:
     try:
-        is_there(folder / ENGINE)
+        is_regular_file(folder / ENGINE)
     except OSError as error:
         return f"its engine may be running: {ENGINE} cannot be read: {error.strerror}"
     return "no engine is running; `hilcell show` tells how it ended"

@@ -32,7 +32,7 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.labels import offset_min
 from hilcell.journal.log import RunJournal
 from hilcell.journal.previous_reference import floor_before
-from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
+from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, make_folder, remove_unbegun
 from hilcell.model.events import ChangesAccepted, RetakeAsked, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL
@@ -233,7 +233,7 @@ class NewEngine(Engine):
 
         def forget_where_locked(kind: object, error: BaseException | None, trace: object) -> None:
             if isinstance(error, CellLocked):
-                forget(folder)
+                remove_unbegun(folder)
 
         stack.push(forget_where_locked)
         return stack.enter_context(closing(RunJournal(folder / JOURNAL, folder.name, create=True)))

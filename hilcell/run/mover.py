@@ -17,7 +17,7 @@ from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.cell.file import RailTable, Station
 from hilcell.journal.journal import StorageError
-from hilcell.journal.log import Driven
+from hilcell.journal.log import VisitedPoses
 from hilcell.journal.runs import read_log
 from hilcell.journal.stream_file import StreamFile
 from hilcell.model import events
@@ -442,8 +442,8 @@ class Mover(RunContext):
         usual = self.cell.robot.speed_percent
         if self.cell.surroundings is None or not self._upcoming.leaves_cube(joints_rad):
             return usual
-        known = (self.log.driven, *self._driven_before)
-        if any(driven.has(strip_mm, joints_rad) for driven in known):
+        known = (self.log.visited_poses, *self._visited_before)
+        if any(visited.has(strip_mm, joints_rad) for visited in known):
             return usual
         slow = min(self.cell.robot.first_pass_percent, usual)
         if not self._announced:
@@ -457,12 +457,12 @@ class Mover(RunContext):
         return slow
 
     @cached_property
-    def _driven_before(self) -> list[Driven]:
+    def _visited_before(self) -> list[VisitedPoses]:
         """Return where the runs before this one were driven; a deleted one proves nothing."""
         found, plan = [], self.log.plan
         for name in plan.driven_by if plan else []:
             try:
-                found.append(read_log(self.folder.parent / name).driven)
+                found.append(read_log(self.folder.parent / name).visited_poses)
             except StorageError as error:
                 self.add(events.EarlierRunUnreadable(run=name, reason=str(error)))
         return found

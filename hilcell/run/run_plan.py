@@ -16,7 +16,7 @@ from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
-from hilcell.journal.log import Log, other_assets
+from hilcell.journal.log import Log, changed_asset_kinds
 from hilcell.ports import DeviceRefused, HilcellError, Identity
 from hilcell.run.procedure import Plan, Procedure
 
@@ -184,7 +184,7 @@ def changed_assets(before: Sequence[Identity], now: Sequence[Identity]) -> list[
     found = {asset.kind: asset for asset in now}
     return [
         f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
-        for kind in other_assets(first, found)
+        for kind in changed_asset_kinds(first, found)
     ]
 
 

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Unpack
 import msgspec
 
 from hilcell.alarms import Latch, alarms_of
-from hilcell.alarms.alarm import GO_ON, acknowledged_in
+from hilcell.alarms.alarm import CONTINUE_KEY, acknowledged_in
 from hilcell.errors import HilcellError
-from hilcell.journal.journal import Record, StorageError, is_there, read_journal
+from hilcell.journal.journal import Record, StorageError, is_regular_file, read_journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import (
@@ -155,7 +155,7 @@ class Feed:
     def _is_missing(self, name: str) -> bool:
         """Whether a file is missing, as far as that is known."""
         try:
-            return not is_there(self.folder / name)
+            return not is_regular_file(self.folder / name)
         except OSError:
             return False
 
@@ -204,7 +204,7 @@ class Session:
         deliver: Callable[[RunUpdate], object],
         period_s: float,
         process: subprocess.Popen[bytes] | None = None,
-        go_on: str = GO_ON,
+        go_on: str = CONTINUE_KEY,
     ) -> None:
         self.folder = folder
         self.view = RunView(

@@ -47,14 +47,14 @@ def test_a_robots_motion_takes_what_its_trapezoid_takes(
     motion.move(there_rad, percent / 100.0)
     took_s = motion._path.end_s - began_s
     planned_s = float(plan.robot_moves_s(cell, here_rad, there_rad))
-    assert planned_s - plan.SEEN_S == pytest.approx(took_s, abs=2e-3)
+    assert planned_s - plan.MOTION_END_S == pytest.approx(took_s, abs=2e-3)
 
 
 @given(distance_mm=st.floats(0.001, 3000.0), back=st.booleans())
 def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, back: bool) -> None:
     rail = CELL.rail
     planned_s = plan.rail_travel_s(CELL, -distance_mm if back else distance_mm)
-    planned_s -= plan.SEEN_S + rail.standstill_dwell_s
+    planned_s -= plan.MOTION_END_S + rail.standstill_dwell_s
     path = Path(0.0, 0.0).travel(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
     assert planned_s == pytest.approx(path.end_s)
 

@@ -80,11 +80,11 @@ def test_a_station_stays_decided_by_the_uncertainty_of_then(
     now = Guard(0.03, 0.03)
     monkeypatch.setattr(quick_validation, "guard_of", lambda log, count: now)
     assert quick_validation.decision_at(log, "S300").outcome == Outcome.ACCEPTED
-    quick_validation.keep_guard(session, "S300")
+    quick_validation.record_guard(session, "S300")
     now = Guard(0.065, 0.065)
     assert quick_validation.decision_at(log, "S300").outcome == Outcome.ACCEPTED
     assert quick_validation.decision_at(log, "S1900").outcome == Outcome.UNDECIDED
-    quick_validation.keep_guard(session, "S300")
+    quick_validation.record_guard(session, "S300")
     assert len(events) == 1
 
 

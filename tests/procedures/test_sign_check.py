@@ -17,7 +17,7 @@ from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
 from hilcell.model.verdicts import SignChecked, Verdict
 from hilcell.ports import Array
-from procedures.fit import IDS, SignCheck, worst_mm
+from procedures.fit import SIGN_IDS, SignCheck, worst_mm
 from procedures.plan import joints_for
 from tests.hilcell.verdicts import FITTED, plain
 
@@ -131,7 +131,7 @@ def test_the_right_sign_holds(bench: Any) -> None:
         float(np.linalg.norm(error_mm(worst_mm(bench.log)))), abs=1e-6
     )
     assert verdict.corrected_mm < 0.01
-    assert [bench.log.point(id).group for id in IDS.values()] == [
+    assert [bench.log.point(id).group for id in SIGN_IDS.values()] == [
         "sign_before",
         "sign_corrected",
     ]

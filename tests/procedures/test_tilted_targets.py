@@ -22,8 +22,8 @@ TILTED = load_cell("paper", {"plan.tilt_deg": "30.0"})
 
 def turns_deg(cell: Cell, poses: Array) -> Array:
     R = cell.grid.centre.matrix()[:3, :3]
-    turned: Array = np.degrees(np.linalg.norm(to_rotvec(poses[:, :3, :3] @ R.T), axis=-1))
-    return turned
+    reoriented: Array = np.degrees(np.linalg.norm(to_rotvec(poses[:, :3, :3] @ R.T), axis=-1))
+    return reoriented
 
 
 def test_targets_are_turned_about_any_axis_by_up_to_the_tilt() -> None:
@@ -31,9 +31,9 @@ def test_targets_are_turned_about_any_axis_by_up_to_the_tilt() -> None:
     for name, points_mm in targets(LEVEL, 5).items():
         np.testing.assert_array_equal(found[name][:, :3, 3], points_mm)
         TILTED.robot.nominal().joints_for(found[name])  # all can be reached
-        turned = turns_deg(TILTED, found[name])
-        assert turned.max() <= 30.0 + 1e-9
-        assert np.median(turned) == pytest.approx(30.0 * 0.5 ** (1 / 3), abs=2.0)
+        reoriented = turns_deg(TILTED, found[name])
+        assert reoriented.max() <= 30.0 + 1e-9
+        assert np.median(reoriented) == pytest.approx(30.0 * 0.5 ** (1 / 3), abs=2.0)
         vectors = to_rotvec(found[name][:, :3, :3] @ found[name][0, :3, :3].T)
         assert np.linalg.matrix_rank(vectors, tol=0.1) == 3
     again = target_poses(TILTED, 5)
@@ -86,9 +86,9 @@ def test_targets_have_the_orientations_of_the_grid_in_turn() -> None:
     wanted = from_zyx([[0.0, 75.0, 0.0], [0.0, 100.0, 0.0], [20.0, 75.0, 0.0]])
     for name, poses in target_poses(SEVERAL, 5).items():
         np.testing.assert_array_equal(poses[:, :3, 3], targets(LEVEL, 5)[name])
-        turned = [turned_deg(R, poses) < 1e-6 for R in wanted]
-        assert np.sum(turned, axis=0).tolist() == [1] * len(poses)
-        assert min(each.sum() for each in turned) > len(poses) // 4
+        reoriented = [turned_deg(R, poses) < 1e-6 for R in wanted]
+        assert np.sum(reoriented, axis=0).tolist() == [1] * len(poses)
+        assert min(each.sum() for each in reoriented) > len(poses) // 4
 
 
 def test_a_calibration_holds_for_each_orientation_that_was_measured() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from hilcell.invariants import judge as verdicts_of
+from hilcell.invariants import check_invariants as verdicts_of
 from hilcell.journal.journal import Record
 
 HEAD = ("run", "seq", "t", "kind")  # of an event; the rest is the record's body, and its key

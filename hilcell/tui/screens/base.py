@@ -182,9 +182,11 @@ class Application(App[int]):
         self.run_worker(guarded(), exit_on_error=True)
 
     def _show_error(self, error: HilcellError) -> None:
-        from hilcell.journal.labels import in_words
+        from hilcell.journal.labels import with_labels
 
-        self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
+        self.show_notice(
+            str(error) if self.view is None else with_labels(str(error), self.view.log)
+        )
 
     def allowed(self, name: str) -> bool:
         return not self.refusal(name)
@@ -265,14 +267,14 @@ class Application(App[int]):
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
-        from hilcell.journal.labels import in_words, key_words
+        from hilcell.journal.labels import point_label, with_labels
         from hilcell.run.states import retake_refusal
 
         view = self.shown_session.view
         refused = retake_refusal(view.log, key) if key else "no point is chosen"
-        point = key_words(key, view.log) if key in view.log.points else key
+        point = point_label(key, view.log) if key in view.log.points else key
         if refused:
-            self.show_notice(in_words(refused, view.log))
+            self.show_notice(with_labels(refused, view.log))
         elif view.live:
             self.ask(
                 "Re-measure this point?",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hilcell.journal.labels import procedure_words
+from hilcell.journal.labels import procedure_label
 from hilcell.tui.keys import ACTIONS, Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
 from hilcell.tui.run_view import RunView
@@ -35,7 +35,7 @@ LINES = (
     ("waits, again", "the point is to be re-measured; it was re-measured"),
 )
 STORY = f"""\
-A first calibration: choose {procedure_words("calibrate")}, type your name, then Enter twice.
+A first calibration: choose {procedure_label("calibrate")}, type your name, then Enter twice.
 When it is DONE: look at the largest errors and find their cause, then write the report.
 After a FAULT: read the alarm, put it right, then resume. Measured points are kept."""
 

@@ -26,7 +26,7 @@ from textual.widgets import Input, Label
 from hilcell.arguments import assignment, seed_of, speed_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
-from hilcell.journal.labels import in_words, procedure_words, step_words
+from hilcell.journal.labels import procedure_label, step_label, with_labels
 from hilcell.journal.log import Log
 from hilcell.run.order import Attendance, Order
 from hilcell.sanitize import clean, harmless
@@ -118,7 +118,7 @@ class StartScreen(BaseScreen):
                 yield TextPanel("who")
                 yield from self._fields(FIELDS[:1])
                 names = self._names or ["none is installed"]
-                yield from self._choice("procedure", names, [*map(procedure_words, names)])
+                yield from self._choice("procedure", names, [*map(procedure_label, names)])
                 yield from self._fields(FIELDS[1:])
                 yield from self._choice("attended", WATCHED)
                 yield from self._choice("speed", SPEEDS)
@@ -335,13 +335,13 @@ class PlanSummary(Confirm):
         unattended = order.attendance.unattended
         who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
         notes = [
-            f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
+            f"{step_label(step.name, has_rail=plan.rail)}: {words}\n"
             for step in plan.steps
             for words in (step.note, step.warning)
             if words
         ]
         return Content.assemble(
-            (f"Start {procedure_words(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
+            (f"Start {procedure_label(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
             f"job {order.job or '-'}, operator {order.operator or '-'}\n",
             f"{len(plan.steps)} steps, {plan.points} points, "
             f"{duration(plan.duration_s)} of the cell's time\n",
@@ -406,7 +406,7 @@ class Checked:
             shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
             rows: list[list[Text]] = []
             for n, step in shown:
-                name = harmless(step_words(step.name, has_rail=self.has_rail))
+                name = harmless(step_label(step.name, has_rail=self.has_rail))
                 takes = duration(step.duration_s) if step.duration_s else "-"
                 rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
             if len(shown) < len(steps):
@@ -454,11 +454,11 @@ class Checked:
         name, refused, why = first.partition(" refused before anything moves")
         if not refused:
             return [first, *rest]
-        lines = [f"{procedure_words(name)}{refused}{why}"]
+        lines = [f"{procedure_label(name)}{refused}{why}"]
         for line in rest:
             step, colon, reason = line.partition(": ")
-            words = step_words(step, has_rail=self.has_rail) if colon else step
-            lines.append(f"{words}{colon}{in_words(reason, Log())}")
+            words = step_label(step, has_rail=self.has_rail) if colon else step
+            lines.append(f"{words}{colon}{with_labels(reason, Log())}")
         return lines
 
     def before_lines(self, *, attended: bool) -> Lines:

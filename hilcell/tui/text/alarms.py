@@ -11,7 +11,7 @@ from textual.containers import Vertical
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
-from hilcell.journal.labels import in_words, local_words
+from hilcell.journal.labels import local_time_text, with_labels
 from hilcell.journal.log import Log
 from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.sanitize import harmless
@@ -98,13 +98,13 @@ class AlarmContext:
             if self.now is not None:
                 age_s = (self.now - datetime.fromisoformat(alarm.t)).total_seconds()
                 ago = f" ({duration(age_s)} ago)"
-            at = (local_words(alarm.t), "bold")
+            at = (local_time_text(alarm.t), "bold")
             since = Content.assemble(("since ", "$label"), at, (ago, "$label"))
         state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
         facts: list[tuple[Cell, Cell]] = [
             (("What", "$label"), alarm.means),
             (("Where", "$label"), location_text(alarm, self.log)),
-            (("Found", "$label"), (in_words(alarm.found, self.log), "$label" if kept else "")),
+            (("Found", "$label"), (with_labels(alarm.found, self.log), "$label" if kept else "")),
         ]
         facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
         return Stack(
@@ -116,7 +116,7 @@ class AlarmContext:
         """Return whether an alarm's cause is gone, as far as it is known."""
         glyphs, cause = self.glyphs, (f"{self.glyphs.stale} not watched", "bold $ask")
         if latched.gone:
-            cause = f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed"
+            cause = f"{glyphs.gone} gone at {local_time_text(latched.gone)}", "bold $passed"
         elif latched.alarm.cause == "over" or latched.settled:
             cause = f"{glyphs.gone} over", "$label"
         elif latched.alarm.cause == "watched":
@@ -157,7 +157,7 @@ class AlarmContext:
         latched = standing[skip]
         count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
         key = Content.assemble((shown(self.keymap["alarms"][0]), "bold"), f"  {count}")
-        at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
+        at = f", {local_time_text(latched.alarm.t)}" if latched.alarm.t else ""
         acknowledged = ", acknowledged" if latched.acknowledged else ""
         shape, tone = SEVERITY_STYLES[latched.severity]
         left = Content.assemble(
@@ -198,11 +198,11 @@ def location_text(alarm: Alarm, log: Log) -> str:
         device, _, how = order.motion.action.partition(".")
         if crashed or alarm.where == f"{device.capitalize()}: move":
             at = order.motion.station if device == "rail" else order.key
-            to = {"park": "its safe pose", "home": "its reference"}.get(how) or in_words(at, log)
+            to = {"park": "its safe pose", "home": "its reference"}.get(how) or with_labels(at, log)
             return harmless(f"{device.capitalize()}, on its way to {to}")
     if crashed:
         return f"Engine, {'between two motions' if alarm.seq > log.began else 'earlier session'}"
-    return in_words(alarm.where or "-", log)
+    return with_labels(alarm.where or "-", log)
 
 
 def present_step(latched: Latched) -> int:

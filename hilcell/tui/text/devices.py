@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
-from hilcell.journal.labels import in_words, local_words, time_words
+from hilcell.journal.labels import local_time_text, time_text, with_labels
 from hilcell.journal.states import WAITING
 from hilcell.model.events import NOT_KNOWN
 from hilcell.run.control import DeviceStatus, Interlock
@@ -127,7 +127,7 @@ def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
         gone = "the engine is gone: nobody watches the cell"
         return [Content.styled(f"{glyphs.lost} {gone}", "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
-    at = [f" at {time_words(end.t)}", f" at {local_words(end.t)}"] if end is not None else []
+    at = [f" at {time_text(end.t)}", f" at {local_time_text(end.t)}"] if end is not None else []
     known = end is None or view.log.was_connected
     words = "devices closed{}; nothing may move" if known else f"closed{{}}; {NOT_KNOWN}"
     texts = (f"{glyphs.stale} {words.format(each)}" for each in (*at, ""))
@@ -190,7 +190,7 @@ def interlock_text(view: RunView, glyphs: Glyphs) -> Content:
         device = status.devices.get(name, DeviceStatus())
         head = lamp(name, device, view, glyphs)
         detail = device.reason or device.text
-        lines.append(head.append(f"   {in_words(detail, view.log)}" if detail else ""))
+        lines.append(head.append(f"   {with_labels(detail, view.log)}" if detail else ""))
     words = (
         "These interlocks protect the measurement. They are no safety function: guards, "
         "enabling switch and E-stop work without hilcell."

@@ -26,7 +26,7 @@ from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
 from hilcell.decoding import Json, typed
 from hilcell.errors import HilcellError
-from hilcell.journal.labels import id_of, in_words, procedure_words
+from hilcell.journal.labels import point_id, procedure_label, with_labels
 from hilcell.journal.log import Log
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
@@ -350,7 +350,7 @@ class Finished:
         """Return why the run failed, with the stations concerned, and the steps, each whole."""
         alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
         where = f"{alarm.where}: " if alarm.where else ""
-        words = in_words(f"{where}{alarm.found}", view.log)
+        words = with_labels(f"{where}{alarm.found}", view.log)
         if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
             words = self.reasons or words
         why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
@@ -467,13 +467,13 @@ class Result:
         """Return that of a re-check: what to do, and each target, the worst first."""
         worst = sorted(result.poses, key=lambda each: -gravest(each.error_mm))
         columns: list[Column[CheckedPose]] = [
-            Column("worst first", lambda each: id_of(each.pose, log).short),
+            Column("worst first", lambda each: point_id(each.pose, log).short),
             Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
             Column("now", lambda each: figure(each.error_mm), "mm", "s"),
             Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
         ]
         limits_mm = result.mean_tolerance_mm, result.max_tolerance_mm
-        at = id_of(worst[0].pose, log).short if worst else "its target"
+        at = point_id(worst[0].pose, log).short if worst else "its target"
         figures = (
             Figure("mean |e| now, mm", result.mean_mm, "all", limits_mm[0], result.mean_U_mm),
             Figure("largest |e| now, mm", result.max_mm, at, limits_mm[1], result.max_U_mm),
@@ -580,7 +580,7 @@ def report_lines(summary: Mapping[str, object], log: Log | None) -> Lines:
     procedure, standing = str(summary.get("procedure", "")), summary.get("standing")
     facts = [
         ("run", str(summary.get("run", ""))),
-        ("procedure", procedure_words(procedure)),
+        ("procedure", procedure_label(procedure)),
         ("cell", str(summary.get("cell", ""))),
         ("simulated", "yes, no device moved" if summary.get("simulated") else "no"),
         *((shown, _words(summary[name])) for name, shown in NAMES.items() if summary.get(name)),
@@ -616,7 +616,7 @@ def table_lines(table: Table, log: Log | None = None) -> Lines:
     for texts, values in zip(shown[1:], table.rows, strict=True):
         for at, value in enumerate(values):
             text = value.words if isinstance(value, Named) else texts[at]
-            texts[at] = text if log is None else in_words(text, log)
+            texts[at] = text if log is None else with_labels(text, log)
     shown = [[harmless(cell) for cell in row] for row in shown]
     columns = [list(column) for column in zip(*shown, strict=True)]
 

@@ -22,7 +22,7 @@ from textual.content import Content
 
 from hilcell.calibration.frames import Frames
 from hilcell.geometry.frames import apply
-from hilcell.journal.labels import in_words
+from hilcell.journal.labels import with_labels
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
@@ -50,7 +50,7 @@ class PromptBox(Horizontal, TitledBox):
         prompt = msgspec.structs.replace(
             prompt,
             title=harmless(prompt.title),
-            text=in_words(harmless(prompt.text.replace("\n", " ")), view.log),
+            text=with_labels(harmless(prompt.text.replace("\n", " ")), view.log),
             place=harmless(prompt.place),
         )
         picture, enter, reading = self.query(TextPanel)

@@ -20,14 +20,14 @@ from textual.content import Content
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.journal.journal import Record
 from hilcell.journal.labels import (
-    happened_words,
-    in_words,
+    event_label,
     in_zone,
-    key_words,
-    local_words,
-    procedure_words,
-    step_words,
-    verdict_words,
+    local_time_text,
+    point_label,
+    procedure_label,
+    step_label,
+    verdict_label,
+    with_labels,
 )
 from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
@@ -169,7 +169,7 @@ def identity(view: RunView) -> Lines:
         begun = NO_PLAN_TEXTS[view.engine]
         return ends(f"run {view.run}: {view.trouble or begun}", "")
     names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
-    parts = [Content.styled(procedure_words(plan.procedure), "bold")]
+    parts = [Content.styled(procedure_label(plan.procedure), "bold")]
     parts += [_labelled(name, text, 20) for name, text in names.items() if text]
     parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
     return ends(Content("   ").join(parts), _labelled("run", short_run(view.run), 14))
@@ -185,7 +185,7 @@ def step(view: RunView) -> Lines:
     plan, now = view.log.plan, view.step
     if plan is None or not now:
         return ends(("no step yet", "$label"), "")
-    name = step_words(now.name, has_rail=view.has_rail)
+    name = step_label(now.name, has_rail=view.has_rail)
     words, (taken, planned) = _part(view), _of_step(view, now.number)
     if view.state in ("done", "intolerant"):
         words, planned = "finished", plan.points
@@ -230,7 +230,7 @@ def progress(view: RunView) -> Lines:
     left = f"{duration(view.remaining_s or 0.0)} left" if known else ""
     if not view.live:
         ended = bool(view.records) and view.log.end is not None
-        left = f"at {local_words(view.records[-1].t)}" if ended else ""
+        left = f"at {local_time_text(view.records[-1].t)}" if ended else ""
     elif view.state == "suspended":
         left = "stands still"
     row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
@@ -266,7 +266,7 @@ def following(view: RunView) -> Content:
         return BLANK
     words = "the end"
     if now.number < len(plan.steps):
-        words = step_words(plan.steps[now.number].name, has_rail=view.has_rail)
+        words = step_label(plan.steps[now.number].name, has_rail=view.has_rail)
     known = bool(view.ahead) and view.state == "running" and not view.stale
     left_s = sum(part.takes_s for part in view.ahead if part.step == now.number)
     when = f", in {duration(left_s)}" if known else ""
@@ -472,25 +472,25 @@ def event_text(view: RunView, record: Record, errors_mm: Mapping[str, float]) ->
         case Point() as point:
             error_mm = errors_mm.get(point.key)
             size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
-            return f"measured {key_words(point.key, log)}{' again' * point.retaken}{size}"
+            return f"measured {point_label(point.key, log)}{' again' * point.retaken}{size}"
         case Intended(action=action, station=station):
-            place = in_words(record.key, log)
+            place = with_labels(record.key, log)
             if action in MOTIONS:
                 return MOTIONS[action].format(station=station, point=place)
             return f"{action.replace('.', ' ')} {place}".strip()
         case Event() | OtherEvent() as event:
-            return happened_words(event, log)
+            return event_label(event, log)
         case Ended(state=state, exit=code):
             return f"the session has ended: {state}, exit {code}"
         case StateChanged(machine="run", to=to, reason=reason):
-            return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
+            return f"the run is {to}{after(with_labels(reason.replace(chr(10), ' '), log))}"
         case Verdict(holds=holds) as verdict:
             figures = "".join(
                 f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
                 for each in verdict.figures[:1]
                 if each.value is not None and each.limit is not None
             )
-            return f"{verdict_words(record.key)} {'holds' if holds else 'does not hold'}{figures}"
+            return f"{verdict_label(record.key)} {'holds' if holds else 'does not hold'}{figures}"
     return ""
 
 
@@ -572,7 +572,7 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
         return []
     listed: list[tuple[str, float]] = []
     for number, parts in groupby(view.ahead, key=attrgetter("step")):
-        step = step_words(plan.steps[number - 1].name, has_rail=view.has_rail)
+        step = step_label(plan.steps[number - 1].name, has_rail=view.has_rail)
         if listed:
             listed.append((step, sum(part.takes_s for part in parts)))
         else:

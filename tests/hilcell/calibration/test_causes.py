@@ -41,7 +41,7 @@ def measured(seed: int, moved_mm: Array, first: int = COUNT) -> Differences:
     return Differences(noise_mm, covariance, joints(seed), FREEDOM, RAIL, range(1, COUNT + 1))
 
 
-def turned(seed: int, axis: int, deg: float) -> Array:
+def reoriented(seed: int, axis: int, deg: float) -> Array:
     at_rad = joints(seed)
     step = np.radians(deg) * np.eye(6)[axis - 1]
     moved: Array = (forward(ARM, at_rad + step) - forward(ARM, at_rad))[:, :3, 3]
@@ -62,9 +62,9 @@ def test_chance_is_no_change(seeds: int) -> None:
 @pytest.mark.parametrize(
     ("cause", "unit", "size", "moved"),
     [
-        ("zero lost", "deg of axis 1", 0.05, lambda seed: turned(seed, 1, 0.05)),
-        ("zero lost", "deg of axis 3", 0.05, lambda seed: turned(seed, 3, 0.05)),
-        ("zero lost", "deg of axis 5", 0.3, lambda seed: turned(seed, 5, 0.3)),
+        ("zero lost", "deg of axis 1", 0.05, lambda seed: reoriented(seed, 1, 0.05)),
+        ("zero lost", "deg of axis 3", 0.05, lambda seed: reoriented(seed, 3, 0.05)),
+        ("zero lost", "deg of axis 5", 0.3, lambda seed: reoriented(seed, 5, 0.3)),
         ("mount slipped", "mm", 0.5, lambda seed: np.tile([0.3, 0.0, 0.4], (COUNT, 1))),
         ("strip", "mm", 0.3, lambda seed: np.tile(0.3 * RAIL, (COUNT, 1))),
         ("temperature", "µm/m", 400.0, lambda seed: grown(seed, 4e-4)),

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hilcell.invariants import judge
+from hilcell.invariants import check_invariants
 from hilcell.journal.journal import StorageError
 from tests.hilcell.invariants.doctored import (
     DEVICES,
@@ -25,12 +25,12 @@ OTHER = [{"device": "Robot", "kind": "robot", "model": "KR", "serial": "9"}]
 
 
 def broken(journal: Doctored) -> dict[str, list[str]]:
-    verdicts = judge(journal.records())
+    verdicts = check_invariants(journal.records())
     return {name: [b.what for b in each.broken] for name, each in verdicts.items() if each.broken}
 
 
 def test_a_good_journal_holds_every_invariant_and_judges_each() -> None:
-    verdicts = judge(Doctored().records())
+    verdicts = check_invariants(Doctored().records())
     assert list(verdicts) == [f"I{n}" for n in range(1, 19)]
     assert broken(Doctored()) == {}
     assert all(each.checked for each in verdicts.values())
@@ -146,7 +146,7 @@ def test_every_break_is_found() -> None:
 def test_a_gap_is_found() -> None:
     records = Doctored().records()
     del records[9]
-    assert judge(records)["I8"].broken
+    assert check_invariants(records)["I8"].broken
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
 
 def test_a_device_that_cannot_tell_is_not_proven() -> None:
     journal = Doctored().change("closed", problems={"Rail": "no answer within 10 s"})
-    verdict = judge(journal.records())["I12"]
+    verdict = check_invariants(journal.records())["I12"]
     assert verdict.holds
     assert len(verdict.unproven) == 1
     assert verdict.checked == 3  # the robot, and both where the run has finished
@@ -182,7 +182,7 @@ def test_a_device_that_cannot_tell_is_not_proven() -> None:
 
 def test_a_reflector_that_is_carried_proves_less_often() -> None:
     journal = Doctored().without("proven 1").change("plan", cell__layout__reflectors="by_hand")
-    assert judge(journal.records())["I16"].checked == 0
+    assert check_invariants(journal.records())["I16"].checked == 0
     assert broken(journal) == {}
 
 
@@ -196,7 +196,7 @@ def test_settling_is_judged_in_the_time_of_the_cell() -> None:
 def test_a_damaged_record_is_named() -> None:
     journal = Doctored().change("held", station=None)
     with pytest.raises(StorageError, match="record 11"):
-        judge(journal.records())
+        check_invariants(journal.records())
 
 
 def test_a_state_out_of_turn_is_found() -> None:

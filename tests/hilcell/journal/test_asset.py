@@ -3,7 +3,7 @@
 from msgspec.structs import replace
 
 from hilcell.identity import Identity
-from hilcell.journal.log import differing
+from hilcell.journal.log import different_assets
 
 ASSETS = [
     Identity(device="Rail", model="drive", serial="2014001", kind="drive"),
@@ -19,7 +19,7 @@ def test_a_device_without_a_kind_is_of_its_name() -> None:
 def test_assets_differ_by_serial_number() -> None:
     first = ASSETS
     other = [replace(asset, address="elsewhere") for asset in ASSETS]
-    assert differing(first, other) == []
+    assert different_assets(first, other) == []
     other[1] = replace(ASSETS[1], serial="7")
-    assert differing(first, other) == [(first[1], other[1])]
-    assert differing(first[:1], other[2:]) == []
+    assert different_assets(first, other) == [(first[1], other[1])]
+    assert different_assets(first[:1], other[2:]) == []

@@ -51,12 +51,12 @@ def nested(file: Path) -> None:
 
 
 def large_record(file: Path) -> None:
-    size = journal.LARGEST_RECORD // 2 + 1  # two digits a byte
+    size = journal.MAX_RECORD_BYTES // 2 + 1  # two digits a byte
     change(file, *NO_RECORDS[:2], f"UPDATE record SET body = hex(zeroblob({size})) WHERE seq = 1")
 
 
 def large_file(file: Path) -> None:
-    os.truncate(file, journal.LARGEST + 1)  # no block of the disk is filled
+    os.truncate(file, journal.MAX_JOURNAL_BYTES + 1)  # no block of the disk is filled
 
 
 def pipe_beside(file: Path) -> None:
@@ -78,7 +78,7 @@ HARMS = [
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(journal, "LARGEST_RECORD", 2**20)
+    monkeypatch.setattr(journal, "MAX_RECORD_BYTES", 2**20)
     written(tmp_path / "good")
     written(tmp_path / "bad")
     return tmp_path
@@ -95,7 +95,7 @@ def test_a_harmful_run_is_listed_with_its_reason_and_stops_nobody(
     with pytest.raises(StorageError) as caught:
         read_log(runs / "bad")
     assert caught.value.code == "HC-J02"
-    assert str(caught.value).endswith(journal.FETCH)
+    assert str(caught.value).endswith(journal.RESTORE_ADVICE)
     assert str(runs / "bad" / JOURNAL) in str(caught.value)
     assert find_run(runs, "last").name in ("good", "bad")
     assert read_log(runs / "good").state == "finished"
@@ -113,7 +113,7 @@ def test_nothing_is_written_into_a_harmful_journal(
 
 def test_no_query_of_a_journal_takes_for_ever(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages that point at one another in a hostile file make a short file a long one."""
-    monkeypatch.setattr(journal, "MOST_STEPS", 10**6)
+    monkeypatch.setattr(journal, "MAX_STEPS", 10**6)
     with (
         closing(journal._reader(runs / "bad" / JOURNAL)) as base,
         pytest.raises(sqlite3.OperationalError, match="interrupted"),
@@ -126,7 +126,7 @@ def test_a_journal_is_not_written_until_nobody_reads_it(
 ) -> None:
     begun = Journal(tmp_path / JOURNAL, "r", create=True)
     begun.append("event", "", {"what": "x"})
-    monkeypatch.setattr(journal, "LARGEST", sum(file.size for file in begun._files))
+    monkeypatch.setattr(journal, "MAX_JOURNAL_BYTES", sum(file.size for file in begun._files))
     begun.append("event", "", {"what": "x"})
     with pytest.raises(StorageError, match="new run") as caught:
         begun.append("event", "", {"what": "x"})

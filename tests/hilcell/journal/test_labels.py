@@ -6,7 +6,14 @@ from datetime import timedelta, timezone
 
 import pytest
 
-from hilcell.journal.labels import in_words, in_zone, local_words, span_words, time_words, zone_of
+from hilcell.journal.labels import (
+    in_zone,
+    local_time_text,
+    period_text,
+    time_text,
+    with_labels,
+    zone_of,
+)
 from hilcell.journal.log import Log
 from tests.hilcell.tui.sample_runs import measuring
 
@@ -25,13 +32,13 @@ def test_keys_become_words(log: Log) -> None:
         "Cell: verdict validation.S1900": "Cell: validation at S1900",
         "read at 20 mm/s in /tmp/grid/1-0-0": "read at 20 mm/s in /tmp/grid/1-0-0",
     }
-    assert {text: in_words(text, log) for text in known} == known
+    assert {text: with_labels(text, log) for text in known} == known
 
 
 @pytest.mark.parametrize("text", ["grid/", "grid//", "sign/x/seat2", "held/", "grid/\u00b2-1-1"])
 def test_a_key_of_no_known_form_is_no_error(log: Log, text: str) -> None:
-    assert in_words(text, log)
-    assert in_words(text, Log())
+    assert with_labels(text, log)
+    assert with_labels(text, Log())
 
 
 T = "2026-03-04T23:30:05.250+00:00"
@@ -48,13 +55,13 @@ INDIA = timezone(timedelta(hours=5, minutes=30))
 )
 def test_a_time_has_its_zone_and_utc_beside_it(offset_min: int, local: str, both: str) -> None:
     zone = zone_of(offset_min)
-    assert (local_words(T, zone), time_words(T, zone)) == (local, both)
+    assert (local_time_text(T, zone), time_text(T, zone)) == (local, both)
 
 
 def test_a_day_is_that_of_the_zone() -> None:
     assert in_zone(T, INDIA).date().isoformat() == "2026-03-05"
     later = "2026-03-05T00:10:00.000+00:00"
-    assert span_words(T, later, zone_of(0)) == "2026-03-04 23:30:05 to 2026-03-05 00:10:00 UTC"
-    assert span_words(T, later, INDIA) == (
+    assert period_text(T, later, zone_of(0)) == "2026-03-04 23:30:05 to 2026-03-05 00:10:00 UTC"
+    assert period_text(T, later, INDIA) == (
         "2026-03-05 05:00:05 to 05:40:00 UTC+05:30 (23:30:05 to 00:10:00 UTC)"
     )

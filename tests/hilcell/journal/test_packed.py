@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Driven, Log
+from hilcell.journal.log import Log, VisitedPoses
 from hilcell.model.events import ReadingTime
 from hilcell.model.point import Point, PointId, Readings
 
@@ -71,7 +71,7 @@ def test_a_point_takes_little_memory() -> None:
 
 
 def test_a_motion_takes_its_numbers_only() -> None:
-    driven = Driven()
+    driven = VisitedPoses()
     body = {"action": "robot.move", "strip_mm": 1100.0, "joints_deg": [0.0] * 6}
     for seq in range(1, 1002):
         driven.take(Record(seq, "", "intent", "p", body))

@@ -16,7 +16,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.index import find_run, read_index
 from hilcell.journal.journal import NeverBegan
 from hilcell.journal.log import RunJournal
-from hilcell.journal.runs import JOURNAL, forget, make_folder, read_log, run_folders
+from hilcell.journal.runs import JOURNAL, make_folder, read_log, remove_unbegun, run_folders
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.journal.test_index import written
 
@@ -51,8 +51,8 @@ from hilcell.journal import log
 from hilcell.run import control  # nothing more can be loaded once rights are given away
 from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
-from hilcell.tui.app import run_to_open
-run_to_open(Path("."), "")
+from hilcell.tui.app import folder_to_open
+folder_to_open(Path("."), "")
 os.getuid() or os.setuid(65534)  # root may look everywhere
 runs = Path(sys.argv[1])
 print(json.dumps([[row.name, row.state, row.reason] for row in read_index(runs)]))
@@ -61,7 +61,7 @@ try:
     read_log(find_run(runs, str(runs / "2")))
 except Exception as error:
     print(f"{type(error).__name__}: {error}")
-print(run_to_open(runs, ""))
+print(folder_to_open(runs, ""))
 try:
     control.order(runs / "2", "pause")
 except Exception as error:
@@ -107,7 +107,7 @@ def test_a_run_that_never_began_leaves_nothing_but_what_others_have_put_there(
         written(tmp_path / name)
     (tmp_path / "b" / "notes").touch()
     for name in ("a", "b"):
-        forget(tmp_path / name)
+        remove_unbegun(tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes"]
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.cell.file import Cell
-from hilcell.invariants import judge
+from hilcell.invariants import check_invariants
 from hilcell.journal.journal import read_journal
 from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession
@@ -89,7 +89,7 @@ def test_an_unattended_run_goes_on_when_the_strip_reads_again(bed: Bed, readings
     assert len(bed.events("station held")) == 2, "hands were at the head: it is held again"
     assert [record.key for record in bed.records("point")] == ["p/0", "p/1", "p/2"]
     assert not rail.powered
-    assert judge(read_journal(bed.path))["I13"].holds
+    assert check_invariants(read_journal(bed.path))["I13"].holds
 
 
 def test_while_it_waits_the_slide_is_held_and_an_answer_is_proven(bed: Bed) -> None:

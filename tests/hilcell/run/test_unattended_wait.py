@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell.cell.file import Cell
-from hilcell.invariants import judge
+from hilcell.invariants import check_invariants
 from hilcell.journal.journal import read_journal
 from hilcell.run.meter import Meter
 from hilcell.run.worker import UnattendedPolling
@@ -72,7 +72,7 @@ def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) 
     assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
     went_on = [r.body for r in bed.records("state") if r.body.get("by")]
     assert [body["by"] for body in went_on] == ["look"]
-    assert judge(read_journal(bed.path))["I13"].holds
+    assert check_invariants(read_journal(bed.path))["I13"].holds
 
 
 def test_a_cause_that_stays_is_a_fault_with_its_own_code(tmp_path: Path) -> None:
