@@ -12,7 +12,7 @@ Error = TypeVar("Error", bound=DeviceError)
 Wire = TypeVar("Wire")
 
 
-class Garbled(ValueError):
+class ProtocolError(ValueError):
     """Bytes or text that are no packet, no reply or no value of a device's protocol."""
 
 

@@ -19,14 +19,13 @@ from msgspec import Meta
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.cia import Object
-from drivers.canopen.nodes import Expected, Node, doubts_sensor, start_nodes
+from drivers.canopen.nodes import Expected, Node, has_sensor_error, start_nodes
 from drivers.canopen.process_image import Inbox, Pdo, Transmission
 from drivers.canopen.sdo import ABSENT, Aborted
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.device_errors import STRIP
-from drivers.supervision import Patience, on_failure
-from drivers.wires.link import open_link
-from drivers.wires.text_lines import TextLines
+from drivers.supervision import Deadline, on_failure
+from drivers.wires import TextLines, open_link
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, says_simulated
 from hilcell.sanitize import clean
@@ -148,7 +147,7 @@ class SerialStrip:
         """Return the answer to a command; raises `DeviceError` for none, or one of another form."""
         lines = STRIP.connected(self._lines)
         lines.send(command, command)
-        answer = lines.receive(Patience(self.REPLY_S))
+        answer = lines.receive(Deadline(self.REPLY_S))
         if answer is None:
             raise lines.link.broken(
                 command, f"the strip sensor did not answer in {self.REPLY_S:.1f} s"
@@ -223,7 +222,9 @@ class StripNode(Node):
         supported = self.sdo.read_if_present(Object.SUPPORTED_ALARMS)
         silent = supported is not None and not supported & cia.POSITION_ERROR
         self._speaks = not silent and self.pdo is whole
-        self.sensor_fails = not self._speaks and doubts_sensor(self.sdo.read(Object.ERROR_REGISTER))
+        self.sensor_fails = not self._speaks and has_sensor_error(
+            self.sdo.read(Object.ERROR_REGISTER)
+        )
 
     def values(self, values: Mapping[int, tuple[int, ...]]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC, of which ``values`` came by identifier.
@@ -304,7 +305,7 @@ class CanopenStrip:
 Strip = SerialStrip | CanopenStrip
 
 
-class StripFeed:
+class StripReader:
     """The polls of one strip; one that is lost is opened again only while nothing moves."""
 
     def __init__(self, strip: Strip) -> None:
@@ -333,7 +334,7 @@ class StripFeed:
                 return self._counts, alarms
         return self._counts, LOST
 
-    def mend(self) -> None:
+    def reconnect(self) -> None:
         """Open the wire of a strip that was lost again, if it lets itself be opened."""
         if self._lost is not None:
             self._before = self.statistics()

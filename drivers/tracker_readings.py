@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.device_errors import TRACKER
-from drivers.supervision import Patience
+from drivers.supervision import Deadline
 from hilcell.ports import (
     Array,
     Clock,
@@ -20,7 +20,9 @@ from hilcell.ports import (
     says_simulated,
 )
 
-APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
+OUTLIER_FACTOR = (
+    6.0  # a repeat this many times the scatter of the others from them is none of theirs
+)
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 Positive = Annotated[float, Meta(gt=0)]
 
@@ -41,7 +43,7 @@ def leica_identity(name: str, besides: str, serial: str, address: str, firmware:
     return Identity(TRACKER.name, model, serial, address, simulated, "tracker", maker, firmware)
 
 
-def checked_order(near_mm: Array, samples: int = 1, operation: str = "measure") -> Array:
+def checked_request(near_mm: Array, samples: int = 1, operation: str = "measure") -> Array:
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
@@ -60,7 +62,7 @@ def check_reflector(reflector: str, known: list[str], found: str) -> None:
         )
 
 
-def not_kept(
+def readback_error(
     setting: str, read: object, written: object, why: str = "", act: str = ""
 ) -> DeviceRefused:
     """Return the error of a setting that does not read as it was written."""
@@ -82,7 +84,7 @@ def changed(setting: str, found: str, kept: str, act: str = "") -> DeviceError:
     return TRACKER.failed("HC-T06", operation, found, expected=kept, act=act, setting=setting)
 
 
-def form_at(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:
+def matching_form(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:
     """Return the form in which a result (3,) is at its place, "" where it is so in none."""
     for form, xyz_mm in forms.items():
         if float(np.linalg.norm(xyz_mm - near_mm)) <= limit_mm:
@@ -90,7 +92,7 @@ def form_at(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -> str:
     return ""
 
 
-def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> NoReading:
+def off_target(off_mm: float, radius_mm: float, operation: str = "measure") -> NoReading:
     """Return the error of a result that is too far from the expected place."""
     return TRACKER.no_reading(
         "HC-T16",
@@ -103,13 +105,13 @@ def misplaced(off_mm: float, radius_mm: float, operation: str = "measure") -> No
     )
 
 
-def unsteady(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
+def scatter_error(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
     """Return the error of a result that scatters; ``figures`` are the values behind ``found``."""
     expected, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
     return TRACKER.no_reading("HC-T15", "measure", found, expected=expected, act=act, **figures)
 
 
-def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
+def repeats_std(points_mm: Array, limit_mm: float) -> Array:
     """Return the standard deviation (3,) of one of the repeats (N, 3), N > 1.
 
     Raises `NoReading` where they spread by more than ``limit_mm``, or one is far from the others.
@@ -119,14 +121,14 @@ def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
     if not spread_mm <= limit_mm:
         found = f"{repeats} repeats spread by {spread_mm:.4f} mm (1 sigma)"
         act = "something moves or vibrates"
-        raise unsteady(found, limit_mm, act, std_mm=spread_mm, repeats=repeats)
+        raise scatter_error(found, limit_mm, act, std_mm=spread_mm, repeats=repeats)
     # One of many hardly widens the spread of all, yet shifts their mean.
     for number, point_mm in enumerate(points_mm if repeats > 2 else ()):
         others_mm = np.delete(points_mm, number, axis=0)
         off_mm = float(np.linalg.norm(point_mm - others_mm.mean(axis=0)))
         scatter_mm = float(np.linalg.norm(others_mm.std(axis=0, ddof=1)))
-        if not off_mm <= max(limit_mm, APART * scatter_mm):
-            raise unsteady(
+        if not off_mm <= max(limit_mm, OUTLIER_FACTOR * scatter_mm):
+            raise scatter_error(
                 f"repeat {number + 1} of {repeats} is {off_mm:.4f} mm from the others,"
                 f" which spread by {scatter_mm:.4f} mm (1 sigma)",
                 limit_mm,
@@ -141,7 +143,7 @@ def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
 Answer = TypeVar("Answer")
 
 
-def when_ready(
+def retry_while_busy(
     ask: Callable[[], Answer],
     busy: Callable[[Answer], bool],
     limit_s: float,
@@ -149,7 +151,7 @@ def when_ready(
     pause_s: float = BUSY_PAUSE_S,
 ) -> Answer:
     """Return the answer of a device that is asked again while it is busy; the last one, then."""
-    patience = Patience(limit_s, limit_s)
-    while busy(answer := ask()) and not patience.over():
+    deadline = Deadline(limit_s, limit_s)
+    while busy(answer := ask()) and not deadline.expired():
         clock.wait(pause_s)
     return answer

@@ -23,10 +23,10 @@ from campaigns.fuzz.wire_parsers import WIRE_PARSERS
 from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import NodeState
-from drivers.canopen.nodes import NodeWatch
+from drivers.canopen.nodes import NodeMonitor
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
-from drivers.device_errors import Garbled
+from drivers.device_errors import ProtocolError
 from drivers.kuka import krl, robot_c3
 from drivers.kuka.program_krl.files import read_program
 from drivers.leica import emscon
@@ -191,7 +191,7 @@ def can_frames(data: bytes) -> None:
     link.network, link._malformed = cast("Any", canopen.Network()), 0
     link.time = cast("Any", _Time())
     link._beat_s, link._pause_s, link._paused_s = None, 0.0, 0.0
-    watch = NodeWatch(link, DRIVE)
+    watch = NodeMonitor(link, DRIVE)
     watch.state = NodeState.OPERATIONAL
     watch.arm()
     bus._bytes = data
@@ -360,7 +360,7 @@ def screen_samples() -> Iterable[bytes]:
 PARSERS = {
     parser.name: parser
     for parser in (
-        Parser("tracker", tracker, (Garbled,), tracker_samples),
+        Parser("tracker", tracker, (ProtocolError,), tracker_samples),
         Parser("robot", robot, (robot_c3.C3Error, krl.KrlError), robot_samples),
         Parser("sdo", sdo_replies, (HilcellError,), sdo_samples),
         Parser("can", can_frames, (HilcellError, can.CanError), can_samples),

@@ -11,18 +11,17 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
-from drivers.device_errors import ROBOT, Garbled
+from drivers.device_errors import ROBOT, ProtocolError
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
 from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 from drivers.strips import SerialStrip, StripOptions
-from drivers.supervision import Patience
+from drivers.supervision import Deadline
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.files import read_program
 from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState
-from drivers.wires.tcp import Link
-from drivers.wires.text_lines import TextLines
+from drivers.wires import Link, TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import HilcellError
@@ -48,11 +47,11 @@ class Wire(Link):
     def send(self, data: bytes, operation: str) -> None:
         """Take all bytes."""
 
-    def receive(self, size: int, patience: Patience) -> bytes:
+    def receive(self, size: int, deadline: Deadline) -> bytes:
         """Return the next piece, none at the end."""
-        return self._come(size, wait=False)
+        return self._poll(size, wait=False)
 
-    def _come(self, size: int, *, wait: bool) -> bytes:
+    def _poll(self, size: int, *, wait: bool) -> bytes:
         piece, self._left = self._left[: self._size], self._left[self._size :]
         return piece
 
@@ -99,7 +98,7 @@ def packages(data: bytes) -> None:
     """Packages of RTDE: the answers that set recipes up, then states."""
     wire, read = Wire(data), rtde.Packages()
     recipe: rtde.Recipe | None = None
-    while piece := wire.receive(0, Patience(0.0)):
+    while piece := wire.receive(0, Deadline(0.0)):
         for kind, payload in read.feed(piece):
             if kind == rtde.Kind.OUTPUTS:
                 recipe = rtde.Recipe.from_answer(OUTPUTS, payload)
@@ -209,7 +208,7 @@ def script_samples() -> Iterable[bytes]:
 # Name, how bytes are handed over, what it may raise, samples.
 WIRE_PARSERS = (
     ("eki", documents, (HilcellError,), document_samples),
-    ("rtde", packages, (Garbled,), package_samples),
+    ("rtde", packages, (ProtocolError,), package_samples),
     ("geocom", replies, (HilcellError,), reply_samples),
     ("t2sa", bridge_replies, (HilcellError,), bridge_samples),
     ("strip", strip_answers, (HilcellError,), strip_samples),

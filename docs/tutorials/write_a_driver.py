@@ -17,8 +17,8 @@ import numpy as np
 
 import hilcell as hc
 from drivers.device_errors import TRACKER
-from drivers.supervision import Patience
-from drivers.wires.tcp import TcpLink
+from drivers.supervision import Deadline
+from drivers.wires import TcpLink
 from hilcell.clock import WallClock
 from hilcell.ports import Array, Clock, Identity, TrackerReading
 
@@ -51,7 +51,7 @@ device.start()
 
 # %% [markdown]
 # The driver: a plain class with the four methods of `hilcell.ports.Tracker`. Every wait is one of
-# `TcpLink.receive`, which ends within 20 ms of a stop; `Patience` is its deadline.
+# `TcpLink.receive`, which ends within 20 ms of a stop; `Deadline` is its deadline.
 
 
 # %%
@@ -110,9 +110,9 @@ class LineTracker:
         if self._link is None:
             raise TRACKER.failed("HC-T34", operation, "not connected")
         self._link.send(f"{request}\n".encode(), operation)
-        patience, answer = Patience(self.ANSWER_S), b""
+        deadline, answer = Deadline(self.ANSWER_S), b""
         while not answer.endswith(b"\n"):
-            received = self._link.receive(4096, patience)
+            received = self._link.receive(4096, deadline)
             if not received:
                 raise self._link.broken(operation, f"no answer within {self.ANSWER_S:g} s")
             answer += received

@@ -19,7 +19,7 @@ import canopen
 from drivers.canopen.cia import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.device_errors import RAIL
-from drivers.wires.link import system_words
+from drivers.wires import system_message
 from hilcell.ports import Clock, DeviceError, LinkStatistics
 
 # A PC that was busy finds its own deadline passed and the answer, which came in time, still
@@ -69,7 +69,7 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
         raise RAIL.failed(
             "HC-R04",
             "connect",
-            f"{interface} {channel}: {system_words(error)}",
+            f"{interface} {channel}: {system_message(error)}",
             interface=interface,
             channel=channel,
             bitrate=bitrate,

@@ -2,7 +2,7 @@
 
 The trap: bit 10 "target reached" and bit 12 keep their value from the motion before, so a motion
 has ended only when the set-point was acknowledged in between and the slide stands. Nor does "the
-velocity is zero" say that: a servo that holds a position dithers (`drivers.standstill`).
+velocity is zero" say that: a servo that holds a position dithers (`drivers.slide`).
 
 A strip's measuring step is an array on some makes and a plain value on others, in nanometres
 (multiples of 0.001 um). Error codes are those of EMCY messages (CiA 301, table 26) and of drives

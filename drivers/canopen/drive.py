@@ -3,7 +3,7 @@
 canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
 re-enables it behind a fault reset, and takes bits left by the last motion for this one's. A
 simulated cell may run faster than any clock, so a motion's planned duration is counted on the
-cell's clock (`drivers.motion_limits`).
+cell's clock (`drivers.supervision`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
 from drivers.canopen.process_image import NO_MODE, SYNCS, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL, Device
-from drivers.motion_limits import MotionLimits
-from drivers.standstill import Standing
-from drivers.supervision import Supervision, looks
+from drivers.slide import SlideMonitor
+from drivers.supervision import MotionLimits, Watchdog, polls
 from hilcell.ports import Clock, DeviceError
 
 
@@ -42,14 +41,14 @@ class Drive:
         clock: Clock,
         limits: Limits,
         watch: Callable[[str], None],
-        supervision: Supervision,
+        watchdog: Watchdog,
         alarm_text: Callable[[int], str] = cia.alarm_text,
     ) -> None:
         """``alarm_text`` is the strip's."""
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
-        self._supervision = supervision
-        self.standing = Standing(
+        self._watchdog = watchdog
+        self.slide = SlideMonitor(
             self._look,
             clock,
             limits.windows,
@@ -67,14 +66,14 @@ class Drive:
 
         def look() -> None:
             self._clock.check()
-            self._supervision.check()
+            self._watchdog.check()
             self._watch(operation)
 
         look()
         now = self._image.refresh(look)
         if not self._image.shows_mode:
             now = replace(now, mode=self._mode_by_sdo())
-        self._supervision.look()
+        self._watchdog.feed()
         look()
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             self._image.control(Control.QUICK_STOP)  # before the drive is asked why
@@ -117,7 +116,7 @@ class Drive:
             return
         self._image.control(Control.DISABLE_VOLTAGE)
         self._image.control(Control.FAULT_RESET)  # the rising edge resets
-        for last in looks(self.STALL_S):
+        for last in polls(self.STALL_S):
             if self._image.refresh(self._clock.check).state is not State.FAULT:
                 break
             if last:
@@ -127,10 +126,10 @@ class Drive:
 
     def disable(self, operation: str = "hold") -> None:
         """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
-        if not self.standing.poll(operation).powered:
+        if not self.slide.poll(operation).powered:
             return
-        now = self.standing.confirm(operation)
-        if now.powered and self.standing.rest is None:
+        now = self.slide.confirm(operation)
+        if now.powered and self.slide.rest is None:
             self._image.control(Control.QUICK_STOP)  # a stop would be for good
             ramp_s = self._limits.ramp_s
             now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
@@ -146,8 +145,8 @@ class Drive:
         before = self._prepare(operation, Mode.HOMING)
         self._old_error = before.has(Bit.MODE_ERROR)
         until = partial(self._until, operation, moving=True)
-        self.standing.standstill.forget()
-        with self._supervision.motion():
+        self.slide.standstill.forget()
+        with self._watchdog.motion():
             self._image.control(Control.START)
             until("homing started", lambda now: self._homes(before, now))
             expected, attained = (
@@ -174,8 +173,8 @@ class Drive:
         until = partial(self._until, operation, moving=True)
         self._image.control(Control.ENABLE_OPERATION, target)
         until("last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
-        self.standing.standstill.forget()
-        with self._supervision.motion():
+        self.slide.standstill.forget()
+        with self._watchdog.motion():
             self._image.control(Control.START, target)
             until("set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED))
             self._image.control(Control.ENABLE_OPERATION, target)
@@ -202,16 +201,16 @@ class Drive:
     def _prepare(self, operation: str, mode: Mode) -> Snapshot:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
         self._image.check_not_stopped()
-        now = self.standing.poll(operation)
+        now = self.slide.poll(operation)
         if now.mode != mode:
             self._set_mode(mode)
-        while (now := self.standing.poll(operation)).state is not State.ENABLED:
+        while (now := self.slide.poll(operation)).state is not State.ENABLED:
             word = cia.next_control(now.state)
             if word is not None:
                 self._image.control(word, now.position)
             self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
         now = self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
-        self._guards = MotionGuard(self._limits, now, self.standing.now_s)
+        self._guards = MotionGuard(self._limits, now, self.slide.now_s)
         self._left_limit = None
         return now
 
@@ -240,10 +239,10 @@ class Drive:
         stall_s = self.STALL_S + self._limits.windows.dwell_s * at_rest
         limits = MotionLimits(planned_s, stall_s, self._limits.window)
         while True:
-            now = self.standing.poll(operation)
+            now = self.slide.poll(operation)
             if moving:
                 self._check_motion(operation, now)
-            stands = self.standing.rest is not None or not at_rest
+            stands = self.slide.rest is not None or not at_rest
             if stands and done(now):
                 return now
             if limits.stalled(np.array([now.position], dtype=float)):
@@ -257,7 +256,7 @@ class Drive:
                 raise self._at(now).failed(
                     "HC-R31", operation, found, expected=expected, act=act, waited_s=stall_s
                 )
-            if limits.overdue(self.standing.now_s, self.FULL_SPEED):
+            if limits.overdue(self.slide.now_s, self.FULL_SPEED):
                 raise self._at(now).failed(
                     "HC-R28",
                     operation,
@@ -269,11 +268,11 @@ class Drive:
             if moving and not done(now):
                 self._clock.wait(self.POLL_S)  # also at its start, while it seems to stand
             else:
-                self.standing.pause()
+                self.slide.pause()
 
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
         limits, windows = self._limits, self._limits.windows
-        speed, spread, strip_spread = self.standing.standstill.unrest
+        speed, spread, strip_spread = self.slide.standstill.spreads
         return RAIL.failed(
             "HC-R43",
             operation,
@@ -291,7 +290,7 @@ class Drive:
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, code, found = self._limits, "", ""
-        self._guards.take(now, self.standing.now_s)
+        self._guards.add(now, self.slide.now_s)
         self._old_error = self._old_error and now.has(Bit.MODE_ERROR)
         where = limits.mm(now.position)
         if now.state is not State.ENABLED:

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from drivers.canopen.process_image import Snapshot
 from drivers.device_errors import RAIL
-from drivers.scale_guard import ScaleGuard
-from drivers.standstill import Windows
+from drivers.slide import ScaleGuard, Windows
 from hilcell.ports import Array
 
 
@@ -154,7 +153,7 @@ class SpeedGuard:
         self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=self.LOOKS)
         self._found: Proofs | None = None
 
-    def take(self, position: float, speed: float, now_s: float) -> None:
+    def add(self, position: float, speed: float, now_s: float) -> None:
         """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
         if not now_s > self._now_s:
             return
@@ -206,19 +205,18 @@ class MotionGuard:
         per_mm, strip_per_mm = limits.counts_per_mm, limits.strip_counts_per_mm
         self._speed = SpeedGuard(now_s, limits.speed, limits.acceleration, per_mm)
         still_mm = limits.windows.strip_spread / strip_per_mm
-        together = limits.strip_at_sync
-        self._scale = ScaleGuard(still_mm, limits.speed / per_mm, together=together)
+        self._scale = ScaleGuard(still_mm, limits.speed / per_mm, synchronous=limits.strip_at_sync)
         self._take_scale(before)
 
-    def take(self, now: Snapshot, now_s: float) -> None:
+    def add(self, now: Snapshot, now_s: float) -> None:
         """Take a poll that has ended at ``now_s`` of the cell."""
-        self._speed.take(now.position, now.velocity, now_s)
+        self._speed.add(now.position, now.velocity, now_s)
         self._take_scale(now)
 
     def _take_scale(self, now: Snapshot) -> None:
         limits = self._limits
         if not now.alarms:
-            self._scale.take(
+            self._scale.add(
                 now.position / limits.counts_per_mm, now.strip / limits.strip_counts_per_mm
             )
 

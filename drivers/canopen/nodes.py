@@ -35,7 +35,7 @@ PC_HEARTBEAT_LIMIT_MS = 1000
 GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 
 
-def doubts_sensor(register: int) -> bool:
+def has_sensor_error(register: int) -> bool:
     """Whether an error register leaves a sensor in doubt: by anything but its communication.
 
     The generic bit comes with each error; which of the others does is the maker's choice.
@@ -43,7 +43,7 @@ def doubts_sensor(register: int) -> bool:
     return register not in (0, COMMUNICATION, GENERIC | COMMUNICATION)
 
 
-class NodeWatch:
+class NodeMonitor:
     """Listens to one node; ``check`` raises the first thing that went wrong.
 
     Emergencies of the family ``in_pdo`` repeat what a PDO says with each of its values, or what
@@ -93,7 +93,7 @@ class NodeWatch:
         if code >> 8 == self._in_pdo:
             self.sensor_fails = True
         elif not cia.is_error(code):  # one is gone; the register has those that are left
-            self.sensor_fails = doubts_sensor(register)
+            self.sensor_fails = has_sensor_error(register)
         if self._armed and cia.is_error(code) and code >> 8 != self._in_pdo:
             found = f"EMCY {cia.error_text(code)}, error register 0x{register:02X}"
             pause_s = self._link.pause_s
@@ -128,7 +128,7 @@ class Expected:
     serial: int
 
 
-class Node(NodeWatch):
+class Node(NodeMonitor):
     """A node as it is set up: its identity, its objects, and what it sends unasked."""
 
     def __init__(

@@ -23,7 +23,7 @@ from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import Control, Object, State
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL
-from drivers.standstill import Poll
+from drivers.slide import Poll
 
 SYNC = 0x080
 REPLY_S = 0.2  # of link time

@@ -33,19 +33,19 @@ from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.device_errors import RAIL
-from drivers.standstill import READINGS, Rest, Standstill, Windows, check_travel, strip_spread
+from drivers.slide import READINGS, Rest, Standstill, Windows, check_travel, strip_spread
 from drivers.strips import (
     U32,
     CountsPerMm,
     NodeNumber,
     Positive,
-    StripFeed,
     StripNode,
     StripOptions,
+    StripReader,
     strip_of,
     summed,
 )
-from drivers.supervision import Patience, Supervision, go_on, on_failure
+from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 
@@ -108,9 +108,9 @@ class CanopenRail:
         self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._held_by_sdo = 0
         self._nodes: tuple[Node, ...] = ()
-        self._feed: StripFeed | None = None  # of a strip that is not on the bus
+        self._feed: StripReader | None = None  # of a strip that is not on the bus
         if options.strip is not None:
-            self._feed = StripFeed(strip_of(options.strip, clock))
+            self._feed = StripReader(strip_of(options.strip, clock))
         self._strip = options.strip or StripOptions(
             driver="canopen",
             channel=options.channel,
@@ -169,12 +169,12 @@ class CanopenRail:
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
-        self._mend_strip()
-        return self._used().standing.settle(self._ended_s)
+        self._reconnect_strip()
+        return self._used().slide.settle(self._ended_s)
 
     def read(self) -> RailReading:
-        self._mend_strip()
-        return self._used().standing.read(self._ended_s)
+        self._reconnect_strip()
+        return self._used().slide.read(self._ended_s)
 
     def hold(self) -> None:
         self._used().disable()
@@ -211,17 +211,17 @@ class CanopenRail:
             )
         else:
             image = ProcessImage(link, o.drive_node, lambda _, check: feed.poll(check))
-        supervision = Supervision(RAIL, "HC-R39", self._clock, self.LATE_S)
+        watchdog = Watchdog(RAIL, "HC-R39", self._clock, self.LATE_S)
         identities = [node.identify(o.channel) for node in self._nodes]
         if feed is not None:
             identities.append(feed.connect())
         try:
-            self._configure(link, image, supervision)
+            self._configure(link, image, watchdog)
         except DeviceError:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
         sdo, text = self._nodes[0].sdo, cia.alarm_text if feed is None else feed.alarm_text
-        drive = Drive(image, sdo, self._clock, self._limits, self._check_nodes, supervision, text)
+        drive = Drive(image, sdo, self._clock, self._limits, self._check_nodes, watchdog, text)
         drive.reset_fault()
         for node in self._nodes:
             node.arm()
@@ -229,14 +229,14 @@ class CanopenRail:
         self._image, self._drive, self._held_by_sdo = image, drive, 0
         return identities
 
-    def _configure(self, link: CanLink, image: ProcessImage, supervision: Supervision) -> None:
+    def _configure(self, link: CanLink, image: ProcessImage, watchdog: Watchdog) -> None:
         """Set the nodes up and start them; raises `DeviceError`."""
         options, drive = self._options, self._nodes[0]
         strips = [node for node in self._nodes if isinstance(node, StripNode)]
         for node in self._nodes:
             node.begin_set_up()
         period_s = heartbeat_period_s(options.bitrate)
-        link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
+        link.start_heartbeat(options.heartbeat_node, watchdog.is_fed, period_s)
         drive.set_heartbeat(options.bitrate)
         set_up_drive(drive.sdo, self._limits, options.heartbeat_node, options.homing_mm_s)
         for strip in strips:
@@ -247,9 +247,9 @@ class CanopenRail:
         start_nodes(link, self._nodes, self._clock.check)
         self._check_nodes("connect")
 
-    def _mend_strip(self) -> None:
+    def _reconnect_strip(self) -> None:
         if self._feed is not None:
-            self._feed.mend()
+            self._feed.reconnect()
 
     # -- helpers ------------------------------------------------------------------------------
 
@@ -271,8 +271,8 @@ class CanopenRail:
             self.stop()
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
-        sdo = open_channel(link, self._options.drive_node, "drive.eds", go_on)
-        node, rest = self._nodes[0], self._used().standing.rest
+        sdo = open_channel(link, self._options.drive_node, "drive.eds", ignore_stop)
+        node, rest = self._nodes[0], self._used().slide.rest
         release = Release(link, image, sdo, self._limits.windows, node=node, rest=rest)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)
@@ -331,18 +331,18 @@ class Release:
     def leave_held(self) -> None:
         """Return when the drive has no power and the slide stands; raises `DeviceError`."""
         limit_s = self.RELEASE_S + 2 * self._windows.dwell_s
-        patience, had_power = Patience(limit_s, self.SILENT_S), True
+        deadline, had_power = Deadline(limit_s, self.SILENT_S), True
         while True:
-            now = self._answer(patience)
+            now = self._answer(deadline)
             powered = now.powered or now.state is State.UNKNOWN
             if had_power and not powered:
                 had_power = False
-                patience = Patience(limit_s, self.SILENT_S)  # as long to come to rest
+                deadline = Deadline(limit_s, self.SILENT_S)  # as long to come to rest
             if powered:
                 self._take_power(now)
             elif self._standstill.rest is not None or self._stands_as_before(now):
                 return
-            if patience.over():
+            if deadline.expired():
                 found = "the drive keeps its power" if powered else "the slide does not rest"
                 raise RAIL.failed(
                     "HC-R37",
@@ -399,13 +399,13 @@ class Release:
             self._node.command(NodeCommand.ENTER_PRE_OPERATIONAL)
         self._sdo.post(Object.CONTROLWORD, 0, Control.QUICK_STOP)
 
-    def _answer(self, patience: Patience) -> Snapshot:
+    def _answer(self, deadline: Deadline) -> Snapshot:
         """Return the next poll that is answered; one that is not proves nothing before the end."""
         silent: DeviceError | None = None
         while True:
-            over = patience.over()
+            over = deadline.expired()
             try:
-                now = self._read_by_sdo() if self.by_sdo else self._image.refresh(go_on)
+                now = self._read_by_sdo() if self.by_sdo else self._image.refresh(ignore_stop)
             except DeviceError as error:
                 self._link.check()  # a link that is lost brings no answer
                 silent = silent or error
@@ -422,7 +422,7 @@ class Release:
                         ) from error
                 self._ask(by_sdo=not self.by_sdo)
             else:
-                self._standstill.take(now, time.monotonic() - self._began_s)
+                self._standstill.add(now, time.monotonic() - self._began_s)
                 self._looks += 1
                 return now
 

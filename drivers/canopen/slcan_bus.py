@@ -183,7 +183,7 @@ class SlcanBus(can.BusABC):
         line = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
         self._put(line.encode(), self.SEND_S if timeout is None else timeout)
 
-    def _put(self, line: bytes, patience_s: float = SEND_S) -> None:
+    def _put(self, line: bytes, limit_s: float = SEND_S) -> None:
         """Send ``line`` behind other threads' lines; return when the port has taken it."""
         with self._writing:
             self._unsent += line
@@ -192,11 +192,11 @@ class SlcanBus(can.BusABC):
         while self._taken < mine:
             # The kernel looks at the port again when the time is over, however late this thread is.
             try:
-                _, ready, _ = select.select([], [self._port], [], patience_s)
+                _, ready, _ = select.select([], [self._port], [], limit_s)
             except (OSError, ValueError) as error:
                 raise can.CanOperationError(f"the gateway's port failed: {error}") from error
             if not ready:
-                raise can.CanOperationError(f"the gateway takes no bytes for {patience_s:.1f} s")
+                raise can.CanOperationError(f"the gateway takes no bytes for {limit_s:.1f} s")
             with self._writing:
                 self._push()
 

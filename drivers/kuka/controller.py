@@ -19,7 +19,7 @@ from typing import Protocol
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
 from drivers.kuka.krl import POSE
-from drivers.wires.tcp import TcpLink
+from drivers.wires import TcpLink
 from hilcell.ports import Array, DeviceError, HilcellError, Stopped
 
 PROGRESS = "$AXIS_ACT"
@@ -58,7 +58,7 @@ class Line:
         arrives in the same segment; then the bytes go out all the same.
         """
         held = self._lock.acquire(timeout=0.05)
-        self._link.unheard = True
+        self._link.reply_pending = True
         try:
             yield
         finally:

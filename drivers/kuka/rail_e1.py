@@ -14,9 +14,16 @@ import msgspec
 from msgspec import Meta
 
 from drivers.device_errors import RAIL
-from drivers.scale_guard import ScaleGuard
-from drivers.standstill import STRIP_SPREAD_MM, Poll, Standing, Windows, check_travel, strip_spread
-from drivers.strips import Positive, StripFeed, StripOptions, strip_of
+from drivers.slide import (
+    STRIP_SPREAD_MM,
+    Poll,
+    ScaleGuard,
+    SlideMonitor,
+    Windows,
+    check_travel,
+    strip_spread,
+)
+from drivers.strips import Positive, StripOptions, StripReader, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import Clock, DeviceError, ExternalAxis, Identity, LinkStatistics, RailReading
 
@@ -48,7 +55,7 @@ class KukaE1Rail:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._robot: ExternalAxis | None = None
-        self._strip = StripFeed(strip_of(options.strip, clock))
+        self._strip = StripReader(strip_of(options.strip, clock))
         per_mm = options.strip.counts_per_mm
         windows = Windows(
             speed=options.standstill_speed_mm_s,
@@ -56,7 +63,7 @@ class KukaE1Rail:
             strip_spread=strip_spread(per_mm),
             dwell_s=options.standstill_dwell_s,
         )
-        self._standing = Standing(
+        self._slide = SlideMonitor(
             self._look,
             clock,
             windows,
@@ -100,12 +107,12 @@ class KukaE1Rail:
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._forget()
         self._ended_s = None
-        guard = ScaleGuard(STRIP_SPREAD_MM, options.speed_mm_s, together=False)
+        guard = ScaleGuard(STRIP_SPREAD_MM, options.speed_mm_s, synchronous=False)
 
         def attend(drive_mm: float) -> None:
             strip, alarms = self._strip.poll(self._clock.check)
             if not alarms:
-                guard.take(drive_mm, strip / options.strip.counts_per_mm)
+                guard.add(drive_mm, strip / options.strip.counts_per_mm)
                 guard.check("move to")
 
         with on_failure(self._stop_after_failure):
@@ -114,12 +121,12 @@ class KukaE1Rail:
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
-        self._strip.mend()
-        return self._standing.settle(self._ended_s)
+        self._strip.reconnect()
+        return self._slide.settle(self._ended_s)
 
     def read(self) -> RailReading:
-        self._strip.mend()
-        return self._standing.read(self._ended_s)
+        self._strip.reconnect()
+        return self._slide.read(self._ended_s)
 
     def hold(self) -> None:
         """Have the controller refuse every motion of E1; a reading must say so."""
@@ -153,7 +160,7 @@ class KukaE1Rail:
         return self._robot
 
     def _forget(self) -> None:
-        self._standing.standstill.forget()
+        self._slide.standstill.forget()
         self._before = None
 
     def _look(self, operation: str) -> Poll:

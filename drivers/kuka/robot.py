@@ -38,16 +38,18 @@ from drivers.kuka.controller import (
     refused_motion,
 )
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
-from drivers.motion_limits import (
+from drivers.supervision import (
     MotionLimits,
+    Watchdog,
     check_identity,
     checked_target,
     joints_text,
+    not_at_target,
+    on_failure,
     planned_s,
-    stopped_short,
-    unwell,
+    polls,
+    state_error,
 )
-from drivers.supervision import Supervision, looks, on_failure
 from hilcell.cell.file import Joint
 from hilcell.geometry.frames import from_zyx
 from hilcell.ports import (
@@ -107,7 +109,7 @@ class KukaRobot:
         """``wires`` opens the wires to the controller."""
         self._options, self._clock, self._wires = options, clock, wires
         self._controller: Controller | None = None
-        self._watch = Supervision(ROBOT, "HC-B27", clock)
+        self._watch = Watchdog(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override = 100
         # The values of a variable with which work may go on, and the alarm otherwise.
@@ -162,7 +164,7 @@ class KukaRobot:
                 self._clock.wait(POLL_S)
             return self.rest(target_deg)
         finally:
-            self._watch.end()
+            self._watch.stop()
 
     def read(self) -> RobotReading:
         """Return a reading asked for after this call began.
@@ -309,7 +311,7 @@ class KukaRobot:
         expected = " or ".join(str(value).upper() for value in good)
         if isinstance(good, range):
             expected = f"{good[0]} to {good[-1]}"
-        return unwell(code, name, text, expected, moving=self._under_way)
+        return state_error(code, name, text, expected, moving=self._under_way)
 
     def _check_frame(self, name: str, expected: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, POSE)
@@ -337,7 +339,7 @@ class KukaRobot:
             controller.give_back_override()
         controller.release()
         self._sequence = controller.integer("HC_SEQ")
-        for last in looks(self.CATCH_UP_S, self.POLL_LOOK_S):
+        for last in polls(self.CATCH_UP_S, self.POLL_LOOK_S):
             if (acknowledged := controller.integer("HC_ACK")) == self._sequence:
                 break
             if last:
@@ -369,7 +371,7 @@ class KukaRobot:
         self.check(*self.wire().ready)
         number = self._sequence % self.MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
-        self._watch.begin()
+        self._watch.start()
         start(number)
         self._sequence = number
         return number
@@ -406,7 +408,7 @@ class KukaRobot:
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
         expected = self._whole(target_deg)
-        for _ in looks(REST_S, self.POLL_LOOK_S):
+        for _ in polls(REST_S, self.POLL_LOOK_S):
             taken_s = self._clock.pc_s()
             controller.look()
             axes, before = self._axes(), self._pose()
@@ -418,7 +420,7 @@ class KukaRobot:
                 self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
                 return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
         tolerance = f"{joints_text(expected)} +-{self.AXIS_TOLERANCE_DEG}"
-        raise stopped_short(joints_text(axes), tolerance, axes, expected)
+        raise not_at_target(joints_text(axes), tolerance, axes, expected)
 
     # -- for a sweep as well ------------------------------------------------------------------
 
@@ -429,7 +431,7 @@ class KukaRobot:
 
     def unwatch(self) -> None:
         """Look at no motion any longer: it has ended, or is braked."""
-        self._watch.end()
+        self._watch.stop()
 
     def stands_at(self) -> Array:
         """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
@@ -455,7 +457,7 @@ class KukaRobot:
     def attend(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
-        self._watch.look()
+        self._watch.feed()
 
     def _check_stopped(self) -> None:
         if self._stopped:
@@ -636,7 +638,7 @@ def await_rest(
     lost, and asks for the axes alone.
     """
     before, pause = np.full(len(names), np.inf), threading.Event()
-    for _ in looks(BRAKED_S):
+    for _ in polls(BRAKED_S):
         if closing:
             controller.brake()
         controller.look()

@@ -31,7 +31,7 @@ from drivers.kuka.controller import (
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
-from drivers.supervision import LIFE_S, Patience, go_on, on_failure
+from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
 from hilcell.ports import Array, Clock
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
@@ -101,7 +101,7 @@ class C3Connection(Line):
         """Write a variable and wait for the acknowledgement; raises `DeviceError`."""
         self._exchange("write", name, value)
 
-    def write_unheard(self, name: str, value: str) -> None:
+    def write_without_reply(self, name: str, value: str) -> None:
         """Write without waiting for the reply; the connection is good for nothing afterwards."""
         with self._unheard():
             self._link.send(encode(self._next_tag(), name, value), f"write {name}")
@@ -132,23 +132,23 @@ class C3Connection(Line):
         return reply
 
     def _receive(self, operation: str, tag: int) -> Reply:
-        patience = Patience(REPLY_S)
+        deadline = Deadline(REPLY_S)
         try:
-            self._await(_HEADER.size, operation, patience)
+            self._await(_HEADER.size, operation, deadline)
             found, length = decode_header(self._received[: _HEADER.size])
             if found != tag:
                 raise C3Error(f"a reply with tag {found} came, {tag} was asked")
             end = _HEADER.size + length
-            self._await(end, operation, patience)
+            self._await(end, operation, deadline)
             body, self._received = self._received[_HEADER.size : end], self._received[end:]
             return decode_body(tag, body)
         except C3Error as error:
             self._dead = str(error)
             raise self._link.broken(operation, str(error)) from error
 
-    def _await(self, size: int, operation: str, patience: Patience) -> None:
+    def _await(self, size: int, operation: str, deadline: Deadline) -> None:
         while len(self._received) < size:
-            piece = self._link.receive(_HEADER.size + MAX_BODY, patience)
+            piece = self._link.receive(_HEADER.size + MAX_BODY, deadline)
             if not piece:
                 raise self._link.broken(operation, f"no answer within {REPLY_S:.1f} s")
             self._received += piece
@@ -183,7 +183,7 @@ class C3Controller(Controller):
         self._line: C3Connection = self._open(robot.attend)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line: C3Connection = self._open(go_on)
+            self._stop_line: C3Connection = self._open(ignore_stop)
         self._keeper = KeepAlive(self._line, self._stop_line)
         self._due_s = math.inf  # of the next sign of life
 
@@ -224,7 +224,7 @@ class C3Controller(Controller):
         self._line.write("HC_VEL", str(speed_percent))
         self._line.write("HC_CMD", str(command))
         if self._due_s == math.inf:  # tell the program how long the PC may keep silent
-            self._line.write("HC_LIFE", str(round(LIFE_S * 1000)))
+            self._line.write("HC_LIFE", str(round(HEARTBEAT_TIMEOUT_S * 1000)))
         self._due_s = time.monotonic() + self.SIGN_S
         self._line.write("HC_SEQ", str(number))
 
@@ -232,7 +232,7 @@ class C3Controller(Controller):
         """Set the timer back, if that is due."""
         if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + self.SIGN_S
-            self._line.write(self.TIMER, str(round(-LIFE_S * 1000)))
+            self._line.write(self.TIMER, str(round(-HEARTBEAT_TIMEOUT_S * 1000)))
 
     def hold_slide(self, held: bool) -> None:
         self._line.write("HC_HELD", "TRUE" if held else "FALSE")
@@ -268,7 +268,7 @@ class C3Controller(Controller):
     @contextmanager
     def undisturbed(self) -> Iterator[C3Controller]:
         """Open a connection for a while."""
-        other, line = copy(self), self._open(go_on)
+        other, line = copy(self), self._open(ignore_stop)
         other._line = line  # noqa: SLF001 # of its own class
         try:
             yield other
@@ -277,7 +277,7 @@ class C3Controller(Controller):
 
     def stop(self) -> None:
         """Write the stop over its own connection."""
-        self._stop_line.write_unheard("HC_STOP", "TRUE")
+        self._stop_line.write_without_reply("HC_STOP", "TRUE")
 
 
 class KukaC3Robot(KukaRobot):

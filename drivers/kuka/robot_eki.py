@@ -44,8 +44,8 @@ from drivers.kuka.controller import (
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
-from drivers.supervision import LIFE_S, Patience, go_on, on_failure
-from drivers.wires.tcp import POLL_S
+from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
+from drivers.wires import POLL_S
 from hilcell.ports import Array, Clock, DeviceError
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
@@ -223,7 +223,7 @@ class EkiChannel(Line):
             self._link.send(document, operation)
             return self._answer(number, operation)
 
-    def send_unheard(self, document: bytes) -> None:
+    def send_without_reply(self, document: bytes) -> None:
         with self._unheard():
             self._link.send(document, "stop")
 
@@ -231,13 +231,13 @@ class EkiChannel(Line):
         self.ask(0, self._probe)
 
     def _answer(self, number: int, operation: str) -> State:
-        patience, others = Patience(self.ANSWER_S), 0
+        deadline, others = Deadline(self.ANSWER_S), 0
         while True:
             for found, state in self._documents(operation):
                 if found == number:
                     return state
                 others += 1
-            piece = self._link.receive(self.RECEIVE, patience)
+            piece = self._link.receive(self.RECEIVE, deadline)
             if not piece:
                 passed = f"; {others} answers to other commands came" if others else ""
                 started = f"; {len(self._received)} bytes of one came" if self._received else ""
@@ -266,7 +266,7 @@ def open_channel(
     host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
 ) -> EkiChannel:
     """Return a channel that has answered ``probe``; raises `DeviceError`."""
-    patience, over = Patience(OPEN_S, OPEN_S), False
+    deadline, over = Deadline(OPEN_S, OPEN_S), False
     while True:
         try:
             channel = EkiChannel(host, port, root, attend, probe)
@@ -277,7 +277,7 @@ def open_channel(
                 raise
         else:
             return channel
-        over = patience.over()
+        over = deadline.expired()
         for _ in range(5):
             attend()
             time.sleep(POLL_S)
@@ -288,7 +288,7 @@ class EkiController(Controller):
 
     DOCUMENTS_VERSION = 1
     LARGEST_ID = 1_000_000_000
-    LIFE_MS = round(1000 * LIFE_S)
+    LIFE_MS = round(1000 * HEARTBEAT_TIMEOUT_S)
 
     measured = "$AXIS_ACT_MEAS"
     rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
@@ -306,7 +306,9 @@ class EkiController(Controller):
         self._line: EkiChannel = opened(options.port, STATE, robot.attend, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line: EkiChannel = opened(options.stop_port, STOPPED, go_on, stop_probe)
+            self._stop_line: EkiChannel = opened(
+                options.stop_port, STOPPED, ignore_stop, stop_probe
+            )
         self._keeper = KeepAlive(self._stop_line)
 
     def look(self) -> None:
@@ -375,7 +377,7 @@ class EkiController(Controller):
     @contextmanager
     def undisturbed(self) -> Iterator[EkiController]:
         """Let a stop through for a while: the controller serves one client only."""
-        attend, self._line.attend = self._line.attend, go_on
+        attend, self._line.attend = self._line.attend, ignore_stop
         try:
             yield self
         finally:
@@ -383,7 +385,7 @@ class EkiController(Controller):
 
     def stop(self) -> None:
         """Send the stop over its own channel."""
-        self._stop_line.send_unheard(stop_command(1, brake=True))
+        self._stop_line.send_without_reply(stop_command(1, brake=True))
 
     def _known(self) -> State:
         return self._state or self._send(Kind.ASK)

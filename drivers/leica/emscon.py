@@ -21,8 +21,8 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.device_errors import TRACKER, Garbled
-from drivers.tracker_readings import changed, not_kept
+from drivers.device_errors import TRACKER, ProtocolError
+from drivers.tracker_readings import changed, readback_error
 from hilcell.ports import DeviceError
 
 SMALLEST, LARGEST = 12, 65536  # bytes of a packet
@@ -213,12 +213,12 @@ class Multi:
 
     @classmethod
     def decode(cls, body: bytes) -> Self:
-        """Return the samples in a packet's body; raises `Garbled` or `struct.error`."""
+        """Return the samples in a packet's body; raises `ProtocolError` or `struct.error`."""
         header = Struct("<IiII3d")
         status, count, _mode, _try_mode, *_air = header.unpack_from(body)
         layout = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
         if count != (len(body) - header.size) / layout.itemsize:
-            raise Garbled(f"{count} samples are announced in {len(body)} bytes")
+            raise ProtocolError(f"{count} samples are announced in {len(body)} bytes")
         samples = np.frombuffer(body, layout, offset=header.size)
         bad = samples["status"][samples["status"] != 0]
         device_s = samples["s"] + samples["us"] * 1e-6
@@ -307,14 +307,14 @@ class PacketReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that are complete now; after a `Garbled` the stream is lost."""
+        """Return the packets that are complete now; after a `ProtocolError` the stream is lost."""
         self._buffer += data
         packets = list[Packet]()
         header = Struct("<II")
         while len(self._buffer) >= header.size:
             size, kind = header.unpack_from(self._buffer)
             if not SMALLEST <= size <= LARGEST:
-                raise Garbled(f"a packet of {size} bytes is announced")
+                raise ProtocolError(f"a packet of {size} bytes is announced")
             if len(self._buffer) < size:
                 break
             packet = decode(kind, bytes(self._buffer[header.size : size]))
@@ -338,7 +338,7 @@ def decode(kind: int, body: bytes) -> Packet | None:
         if kind == Type.MULTI_RESULT:
             return Multi.decode(body)
     except struct.error as error:
-        raise Garbled(f"a packet of type {kind} with only {len(body)} bytes") from error
+        raise ProtocolError(f"a packet of type {kind} with only {len(body)} bytes") from error
     return None
 
 
@@ -377,7 +377,7 @@ class EmsconSettings:
         found = self._numbers_of(setting.read, setting.layout)
         self._news.difference_update(setting.changes)  # our own; the reading is younger
         if not self._same(found, values):
-            raise not_kept(setting.words, found, values)
+            raise readback_error(setting.words, found, values)
         self._kept[setting] = values
 
     def keep(self, setting: Setting) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER, Garbled
+from drivers.device_errors import TRACKER, ProtocolError
 from drivers.leica import emscon
 from drivers.leica.emscon import (
     Change,
@@ -35,20 +35,20 @@ from drivers.leica.emscon import (
     SystemStatus,
     Value,
 )
-from drivers.supervision import Patience, on_failure
+from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     Positive,
     check_reflector,
     check_serial,
-    checked_order,
-    form_at,
+    checked_request,
     leica_identity,
-    misplaced,
-    std_of_repeats,
-    unsteady,
-    when_ready,
+    matching_form,
+    off_target,
+    repeats_std,
+    retry_while_busy,
+    scatter_error,
 )
-from drivers.wires.tcp import TcpLink
+from drivers.wires import TcpLink
 from hilcell.ports import (
     Air,
     Array,
@@ -118,12 +118,12 @@ class LeicaEmsconTracker:
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        near_mm = checked_order(near_mm, samples)
+        near_mm = checked_request(near_mm, samples)
         self.point_at(near_mm, reflector)
         return self._reading(near_mm, reflector, samples)
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        near_mm = checked_order(near_mm, samples)
+        near_mm = checked_request(near_mm, samples)
         self.point_at(near_mm, reflector)
         self._turn_to(Value.SECOND_FACE)
         try:
@@ -151,7 +151,7 @@ class LeicaEmsconTracker:
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm; drop pending results first."""
-        while self.next_packet(Patience(0.0)) is not None:
+        while self.next_packet(Deadline(0.0)) is not None:
             pass
         self._choose(reflector)
         self._aim(near_mm)
@@ -228,9 +228,9 @@ class LeicaEmsconTracker:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
         first = self._decoded(Reflector.decode, self._ask(Command.GET_REFLECTORS))
         found = {clean(first.name): first.number}
-        patience = Patience(self.REPLY_S)
+        deadline = Deadline(self.REPLY_S)
         for _ in range(first.total - 1):
-            body = self._status(Command.GET_REFLECTORS, patience).body
+            body = self._status(Command.GET_REFLECTORS, deadline).body
             reflector = self._decoded(Reflector.decode, body)
             found[clean(reflector.name)] = reflector.number
         return found
@@ -307,8 +307,8 @@ class LeicaEmsconTracker:
 
     def _await_result(self) -> Single:
         limit_s = self._options.reading_s + self.RESULT_S
-        patience = Patience(limit_s)
-        while (packet := self.next_packet(patience)) is not None:
+        deadline = Deadline(limit_s)
+        while (packet := self.next_packet(deadline)) is not None:
             emscon.check_measured(packet, Single, "measure")
             if isinstance(packet, Single):
                 return packet
@@ -330,14 +330,14 @@ class LeicaEmsconTracker:
                 "inches": 25.4,
             }  # fmt: skip
             forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
-            if not (unit := form_at(near_mm, radius_mm, forms)):
-                raise misplaced(off_mm, radius_mm)
+            if not (unit := matching_form(near_mm, radius_mm, forms)):
+                raise off_target(off_mm, radius_mm)
             found, xyz = f"the result {result.xyz} is in {unit}", result.xyz
             raise TRACKER.failed("HC-T18", "measure", found, expected="mm", xyz=xyz, unit=unit)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
             found = f"standard deviation {result.std_total:.4f} mm"
             act = "something vibrates, or the reflector is dirty"
-            raise unsteady(found, self._options.max_std_mm, act, std_mm=result.std_total)
+            raise scatter_error(found, self._options.max_std_mm, act, std_mm=result.std_total)
         if problem := emscon.air_problem(*result.air):
             act = "check the weather station"
             raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR, act=act)
@@ -347,7 +347,7 @@ class LeicaEmsconTracker:
         points_mm = np.array([result.xyz for result in results])
         std_mm = np.array(results[0].std)
         if samples > 1:
-            std_mm = std_of_repeats(points_mm, self._options.max_std_mm)
+            std_mm = repeats_std(points_mm, self._options.max_std_mm)
         air = Air(*results[-1].air) if self._air_measured else None
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._arrived_s)
@@ -367,13 +367,15 @@ class LeicaEmsconTracker:
 
         def ask() -> Reply:
             self._wire().send(emscon.encode(command, body), emscon.spoken(command))
-            return self._status(command, Patience(limit_s))
+            return self._status(command, Deadline(limit_s))
 
-        return when_ready(ask, lambda reply: reply.status == emscon.BUSY, limit_s, self._clock)
+        return retry_while_busy(
+            ask, lambda reply: reply.status == emscon.BUSY, limit_s, self._clock
+        )
 
-    def _status(self, command: int, patience: Patience) -> Reply:
+    def _status(self, command: int, deadline: Deadline) -> Reply:
         """Return the reply to ``command``, refused or not; older results on the way are dropped."""
-        while (packet := self.next_packet(patience)) is not None:
+        while (packet := self.next_packet(deadline)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
@@ -390,16 +392,16 @@ class LeicaEmsconTracker:
         except struct.error as error:
             raise self._lost(f"a reply of {len(body)} bytes: {error}", "decode") from error
 
-    def next_packet(self, patience: Patience) -> Packet | None:
-        """Return the next packet, or nothing when ``patience`` is over."""
+    def next_packet(self, deadline: Deadline) -> Packet | None:
+        """Return the next packet, or nothing when ``deadline`` is over."""
         while not self._packets:
-            data = self._wire().receive(emscon.LARGEST, patience)
+            data = self._wire().receive(emscon.LARGEST, deadline)
             if not data:
                 return None
             self._arrived_s = self._clock.pc_s()
             try:
                 self._packets.extend(self._reader.feed(data))
-            except Garbled as error:
+            except ProtocolError as error:
                 raise self._lost(str(error), "receive") from error
         packet = self._packets.popleft()
         if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
@@ -442,7 +444,7 @@ class EmsconStream:
         rate_hz: float,
         find_radius_mm: float,
     ) -> None:
-        near_mm = checked_order(near_mm, operation="stream")
+        near_mm = checked_request(near_mm, operation="stream")
         if not self.SLOWEST_HZ <= rate_hz <= self.FASTEST_HZ:
             found, expected = f"{rate_hz} samples/s", f"{self.SLOWEST_HZ} to {self.FASTEST_HZ:g}"
             raise TRACKER.failed("HC-T35", "stream", found, expected=expected, rate_hz=rate_hz)
@@ -451,7 +453,7 @@ class EmsconStream:
         self._tracker, self._clock = tracker, clock
         self._near_mm, self._reflector, self._radius_mm = near_mm, reflector, find_radius_mm
         self._silent_s = self.SILENT_S + self._separation_ms / 1000.0
-        self._silence = Patience(self._silent_s)
+        self._silence = Deadline(self._silent_s)
         self._emptied_s = 0.0
         self._last_s: float | None = None
         self._running = False
@@ -490,14 +492,14 @@ class EmsconStream:
         self._emptied_s = self._clock.now_s()
         self._tracker.start(self._near_mm)
         self._running = True
-        self._silence = Patience(self._silent_s)
+        self._silence = Deadline(self._silent_s)
 
     def collect(self) -> list[StreamBlock]:
         looked_s = self._clock.now_s()
-        over = self._silence.over()
-        samples = self._samples(iter(lambda: self._tracker.next_packet(Patience(0.0)), None))
+        over = self._silence.expired()
+        samples = self._samples(iter(lambda: self._tracker.next_packet(Deadline(0.0)), None))
         if samples:
-            self._silence = Patience(self._silent_s)
+            self._silence = Deadline(self._silent_s)
         elif over:
             raise self._empty(f"no samples for {self._silent_s:.1f} s")
         return self._blocks(samples, looked_s)
@@ -519,8 +521,8 @@ class EmsconStream:
         """Stop measuring; return the blocks that came before the tracker's answer."""
         packets: list[Packet] = []
         self._tracker.stop()
-        patience = Patience(self.END_S)
-        while (packet := self._tracker.next_packet(patience)) is not None:
+        deadline = Deadline(self.END_S)
+        while (packet := self._tracker.next_packet(deadline)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == Command.STOP_MEASUREMENT:
                 self._running = False
                 if packet.status != 0:
@@ -551,7 +553,7 @@ class EmsconStream:
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
             if not off_mm <= self._radius_mm:
-                raise misplaced(off_mm, self._radius_mm, "stream")
+                raise off_target(off_mm, self._radius_mm, "stream")
         before_s = [] if self._last_s is None else [self._last_s]
         steps_ms = 1000.0 * np.diff([*before_s, *packet.device_s])
         self._last_s = float(packet.device_s[-1])

@@ -24,23 +24,22 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER, Garbled
-from drivers.supervision import Patience, on_failure
+from drivers.device_errors import TRACKER, ProtocolError
+from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     BUSY_PAUSE_S,
     Positive,
     changed,
     check_reflector,
     check_serial,
-    checked_order,
+    checked_request,
     leica_identity,
-    misplaced,
-    not_kept,
-    std_of_repeats,
-    when_ready,
+    off_target,
+    readback_error,
+    repeats_std,
+    retry_while_busy,
 )
-from drivers.wires.link import open_link
-from drivers.wires.text_lines import TextLines
+from drivers.wires import TextLines, open_link
 from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading
 from hilcell.sanitize import clean
 from hilcell.wire.channel import SerialLine, parse_channel
@@ -195,26 +194,26 @@ def request(rpc: int, transaction: int, *parameters: float) -> str:
 
 
 def parse(line: str) -> Reply:
-    """Return the reply in a line; raises `Garbled`."""
+    """Return the reply in a line; raises `ProtocolError`."""
     found = re.fullmatch(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?", line)
     if found is None:
-        raise Garbled(f"no reply: {clean(line[:80])!r}")
+        raise ProtocolError(f"no reply: {clean(line[:80])!r}")
     communication, transaction, code, text = found.groups()
     parts = [] if text is None else list(_VALUE.finditer(text))
     if "".join(part.group() for part in parts) != (text or ""):
-        raise Garbled(f"no values: {clean(text[:80])!r}")
+        raise ProtocolError(f"no values: {clean(text[:80])!r}")
     values = (m[2] if m[1] is None else re.sub(r'\\(["\\])', r"\1", m[1]) for m in parts)
     return Reply(int(communication), int(transaction), int(code), tuple(values))
 
 
 def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
-    """Return ``count`` numbers, perhaps not finite ones; raises `Garbled`."""
+    """Return ``count`` numbers, perhaps not finite ones; raises `ProtocolError`."""
     try:
         found = tuple(map(float, values))
     except ValueError:
         found = ()
     if len(found) != count:
-        raise Garbled(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
+        raise ProtocolError(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
     return found
 
 
@@ -320,7 +319,7 @@ class LeicaGeocomTracker:
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        near_mm = checked_order(near_mm, samples)
+        near_mm = checked_request(near_mm, samples)
         options = self._options
         of = f"the prism constant is that of {options.reflector!r}"
         check_reflector(reflector, [options.reflector], of)
@@ -329,7 +328,7 @@ class LeicaGeocomTracker:
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
         std_mm = options.std_mm(points_mm[0])
         if samples > 1:
-            std_mm = std_of_repeats(points_mm, options.max_std_mm)
+            std_mm = repeats_std(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, samples, reflector, None, self._arrived_s)
 
@@ -348,8 +347,8 @@ class LeicaGeocomTracker:
         """Get in step: an empty line ends half a request, and older answers are passed over."""
         self._wire().send("", "connect")
         transaction = self._send(Rpc.NULL)
-        patience = Patience(self.REPLY_S)
-        while (line := self._line(patience)) is not None:
+        deadline = Deadline(self.REPLY_S)
+        while (line := self._line(deadline)) is not None:
             if line.startswith("%R1P,") and self._parsed(line).transaction == transaction:
                 return
         place = parse_channel(self._options.channel)
@@ -407,7 +406,7 @@ class LeicaGeocomTracker:
             found = self._numbers(read, len(expected))
         if not self._same(found, expected):
             act = "set it at the instrument, or correct tracker.options; then resume"
-            raise not_kept(what, found, expected, refusal, act)
+            raise readback_error(what, found, expected, refusal, act)
         self._kept[what] = read, expected
 
     def _prove(self) -> None:
@@ -451,7 +450,7 @@ class LeicaGeocomTracker:
         xyz_mm = position_mm(*values)
         off_mm = float(np.linalg.norm(xyz_mm - near_mm))
         if not off_mm <= options.find_radius_mm:
-            raise misplaced(off_mm, options.find_radius_mm)
+            raise off_target(off_mm, options.find_radius_mm)
         return xyz_mm
 
     def _measured(self) -> Reply:
@@ -480,10 +479,10 @@ class LeicaGeocomTracker:
 
     def _stated(self, rpc: Rpc) -> Reply:
         """Ask for values until two answers in a row are the same; the line has no check sum."""
-        patience = Patience(self.REPLY_S, self.REPLY_S)
+        deadline = Deadline(self.REPLY_S, self.REPLY_S)
         before = self._ask(rpc)
         while (reply := self._ask(rpc)).is_empty or reply.values != before.values:
-            if patience.over():
+            if deadline.expired():
                 raise self._lost("answers without values, or each another one", rpc.spoken)
             before = reply
             self._clock.wait(BUSY_PAUSE_S)
@@ -498,7 +497,7 @@ class LeicaGeocomTracker:
         """
         limit_s = limit_s or self.REPLY_S
         ask = partial(self._exchange, rpc, parameters, limit_s)
-        reply = when_ready(ask, lambda reply: reply.code in BUSY, limit_s, self._clock)
+        reply = retry_while_busy(ask, lambda reply: reply.code in BUSY, limit_s, self._clock)
         uncorrected = reply.code in self.UNCORRECTED
         if reply.communication or (reply.code and not (accepted and uncorrected)):
             raise rpc.failed(reply.communication or reply.code)
@@ -506,8 +505,8 @@ class LeicaGeocomTracker:
 
     def _exchange(self, rpc: Rpc, parameters: tuple[float, ...], limit_s: float) -> Reply:
         transaction = self._send(rpc, *parameters)
-        patience = Patience(limit_s)
-        while (line := self._line(patience)) is not None:
+        deadline = Deadline(limit_s)
+        while (line := self._line(deadline)) is not None:
             reply = self._parsed(line)
             if reply.transaction == transaction:
                 return reply
@@ -527,10 +526,10 @@ class LeicaGeocomTracker:
         self._wire().send(request(rpc, transaction, *parameters), rpc.spoken)
         return transaction
 
-    def _line(self, patience: Patience) -> str | None:
-        """Return the next line, None when ``patience`` is over; a line that failed is closed."""
+    def _line(self, deadline: Deadline) -> str | None:
+        """Return the next line, None when ``deadline`` is over; a line that failed is closed."""
         try:
-            line = self._wire().receive(patience)
+            line = self._wire().receive(deadline)
         except DeviceError:
             self.close()
             raise
@@ -542,7 +541,7 @@ class LeicaGeocomTracker:
         self._arrived_s = self._clock.pc_s()
         try:
             reply = parse(line)
-        except Garbled as error:
+        except ProtocolError as error:
             raise self._lost(str(error), "receive") from error
         if reply.communication not in (0, *REFUSED_UNREAD):
             found = f"communication {status_text(reply.communication)}"
@@ -552,7 +551,7 @@ class LeicaGeocomTracker:
     def _decoded(self, reply: Reply, size: int) -> tuple[float, ...]:
         try:
             return numbers(reply.values, size)
-        except Garbled as error:
+        except ProtocolError as error:
             raise self._lost(str(error), "decode") from error
 
     def _lost(self, found: str, operation: str) -> DeviceError:

@@ -28,20 +28,19 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.device_errors import TRACKER, Garbled
+from drivers.device_errors import TRACKER, ProtocolError
 from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
-from drivers.supervision import Patience, on_failure
+from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     Positive,
     check_reflector,
-    checked_order,
-    form_at,
-    misplaced,
-    std_of_repeats,
-    when_ready,
+    checked_request,
+    matching_form,
+    off_target,
+    repeats_std,
+    retry_while_busy,
 )
-from drivers.wires.tcp import TcpLink
-from drivers.wires.text_lines import TextLines
+from drivers.wires import TcpLink, TextLines
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading, says_simulated
 from hilcell.sanitize import clean
@@ -110,25 +109,27 @@ class Reply(NamedTuple):
 
 
 def parse(line: str) -> Reply:
-    """Return a reply; raises `Garbled`."""
+    """Return a reply; raises `ProtocolError`."""
     found = re.fullmatch(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?", line.strip())
     if found is None:
-        raise Garbled(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
+        raise ProtocolError(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
     return Reply(found[1] == "ACK", int(found[2]), clean(found[3] or ""))
 
 
 def position_of(reply: Reply, point: str) -> Array:
     """Return the position (3,) in a reply; values that are no numbers or out of reach are NaN.
 
-    Raises `Garbled` where it has none, or is of another point.
+    Raises `ProtocolError` where it has none, or is of another point.
     """
     axes = r"\bresult:?\s+X:([^;]*);\s*Y:([^;]*);\s*Z:([^;]*)(?:;|$)"
     commas = r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)"
     found = re.search(axes, reply.text) or re.search(commas, reply.text)
     if found is None:
-        raise Garbled(f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}")
+        raise ProtocolError(
+            f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}"
+        )
     if point not in re.split(r"[\s;]+", reply.text[: found.start()]):
-        raise Garbled(f"the answer is not of point {point}: {reply.text[:LONGEST_WORDS]!r}")
+        raise ProtocolError(f"the answer is not of point {point}: {reply.text[:LONGEST_WORDS]!r}")
     form = r"\s*[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?\s*"
     values = [float(each) if re.fullmatch(form, each) else math.nan for each in found.groups()]
     # Beyond 1e9 it is beyond the reach of any tracker, in whichever unit.
@@ -210,7 +211,7 @@ class T2saTracker:
 
         It is measured `repeats` times at least: the wire states no deviation of one measurement.
         """
-        near_mm = checked_order(near_mm, samples)
+        near_mm = checked_request(near_mm, samples)
         options = self._options
         target = f"the target in SpatialAnalyzer is {options.reflector!r}"
         check_reflector(reflector, [options.reflector], target)
@@ -229,7 +230,7 @@ class T2saTracker:
             )
         count, others_mm = max(samples, options.repeats), dict[str, Array]()
         points_mm = np.array([self._single(near_mm, others_mm) for _ in range(count)])
-        std_mm = std_of_repeats(points_mm, options.max_std_mm)
+        std_mm = repeats_std(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, count, reflector, None, self._arrived_s)
 
@@ -249,7 +250,9 @@ class T2saTracker:
     def _ready(self) -> str:
         """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
         ask, limit_s = partial(self._exchange, self.STATUS), MEASURE_S
-        reply = when_ready(ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S)
+        reply = retry_while_busy(
+            ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S
+        )
         if not reply.is_ready:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
             found, act = f"state {reply.text!r} for {limit_s:.1f} s", ACTS.get(alarm, ACT)
@@ -308,7 +311,7 @@ class T2saTracker:
             found_mm = self._position(self.POSITION, name)
             if not float(np.linalg.norm(found_mm - listed_mm)) <= self.SAME_MM:
                 forms = other_forms(found_mm, np.full(3, np.nan))
-                form = form_at(listed_mm, self.SAME_MM, forms)
+                form = matching_form(listed_mm, self.SAME_MM, forms)
                 form = form and f" {form}"
                 raise TRACKER.refused(
                     "HC-T73",
@@ -337,13 +340,13 @@ class T2saTracker:
             off_mm = float(np.linalg.norm(xyz_mm - near_mm))
             if off_mm <= limit_mm:
                 return xyz_mm
-            if form := form_at(near_mm, limit_mm, other_forms(xyz_mm, named_mm)):
+            if form := matching_form(near_mm, limit_mm, other_forms(xyz_mm, named_mm)):
                 found, expected = f"the result {_shown(xyz_mm)} is {form}", "a position in mm"
                 raise TRACKER.failed(
                     "HC-T77", "measure", found, expected=expected, xyz=xyz_mm.tolist(), form=form
                 )
             others_mm[name] = xyz_mm
-        raise misplaced(off_mm, limit_mm)
+        raise off_target(off_mm, limit_mm)
 
     def _measured(self, name: str, named_mm: Array) -> Array:
         """Return the position (3,) of the reflector that is found from a named point."""
@@ -366,7 +369,9 @@ class T2saTracker:
     def _ask(self, command: str) -> Reply:
         """Request, again while the bridge is busy; raises the error of a refusal."""
         ask, limit_s = partial(self._exchange, command), self._limit_s(command)
-        reply = when_ready(ask, lambda each: each.code == BUSY, limit_s, self._clock, BUSY_PAUSE_S)
+        reply = retry_while_busy(
+            ask, lambda each: each.code == BUSY, limit_s, self._clock, BUSY_PAUSE_S
+        )
         if not reply.accepted:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
@@ -380,7 +385,7 @@ class T2saTracker:
         reply = self._ask(f"{command}{self._options.collection};{self._options.group};{name}")
         try:
             return position_of(reply, name)
-        except Garbled as error:
+        except ProtocolError as error:
             raise self._lost(str(error), "decode") from error
 
     def _exchange(self, command: str) -> Reply:
@@ -411,15 +416,15 @@ class T2saTracker:
     def _answer(self, command: str, answers: Callable[[Reply], bool]) -> Reply | None:
         """Request, and drop all replies up to the one that answers; None where none comes."""
         self._wire().send(command, self._spoken(command))
-        patience = Patience(self._limit_s(command))
-        while (reply := self._reply(patience)) is not None and not answers(reply):
+        deadline = Deadline(self._limit_s(command))
+        while (reply := self._reply(deadline)) is not None and not answers(reply):
             pass
         return reply
 
-    def _reply(self, patience: Patience) -> Reply | None:
-        """Return the next reply, None when ``patience`` is over; a line that failed is closed."""
+    def _reply(self, deadline: Deadline) -> Reply | None:
+        """Return the next reply, None when ``deadline`` is over; a line that failed is closed."""
         try:
-            line = self._wire().receive(patience)
+            line = self._wire().receive(deadline)
         except DeviceError:
             self.close()
             raise
@@ -429,7 +434,7 @@ class T2saTracker:
         self._arrived_s = self._clock.pc_s()
         try:
             return parse(line)
-        except Garbled as error:
+        except ProtocolError as error:
             raise self._lost(str(error), "receive") from error
 
     def _wire(self) -> TextLines:

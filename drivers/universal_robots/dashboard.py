@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.device_errors import ROBOT
-from drivers.supervision import Patience, on_failure
-from drivers.wires.tcp import TcpLink
-from drivers.wires.text_lines import TextLines
+from drivers.supervision import Deadline, on_failure
+from drivers.wires import TcpLink, TextLines
 from hilcell.ports import DeviceError
 from hilcell.sanitize import clean
 
@@ -36,7 +35,7 @@ class Dashboard:
             raise
         self._lines = TextLines(self._link, end=b"\n")
         with on_failure(self._link.close):
-            greeting = self._lines.receive(Patience(ANSWER_S))
+            greeting = self._lines.receive(Deadline(ANSWER_S))
             found = f"no answer within {ANSWER_S:.0f} s" if greeting is None else clean(greeting)
             if not found.startswith(self.GREETING):
                 raise self._link.broken(
@@ -46,7 +45,7 @@ class Dashboard:
     def ask(self, command: str) -> str:
         """Return the answer to a command; raises `DeviceError`."""
         self._lines.send(command, command)
-        line = self._lines.receive(Patience(ANSWER_S))
+        line = self._lines.receive(Deadline(ANSWER_S))
         if line is None:
             raise self._link.broken(command, f"no answer within {ANSWER_S:.0f} s")
         return clean(line)
@@ -58,13 +57,13 @@ class Dashboard:
 
     def send(self, command: str) -> None:
         """Send a command without waiting for its answer."""
-        self._link.unheard = True
+        self._link.reply_pending = True
         self._lines.send(command, command)
 
-    def last_answer(self, patience: Patience) -> str | None:
+    def last_answer(self, deadline: Deadline) -> str | None:
         """Return the last answer that has come to what was sent, None where none has."""
-        line = self._lines.receive(patience)
-        while (newer := self._lines.receive(Patience(0.0))) is not None:
+        line = self._lines.receive(deadline)
+        while (newer := self._lines.receive(Deadline(0.0))) is not None:
             line = newer
         return None if line is None else clean(line)
 

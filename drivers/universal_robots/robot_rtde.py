@@ -21,18 +21,23 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.device_errors import ROBOT
-from drivers.motion_limits import (
+from drivers.supervision import (
+    HEARTBEAT_TIMEOUT_S,
+    Deadline,
     MotionLimits,
+    Watchdog,
     check_identity,
     checked_target,
+    ignore_stop,
     joints_text,
+    not_at_target,
+    on_failure,
     planned_s,
-    stopped_short,
+    polls,
 )
-from drivers.supervision import LIFE_S, Patience, Supervision, go_on, looks, on_failure
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
-from drivers.wires.tcp import TcpLink
+from drivers.wires import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
     Array,
@@ -94,7 +99,7 @@ class UrRtdeRobot:
         self._link: UrLink | None = None
         self._dashboard: Dashboard | None = None
         self._stop_line: Dashboard | None = None
-        self.watch = Supervision(ROBOT, "HC-B27", clock)
+        self.watch = Watchdog(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._session = 0
         self._order = Order(0, np.zeros(6), 0.0)
@@ -117,8 +122,8 @@ class UrRtdeRobot:
             identity = self._identify()
             self._check_remote()
             self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
-            if unwell := self._link.next().problem(moving=False):
-                raise unwell
+            if state_error := self._link.next().problem(moving=False):
+                raise state_error
             self._end_former_script()
             self._start_script()
             state = self._link.fresh()
@@ -144,7 +149,7 @@ class UrRtdeRobot:
                     self.check_progress(limits, number, self.link().next())
             return self.rest(target_rad)
         finally:
-            self.watch.end()
+            self.watch.stop()
 
     def read(self) -> RobotReading:
         states = self._dwell()
@@ -202,7 +207,7 @@ class UrRtdeRobot:
             return
         if self._ours_plays(before):
             self._panel().ask("stop")
-        for _ in looks(self.ENDED_S, LOOK_S):
+        for _ in polls(self.ENDED_S, LOOK_S):
             state = link.fresh()
             if state.runtime_state == Runtime.STOPPED and stands([state]):
                 self._started = False
@@ -217,7 +222,7 @@ class UrRtdeRobot:
         Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
         `DeviceRefused` for another program.
         """
-        for _ in looks(self.BRAKED_S, LOOK_S):
+        for _ in polls(self.BRAKED_S, LOOK_S):
             state = self.link().fresh()
             if state.count != before.count:
                 return True
@@ -237,11 +242,11 @@ class UrRtdeRobot:
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
-            for _ in looks(self.STARTED_S, LOOK_S):
+            for _ in polls(self.STARTED_S, LOOK_S):
                 state = link.fresh()
                 if state.session == self._session and state.acknowledged == 0:
                     break
-                line.receive(65536, Patience(0.0))  # states that nobody needs
+                line.receive(65536, Deadline(0.0))  # states that nobody needs
             else:
                 self._check_remote()
                 raise self._script_ended(state, f"no word of it within {self.STARTED_S:.0f} s")
@@ -270,7 +275,7 @@ class UrRtdeRobot:
         number = self._order.sequence % UrLink.MAX_NUMBER + 1
         self._order = Order(number, target_rad, speed_rad_s)
         self._under_way, self._ended_s = True, None
-        self.watch.begin()
+        self.watch.start()
         self._seen_s = time.monotonic()
         self.live()
         return number
@@ -298,8 +303,8 @@ class UrRtdeRobot:
         return states[-1].acknowledged == number
 
     def _check_health(self, state: UrState) -> None:
-        if unwell := state.problem(moving=self._under_way):
-            raise unwell
+        if state_error := state.problem(moving=self._under_way):
+            raise state_error
 
     def look(self, state: UrState) -> None:
         """Raise `DeviceError` where a state forbids to go on."""
@@ -322,7 +327,7 @@ class UrRtdeRobot:
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
-        for _ in looks(REST_S, LOOK_S):
+        for _ in polls(REST_S, LOOK_S):
             began_s, states = self._clock.pc_s(), self._dwell()
             for state in states:
                 self.look(state)
@@ -336,7 +341,7 @@ class UrRtdeRobot:
                 return self._reading(last, still=True)
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
         tolerance = f"{joints_text(target_deg)} +-{np.degrees(self.AXIS_TOLERANCE_RAD):.3f}"
-        raise stopped_short(joints_text(axes_deg), tolerance, axes_deg, target_deg)
+        raise not_at_target(joints_text(axes_deg), tolerance, axes_deg, target_deg)
 
     def _dwell(self) -> list[UrState]:
         """Return the states of a dwell that began after this call."""
@@ -345,7 +350,7 @@ class UrRtdeRobot:
         self._clock.wait(DWELL_S)
         self._asked_s = self._clock.pc_s()
         last = link.fresh()
-        for _ in looks(self.CLOCK_S, LOOK_S):
+        for _ in polls(self.CLOCK_S, LOOK_S):
             if last.timestamp_s > first.timestamp_s:
                 dwell = (each for each in link.following(first.by_s) if each.by_s <= last.by_s)
                 return [first, *dwell]
@@ -370,7 +375,7 @@ class UrRtdeRobot:
         begun_s = time.monotonic()
         self._order = replace(self._order, stop=Order.BRAKE)
         self.live()
-        for _ in looks(REST_S):
+        for _ in polls(REST_S):
             state = self.link().fresh(patiently=True)
             done = state.acknowledged == number and state.error in (STOPPED, LOST)
             ended = state.runtime_state != Runtime.PLAYING or done
@@ -402,7 +407,7 @@ class UrRtdeRobot:
         """Connect to the dashboard; where it has closed an idle connection meanwhile, again."""
         self._dashboard = self._open_panel(self._dashboard, self._attend)
         # The stop must get through while the run is already stopping.
-        self._stop_line = self._open_panel(self._stop_line, go_on)
+        self._stop_line = self._open_panel(self._stop_line, ignore_stop)
 
     def _open_panel(self, before: Dashboard | None, check: Callable[[], None]) -> Dashboard:
         if before is not None:
@@ -417,8 +422,8 @@ class UrRtdeRobot:
     def _attend(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
-        self.watch.look()
-        if self.watch.begun and time.monotonic() >= self._life_due_s:
+        self.watch.feed()
+        if self.watch.active and time.monotonic() >= self._life_due_s:
             self.live()
 
     def _close_wires(self) -> None:
@@ -433,7 +438,11 @@ def script_text(session: int) -> bytes:
     text = (resources.files("drivers.universal_robots") / "script" / "hilcell.script").read_text(
         "ascii"
     )
-    return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
+    return (
+        text.replace("HC_SESSION", str(session))
+        .replace("HC_LIFE", f"{HEARTBEAT_TIMEOUT_S:g}")
+        .encode()
+    )
 
 
 def stands(states: Sequence[UrState]) -> bool:
@@ -490,7 +499,7 @@ class UrSweep:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Brake a motion under way."""
-        self._robot.watch.end()
+        self._robot.watch.stop()
         if not self._under_way:
             return
         try:
@@ -579,7 +588,7 @@ class Release:
     def leave_at_rest(self) -> None:
         """Return when no program plays and the joints stand; raises `DeviceError`."""
         link = self._link
-        for _ in looks(self.RELEASE_S, LOOK_S):
+        for _ in polls(self.RELEASE_S, LOOK_S):
             try:
                 self._stop_again()
                 if link is None:
@@ -595,7 +604,7 @@ class Release:
             # At rest no joint moves while the controller's time goes on.
             if ended and stands(states) and last.timestamp_s > first.timestamp_s:
                 return
-            self._hear(Patience(0.0))
+            self._hear(Deadline(0.0))
         if link is None:
             raise self._unconfirmed("no connection by RTDE")
         fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
@@ -611,17 +620,17 @@ class Release:
             self._again_s = now_s + self.AGAIN_S
             self.stop()
 
-    def _hear(self, patience: Patience) -> None:
+    def _hear(self, deadline: Deadline) -> None:
         """Take note of what the dashboard has answered to the stops."""
         if self._panel is None:
             return
         try:
-            self._answer = self._panel.last_answer(patience) or self._answer
+            self._answer = self._panel.last_answer(deadline) or self._answer
         except DeviceError as error:
             self._answer = error.found
 
     def _unconfirmed(self, found: str) -> DeviceError:
-        self._hear(Patience(self.ANSWER_S))
+        self._hear(Deadline(self.ANSWER_S))
         return ROBOT.failed(
             "HC-B71",
             "close",

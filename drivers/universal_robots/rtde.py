@@ -30,10 +30,9 @@ from typing import Self
 
 import numpy as np
 
-from drivers.device_errors import ROBOT, Garbled
-from drivers.motion_limits import unwell
-from drivers.supervision import Patience, go_on, looks, on_failure
-from drivers.wires.tcp import TcpLink
+from drivers.device_errors import ROBOT, ProtocolError
+from drivers.supervision import Deadline, ignore_stop, on_failure, polls, state_error
+from drivers.wires import TcpLink
 from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.ports import Array, DeviceError
 
@@ -87,7 +86,7 @@ class Recipe:
         """Return the recipe that an answer sets up; types may be ``NOT_FOUND`` or ``IN_USE``."""
         types = tuple(payload[1:].decode("ascii", "replace").split(","))
         if not payload or len(types) != len(names):
-            raise Garbled(f"{len(types)} types for {len(names)} fields")
+            raise ProtocolError(f"{len(types)} types for {len(names)} fields")
         return cls(payload[0], tuple(names), types)
 
     def lacking(self, why: str) -> list[str]:
@@ -104,10 +103,10 @@ class Recipe:
         ]
 
     def decode(self, payload: bytes) -> dict[str, Numbers]:
-        """Return the numbers of a data package by field; raises `Garbled`, also for NaN."""
+        """Return the numbers of a data package by field; raises `ProtocolError`, also for NaN."""
         layout = self._layout
         if len(payload) != layout.size or payload[0] != self.number:
-            raise Garbled(
+            raise ProtocolError(
                 f"a data package of {len(payload)} bytes by recipe {payload[:1].hex() or 'none'} "
                 f"came, expected {layout.size} bytes by recipe {self.number:02x}"
             )
@@ -120,7 +119,7 @@ class Recipe:
         if not math.isfinite(sum(flat)):
             for name, each in found.items():
                 if not all(map(math.isfinite, each)):
-                    raise Garbled(f"{name} is {', '.join(map(str, each))}")
+                    raise ProtocolError(f"{name} is {', '.join(map(str, each))}")
         return found
 
     def encode(self, values: Mapping[str, Numbers]) -> bytes:
@@ -141,12 +140,12 @@ class Packages:
         self._bytes = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield type and payload of each package that ``data`` completes; raises `Garbled`."""
+        """Yield type and payload of each package completed by ``data``; raises `ProtocolError`."""
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
             if not _HEAD.size <= size <= self.LONGEST:
-                raise Garbled(
+                raise ProtocolError(
                     f"a package of {size} bytes, {_HEAD.size} to {self.LONGEST} are possible"
                 )
             if len(self._bytes) < size:
@@ -236,10 +235,10 @@ class UrState:
 
     @classmethod
     def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
-        """Return the state that a data package's numbers mean; raises `Garbled`."""
+        """Return the state that a data package's numbers mean; raises `ProtocolError`."""
         for name in (*_SIX, *_TOOL):
             if not sum(map(abs, numbers[name])) <= 1e6:  # m, rad, rad/s
-                raise Garbled(f"{name} is {', '.join(map(str, numbers[name]))}")
+                raise ProtocolError(f"{name} is {', '.join(map(str, numbers[name]))}")
         joints, speeds, tcp = (np.array(numbers[name]) for name in _SIX)
         return cls(
             after_s,
@@ -274,15 +273,17 @@ class UrState:
         if number != NORMAL:
             words, code = SAFETY.get(number, ("unknown", "HC-B65"))
             expected = f"{NORMAL} (normal)"
-            return unwell(code, "safety_status", f"{number} ({words})", expected, moving=moving)
+            return state_error(
+                code, "safety_status", f"{number} ({words})", expected, moving=moving
+            )
         number = self.robot_mode
         if number != RUNNING:
             found = f"{number} ({ROBOT_MODES.get(number, 'unknown')})"
-            return unwell("HC-B13", "robot_mode", found, f"{RUNNING} (running)", moving=moving)
+            return state_error("HC-B13", "robot_mode", found, f"{RUNNING} (running)", moving=moving)
         share = self.speed_fraction
         if not share > 0.0:
             found = f"{share:g}"
-            return unwell("HC-B16", "target_speed_fraction", found, "above 0", moving=moving)
+            return state_error("HC-B16", "target_speed_fraction", found, "above 0", moving=moving)
         return None
 
     @property
@@ -331,7 +332,7 @@ class UrLink:
         check()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._empty, name="rtde", daemon=True)
-        self._link = TcpLink(ROBOT, host, port, go_on)  # it asks for a stop itself
+        self._link = TcpLink(ROBOT, host, port, ignore_stop)  # it asks for a stop itself
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
         self._fetching = threading.Lock()
         self._states: deque[UrState] = deque(maxlen=self.KEPT)
@@ -354,7 +355,7 @@ class UrLink:
         seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
-        for _ in looks(self.ANSWER_S):
+        for _ in polls(self.ANSWER_S):
             newest = self.following(seen_s, patiently=patiently)[-1]
             if newest.echo == self._question:
                 return newest
@@ -373,7 +374,7 @@ class UrLink:
 
     def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
         """Wait for states fetched after a time (monotonic); return all of these."""
-        for last in looks(self.SILENT_S):
+        for last in polls(self.SILENT_S):
             if not patiently:
                 self._check()
             with self._fetching:
@@ -438,7 +439,7 @@ class UrLink:
         answer = self._ask(kind, Recipe.request(kind, names, head))
         try:
             recipe = Recipe.from_answer(names, answer)
-        except Garbled as error:
+        except ProtocolError as error:
             raise self._link.broken("set up", str(error)) from error
         if lacking := recipe.lacking("NOT_FOUND"):
             raise self._unsupported(f"the controller has no {', '.join(lacking)}")
@@ -453,13 +454,13 @@ class UrLink:
     def _ask(self, kind: Kind, request: bytes) -> bytes:
         """Return the payload of the answer of the same type."""
         self._link.send(request, kind.name.lower())
-        for last in looks(self.ANSWER_S):
+        for last in polls(self.ANSWER_S):
             self._check()
             try:
                 if not self._arrived:
-                    data = self._link.receive(self.SIZE, Patience(0.0 if last else self.LOOK_S))
+                    data = self._link.receive(self.SIZE, Deadline(0.0 if last else self.LOOK_S))
                     self._arrived.extend(self._packages.feed(data))
-            except Garbled as error:
+            except ProtocolError as error:
                 raise self._no_rtde(kind, str(error)) from error
             while self._arrived:
                 found, payload = self._arrived.popleft()
@@ -490,10 +491,10 @@ class UrLink:
             return
         try:
             looked_s = time.monotonic()
-            data = self._link.receive(self.SIZE, Patience(0.0))
+            data = self._link.receive(self.SIZE, Deadline(0.0))
             if not data:
                 self._emptied_s = looked_s
-                data = self._link.receive(self.SIZE, Patience(wait_s)) if wait_s else b""
+                data = self._link.receive(self.SIZE, Deadline(wait_s)) if wait_s else b""
             self._arrived.extend(self._packages.feed(data))
             by_s = time.monotonic()
             while self._arrived:
@@ -501,7 +502,7 @@ class UrLink:
                 if kind == Kind.DATA:
                     numbers = self._outputs.decode(payload)
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
-        except Garbled as error:
+        except ProtocolError as error:
             expected, act = "a state of the robot", "restart the controller; resume"
             self._failure = ROBOT.failed(
                 "HC-B26", "receive", str(error), expected=expected, act=act

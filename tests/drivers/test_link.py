@@ -12,10 +12,8 @@ from contextlib import suppress
 import pytest
 
 from drivers.device_errors import TRACKER
-from drivers.supervision import Patience
-from drivers.wires.link import open_link
-from drivers.wires.tcp import Link
-from drivers.wires.text_lines import TextLines
+from drivers.supervision import Deadline
+from drivers.wires import Link, TextLines, open_link
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
@@ -84,53 +82,53 @@ def test_lines_go_out_whole_and_come_in_however_they_are_split(far: Far) -> None
     assert far.hears() == b"%R1Q,0,1:\r\n"
     far.says(b"\r\n%R1P,0,1:0\r")
     far.says(b"\n%R1P,0,2")
-    assert lines.receive(Patience(PATIENT_S)) == "%R1P,0,1:0"
-    assert lines.receive(Patience(0.0)) is None
+    assert lines.receive(Deadline(PATIENT_S)) == "%R1P,0,1:0"
+    assert lines.receive(Deadline(0.0)) is None
     far.says(b":13\nrest")
-    assert lines.receive(Patience(PATIENT_S)) == "%R1P,0,2:13"
+    assert lines.receive(Deadline(PATIENT_S)) == "%R1P,0,2:13"
 
 
 def test_what_was_pending_is_dropped(far: Far) -> None:
     lines = TextLines(far.link)
     far.says(b"late\r\nhalf")
-    assert lines.receive(Patience(PATIENT_S)) == "late"
+    assert lines.receive(Deadline(PATIENT_S)) == "late"
     lines.drop_pending()
     far.says(b" a line\r\n")
-    assert lines.receive(Patience(PATIENT_S)) == "a line"
+    assert lines.receive(Deadline(PATIENT_S)) == "a line"
 
 
 def test_bytes_that_are_no_text_are_an_error_that_names_the_baud_rate(far: Far) -> None:
     lines = TextLines(far.link)
     far.says(b"\x86\xf8\x00~\r\n")
     with pytest.raises(DeviceError) as caught:
-        lines.receive(Patience(PATIENT_S))
+        lines.receive(Deadline(PATIENT_S))
     assert caught.value.code == "HC-T02"
 
 
 def test_a_line_without_an_end_is_an_error(far: Far) -> None:
     lines = TextLines(far.link)
-    far.says(b"x" * (TextLines.LONGEST // 2))
-    while lines.unended < TextLines.LONGEST // 2:
-        assert lines.receive(Patience(0.0)) is None
-    far.says(b"x" * (TextLines.LONGEST // 2 + 1))
+    far.says(b"x" * (TextLines.MAX_LINE // 2))
+    while lines.unended < TextLines.MAX_LINE // 2:
+        assert lines.receive(Deadline(0.0)) is None
+    far.says(b"x" * (TextLines.MAX_LINE // 2 + 1))
     with pytest.raises(DeviceError):
-        lines.receive(Patience(PATIENT_S))
+        lines.receive(Deadline(PATIENT_S))
 
 
 def test_a_wire_that_dies_in_mid_byte_is_lost(far: Far) -> None:
     lines = TextLines(far.link)
     far.says(b"%R1P,0,")
-    assert lines.receive(Patience(0.0)) is None
+    assert lines.receive(Deadline(0.0)) is None
     far.hang_up()
     with pytest.raises(DeviceError) as caught:
-        lines.receive(Patience(PATIENT_S))
+        lines.receive(Deadline(PATIENT_S))
     assert caught.value.code == "HC-T02"
 
 
 def test_a_wire_that_was_closed_is_lost(far: Far) -> None:
     far.link.close()
     with pytest.raises(DeviceError) as received:
-        far.link.receive(10, Patience(PATIENT_S))
+        far.link.receive(10, Deadline(PATIENT_S))
     with pytest.raises(DeviceError) as sent:
         far.link.send(b"x", "ask")
     assert received.value.code == sent.value.code == "HC-T02"
@@ -146,7 +144,7 @@ def test_a_silent_wire_ends_the_wait_by_a_stop() -> None:
 
     link = open_link(TRACKER, os.ttyname(inner), check)
     with pytest.raises(KeyboardInterrupt):
-        link.receive(10, Patience(60.0))
+        link.receive(10, Deadline(60.0))
     link.close()
     os.close(inner)
     os.close(file)
@@ -163,7 +161,7 @@ def test_a_serial_line_that_is_pulled_out_is_named_as_that() -> None:
     link = open_link(TRACKER, os.ttyname(inner), lambda: None)
     os.close(inner)
     os.close(file)
-    for act in (lambda: link.send(b"x", "ask"), lambda: link.receive(9, Patience(PATIENT_S))):
+    for act in (lambda: link.send(b"x", "ask"), lambda: link.receive(9, Deadline(PATIENT_S))):
         with pytest.raises(DeviceError) as caught:
             act()
         assert caught.value.code == "HC-T02"

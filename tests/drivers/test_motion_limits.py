@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.motion_limits import MotionLimits, checked_target, planned_s
+from drivers.supervision import MotionLimits, checked_target, planned_s
 from hilcell.ports import DeviceError
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from drivers import supervision
 from drivers.device_errors import RAIL, ROBOT
-from drivers.supervision import LATE_S, Patience, Supervision, looks
+from drivers.supervision import LATE_S, Deadline, Watchdog, polls
 from hilcell.ports import DeviceError
 from tests.clocks import DrivenClock
 
@@ -18,11 +18,11 @@ class Time:
         self.now_s = 100.0
         monkeypatch.setattr(supervision, "time", SimpleNamespace(monotonic=lambda: self.now_s))
 
-    def looks(self, patience: Patience, every_s: float) -> int:
-        """Return how many looks it takes until patience is over."""
+    def polls(self, deadline: Deadline, every_s: float) -> int:
+        """Return how many looks it takes until deadline is over."""
         for count in range(1, 10_000):
             self.now_s += every_s
-            if patience.over():
+            if deadline.expired():
                 return count
         raise AssertionError("it never ends")
 
@@ -33,12 +33,12 @@ def time(monkeypatch: pytest.MonkeyPatch) -> Time:
 
 
 def test_a_pc_that_looks_often_waits_as_long_as_it_says(time: Time) -> None:
-    assert time.looks(Patience(2.0), every_s=0.02) in (100, 101)
+    assert time.polls(Deadline(2.0), every_s=0.02) in (100, 101)
 
 
 def test_one_more_look_is_made_after_the_time_was_up(time: Time) -> None:
     seen = list[bool]()
-    for last in looks(1.0, look_s=0.4):
+    for last in polls(1.0, step_s=0.4):
         seen.append(last)
         time.now_s += 10.0
     assert seen == [False, False, False, True]
@@ -46,52 +46,52 @@ def test_one_more_look_is_made_after_the_time_was_up(time: Time) -> None:
 
 @pytest.mark.parametrize("gap_s", [0.2, 2.0, 60.0])
 def test_a_gap_of_the_pc_counts_as_one_look(time: Time, gap_s: float) -> None:
-    assert time.looks(Patience(2.0), every_s=gap_s) in (20, 21)
+    assert time.polls(Deadline(2.0), every_s=gap_s) in (20, 21)
 
 
 def test_no_patience_is_over_at_once(time: Time) -> None:
-    assert Patience(0.0).over()
+    assert Deadline(0.0).expired()
 
 
 def test_a_limit_that_is_no_number_is_over_at_once(time: Time) -> None:
-    assert Patience(float("nan")).over()
+    assert Deadline(float("nan")).expired()
 
 
 def test_a_motion_without_a_look_stops() -> None:
     clock = DrivenClock()
-    watch = Supervision(ROBOT, "HC-B27", clock)
-    watch.begin()
+    watch = Watchdog(ROBOT, "HC-B27", clock)
+    watch.start()
     clock.pc_at_s += LATE_S - 0.01
-    watch.look()
+    watch.feed()
     clock.pc_at_s += LATE_S + 0.5
     with pytest.raises(DeviceError) as late:
-        watch.look()
+        watch.feed()
     assert late.value.code == "HC-B27"
     assert late.value.fields == {"gap_s": pytest.approx(1.5), "limit_s": 1.0}
 
 
 def test_nobody_needs_to_look_at_what_stands() -> None:
     clock = DrivenClock()
-    watch = Supervision(ROBOT, "HC-B27", clock)
-    watch.look()
-    watch.begin()
-    watch.end()
+    watch = Watchdog(ROBOT, "HC-B27", clock)
+    watch.feed()
+    watch.start()
+    watch.stop()
     clock.pc_at_s += 60.0
-    watch.look()
+    watch.feed()
 
 
 def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion() -> None:
     clock = DrivenClock()
-    watch = Supervision(RAIL, "HC-R39", clock, late_s=0.8)
+    watch = Watchdog(RAIL, "HC-R39", clock, late_s=0.8)
     with watch.motion():
         clock.pc_at_s += 0.41
-        assert not watch.attended()
+        assert not watch.is_fed()
         watch.check()
-        watch.look()
-        assert watch.attended()
+        watch.feed()
+        assert watch.is_fed()
         clock.pc_at_s += 0.81
         with pytest.raises(DeviceError) as late:
             watch.check()
         assert late.value.fields == {"gap_s": pytest.approx(0.81), "limit_s": 0.8}
-    assert watch.attended()
+    assert watch.is_fed()
     watch.check()

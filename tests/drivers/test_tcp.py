@@ -13,9 +13,9 @@ from drivers import supervision
 from drivers.device_errors import ROBOT
 from drivers.kuka.robot_c3 import C3Connection
 from drivers.kuka.robot_eki import EkiChannel
-from drivers.supervision import Patience, go_on
+from drivers.supervision import Deadline, ignore_stop
 from drivers.universal_robots.dashboard import Dashboard
-from drivers.wires.tcp import TcpLink
+from drivers.wires import TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server, wire_time
 
@@ -49,7 +49,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
 
     with Server(answer) as server:
         link = TcpLink(ROBOT, "127.0.0.1", server.port, check)
-        assert link.receive(10, Patience(2.0)) == b"here"
+        assert link.receive(10, Deadline(2.0)) == b"here"
         link.close()
 
 
@@ -57,7 +57,7 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
 def test_a_silent_device_is_silent_all_the_same() -> None:
     with Server(keep_silent) as server:
         link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
-        assert link.receive(10, Patience(0.3)) == b""
+        assert link.receive(10, Deadline(0.3)) == b""
         link.close()
 
 
@@ -72,12 +72,12 @@ def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
     with Server(speak) as server:
         link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
         sent.wait()
-        assert link.receive(10, Patience(0.0)) == b"here"
+        assert link.receive(10, Deadline(0.0)) == b"here"
         link.close()
 
 
 def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.wires.tcp.SEND_S", 0.05)
+    monkeypatch.setattr("drivers.wires.SEND_S", 0.05)
     end = threading.Event()
 
     def take_nothing(_: socket.socket) -> None:
@@ -93,19 +93,19 @@ def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatc
 
 
 def stop_by_c3(port: int) -> C3Connection:
-    line = C3Connection("127.0.0.1", port, go_on)
-    line.write_unheard("HC_STOP", "TRUE")
+    line = C3Connection("127.0.0.1", port, ignore_stop)
+    line.write_without_reply("HC_STOP", "TRUE")
     return line
 
 
 def stop_by_eki(port: int) -> EkiChannel:
-    line = EkiChannel("127.0.0.1", port, "Robot", go_on, b"")
-    line.send_unheard(b"<Stop/>")
+    line = EkiChannel("127.0.0.1", port, "Robot", ignore_stop, b"")
+    line.send_without_reply(b"<Stop/>")
     return line
 
 
 def stop_by_dashboard(port: int) -> Dashboard:
-    line = Dashboard("127.0.0.1", port, go_on)
+    line = Dashboard("127.0.0.1", port, ignore_stop)
     line.send("stop")
     return line
 
@@ -141,6 +141,6 @@ def test_a_device_that_never_closes_its_end_keeps_nobody(monkeypatch: pytest.Mon
 
     with Server(keep) as server:
         link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
-        link.unheard = True
+        link.reply_pending = True
         link.close()
         closed.set()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers import standstill, supervision
+from drivers import slide, supervision
 from drivers.canopen import can_link, drive, nodes, sdo, slcan_bus
 from drivers.canopen import rail as canopen_rail
 from drivers.canopen.rail import CanopenRail
@@ -26,7 +26,7 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
     time = RailTime(peer)
     for module, name, value in (
         (drive.Drive, "STALL_S", 0.3),
-        (standstill.Standing, "SETTLE_S", 0.3),
+        (slide.SlideMonitor, "SETTLE_S", 0.3),
         (nodes, "FIND_S", 0.5),
         (nodes, "OPERATIONAL_S", 0.5),
         (nodes, "START_PERIOD_S", 0.1),

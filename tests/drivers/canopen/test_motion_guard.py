@@ -12,8 +12,7 @@ import pytest
 from drivers.canopen.motion_guard import Limits, MotionGuard, Proofs, SpeedGuard, Speeds
 from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
-from drivers.scale_guard import ScaleGuard
-from drivers.standstill import Windows
+from drivers.slide import ScaleGuard, Windows
 from hilcell.ports import Array
 from tests.drivers.canopen.can_peer import CanPeer
 from tests.drivers.canopen.rail_bed import Connect, RailTime
@@ -204,24 +203,24 @@ def test_a_strip_on_a_wire_of_its_own_is_read_a_little_later() -> None:
         ramp_s = min(max(now_s, 0.0), 1.25)
         return 100.0 * ramp_s**2 + 250.0 * max(0.0, now_s - 1.25)
 
-    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, together=False)
+    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, synchronous=False)
     for now_s in np.arange(0.0, 4.0, 0.02):
-        guard.take(way_mm(now_s), way_mm(now_s - 0.09))
+        guard.add(way_mm(now_s), way_mm(now_s - 0.09))
         assert guard.contradiction() is None
 
 
 def test_a_stepped_cell_lets_a_strip_on_its_own_wire_go_ahead_of_its_drive() -> None:
     """And homing sets the reference by the last look."""
-    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, together=False)
+    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, synchronous=False)
     for drive_mm, strip_mm in ((0.0, 639.9), (-212.2, 190.7), (0.0, 0.0)):
-        guard.take(drive_mm, strip_mm)
+        guard.add(drive_mm, strip_mm)
         assert guard.contradiction() is None
 
 
 def test_a_strip_that_counts_the_other_way_is_a_matter_of_direction() -> None:
-    guard = ScaleGuard(0.02, 250.0, together=True)
+    guard = ScaleGuard(0.02, 250.0, synchronous=True)
     for place_mm in range(0, 200, 10):
-        guard.take(float(place_mm), -float(place_mm))
+        guard.add(float(place_mm), -float(place_mm))
     assert "opposite directions" in str(refusal(lambda: guard.check("move")))
 
 
@@ -238,7 +237,7 @@ def test_a_position_that_does_not_follow_is_no_unit_of_speed(moves: float, words
     for look in range(1, 80):
         passed_s = 0.02 * look
         place = round(100_000 * moves * passed_s)
-        guard.take(replace(at, position=place, velocity=100_000, strip=place // 10), passed_s)
+        guard.add(replace(at, position=place, velocity=100_000, strip=place // 10), passed_s)
     assert words in str(refusal(lambda: guard.check_unit("move", at)))
 
 
@@ -284,7 +283,7 @@ def look(
     """Guard a motion by looks, each taken and ended at these times; return what it proves."""
     guard, seen = SpeedGuard(0.0, SPEED, ACCELERATION, PER_MM), Seen()
     for at_s, ended_s in taken_s:
-        guard.take(round(profile(at_s)[0]), round(profile(at_s - lag_s)[1] / unit), ended_s)
+        guard.add(round(profile(at_s)[0]), round(profile(at_s - lag_s)[1] / unit), ended_s)
         found = guard.contradiction(), guard.overspeed()
         if any(found) and not np.isfinite(seen.way_mm):
             seen.way_mm, seen.speed_mm_s = (each / PER_MM for each in profile(ended_s))
@@ -387,7 +386,7 @@ def test_overspeed_is_seen_by_positions(factor: float, fires: bool) -> None:
 def test_a_speed_that_is_no_number_is_a_contradiction() -> None:
     guard = SpeedGuard(0.0, SPEED, ACCELERATION, PER_MM)
     for ended_s in (0.1, 0.2, 0.3):
-        guard.take(0.0, np.nan, ended_s)
+        guard.add(0.0, np.nan, ended_s)
     assert guard.contradiction() is not None
 
 

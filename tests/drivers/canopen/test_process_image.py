@@ -12,7 +12,7 @@ import pytest
 from drivers.canopen import process_image
 from drivers.canopen.can_link import CanLink, LinkTime
 from drivers.canopen.process_image import REPLY_S, Inbox, Pdo, Transmission
-from drivers.supervision import go_on
+from drivers.supervision import ignore_stop
 from tests.clocks import DrivenClock
 
 PDO = Pdo(0x1800, 0x185, Transmission.EVERY_SYNC, (0x6064,), "<i")
@@ -66,7 +66,7 @@ def inbox(link: SlowLink, monkeypatch: pytest.MonkeyPatch) -> Inbox:
 def asked(link: SlowLink, inbox: Inbox) -> tuple[float, float, float]:
     """Return when a reading was asked for, sampled, and said to be taken."""
     began_s = link.clock.pc_s()
-    values, taken_s = inbox.refresh(go_on)
+    values, taken_s = inbox.refresh(ignore_stop)
     return began_s, values[PDO.cob_id][0] / 1000, taken_s
 
 

@@ -121,7 +121,7 @@ def test_a_fault_in_motion_stops_and_is_named(
     cause, code = MOTION_FAULTS[name]
     if name in ("heartbeat", "nmt stop"):
         monkeypatch.setattr(drive.Drive, "STALL_S", 1e6)
-        monkeypatch.setattr(nodes.NodeWatch, "HEARTBEAT_AGE_S", 0.2)
+        monkeypatch.setattr(nodes.NodeMonitor, "HEARTBEAT_AGE_S", 0.2)
         peer.axis.frozen = True
 
     def strike() -> None:

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from drivers import motion_limits, standstill
+from drivers import slide, supervision
 from drivers.canopen import drive
 from drivers.canopen import rail as canopen_rail
 from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
-from drivers.standstill import Rest, Standstill, Windows
-from drivers.supervision import Supervision
+from drivers.slide import Rest, Standstill, Windows
+from drivers.supervision import Watchdog
 from hilcell.cell.file import load_cell
 from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held
 from tests.drivers.canopen.can_peer import DISABLED, DRIVE, ENABLED, CanPeer, u16, u32
@@ -40,7 +40,7 @@ def test_a_drive_has_power_until_its_brakes_have_ended(statusword: int, powered:
 def after(*polls: Snapshot, every_s: float = 0.1) -> Standstill:
     standstill = Standstill(WINDOWS)
     for n, each in enumerate(polls):
-        standstill.take(each, n * every_s)
+        standstill.add(each, n * every_s)
     return standstill
 
 
@@ -75,34 +75,34 @@ def test_a_strip_in_alarm_has_no_position_and_the_reading_says_so() -> None:
     assert standstill.rest is not None
     assert standstill.rest.alarms == 1
     for n in range(5):
-        standstill.take(poll(), 1.0 + n * 0.1)
+        standstill.add(poll(), 1.0 + n * 0.1)
     assert standstill.rest == Rest(1000, 100)
     assert after(dirty, *(replace(poll(20 * n), alarms=1) for n in range(9))).rest is None
 
 
 def test_one_poll_confirms_a_slide_at_rest() -> None:
     standstill = after(*DITHER)
-    standstill.take(poll(1002, 99), 5.0)
+    standstill.add(poll(1002, 99), 5.0)
     assert standstill.rest is not None
 
 
 @pytest.mark.parametrize("moved", [poll(position=1014), poll(strip=103), poll(strip=97)])
 def test_one_poll_shows_that_the_slide_has_moved(moved: Snapshot) -> None:
     standstill = after(*DITHER)
-    standstill.take(moved, 5.0)
+    standstill.add(moved, 5.0)
     assert standstill.rest is None
 
 
 def test_an_old_history_counts_for_nothing() -> None:
     standstill = after(*DITHER)
-    standstill.take(poll(), 0.6 + Standstill.HISTORY_S)
+    standstill.add(poll(), 0.6 + Standstill.HISTORY_S)
     assert standstill.rest is None
 
 
 def test_polls_before_a_motion_are_forgotten() -> None:
     standstill = after(*DITHER)
     standstill.forget()
-    standstill.take(poll(), 5.0)
+    standstill.add(poll(), 5.0)
     assert standstill.rest is None
 
 
@@ -118,16 +118,16 @@ def test_a_reading_is_the_median_of_the_last_five_polls() -> None:
 @pytest.mark.parametrize("dwell_s", [0.05, 0.25, 0.4, 1.0, 5.0])
 def test_a_dwell_of_any_length_is_polled_often_enough_for_the_heartbeat(dwell_s: float) -> None:
     windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=dwell_s)
-    assert windows.apart_s < Supervision.ATTENDED_S / 2
+    assert windows.interval_s < Watchdog.FED_S / 2
     standstill = Standstill(windows)
     for n in range(windows.polls):
-        standstill.take(poll(), n * windows.apart_s)
+        standstill.add(poll(), n * windows.interval_s)
     assert standstill.rest == Rest(1000, 100)
 
 
 def test_the_largest_motion_of_the_last_polls_is_reported() -> None:
     polls = [poll(1000 + 7 * n, 100 - n, (-1) ** n * 600) for n in range(4)]
-    assert after(poll(velocity=9000), *polls, poll(1000, 100)).unrest == (600, 21, 3)
+    assert after(poll(velocity=9000), *polls, poll(1000, 100)).spreads == (600, 21, 3)
 
 
 # -- a rail whose servo hunts -----------------------------------------------------------------
@@ -208,7 +208,7 @@ def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
 def test_a_long_dwell_is_no_lack_of_progress(
     peer: CanPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standstill.Windows, "LONGEST_PAUSE_S", 0.01)
+    monkeypatch.setattr(slide.Windows, "LONGEST_PAUSE_S", 0.01)
     monkeypatch.setattr(drive.Drive, "STALL_S", 0.1)
     monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 0.1)
     rail = connect(standstill_dwell_s=0.3)
@@ -261,7 +261,7 @@ def test_a_drive_that_is_home_within_one_poll_is_believed(
 def test_a_drive_that_creeps_on_for_ever_ends(
     peer: CanPeer, rail: CanopenRail, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion_limits.MotionLimits, "MARGIN_S", 0.2)
+    monkeypatch.setattr(supervision.MotionLimits, "MARGIN_S", 0.2)
 
     def crawl() -> None:
         peer.axis.frozen = True

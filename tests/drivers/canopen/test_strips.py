@@ -12,8 +12,8 @@ import msgspec
 import pytest
 
 from drivers.canopen.rail import CanopenRail
-from drivers.strips import LOST, CanopenStrip, SerialStrip, StripFeed, StripOptions
-from drivers.supervision import go_on
+from drivers.strips import LOST, CanopenStrip, SerialStrip, StripOptions, StripReader
+from drivers.supervision import ignore_stop
 from hilcell.ports import DeviceRefused, Stopped, StripLost
 from tests.drivers.canopen.can_peer import DISABLED, STRIP, CanPeer, u8, u32
 from tests.drivers.canopen.rail_bed import RailTime, rail_for
@@ -87,9 +87,9 @@ def test_a_sensor_on_a_bus_has_identity_readings_alarms_and_counts(
     identity = on_bus.connect()
     assert (identity.kind, identity.serial) == ("strip", "4711")
     assert identity.address == f"{peer.channel} node {STRIP}"
-    assert on_bus.read(go_on) == (50_000, 0)
+    assert on_bus.read(ignore_stop) == (50_000, 0)
     peer.axis.position, peer.alarms = -1200, 1
-    assert on_bus.read(go_on) == (-120, 1)
+    assert on_bus.read(ignore_stop) == (-120, 1)
     frames = on_bus.statistics().frames
     assert frames > 10
     # Nothing is sent that could move a drive.
@@ -97,7 +97,7 @@ def test_a_sensor_on_a_bus_has_identity_readings_alarms_and_counts(
     assert {data[1] for data in peer.frames(0x000)} == {STRIP}
     on_bus.close()
     assert on_bus.statistics().frames >= frames
-    refusal(lambda: on_bus.read(go_on))
+    refusal(lambda: on_bus.read(ignore_stop))
 
 
 @pytest.mark.parametrize(
@@ -125,16 +125,16 @@ def test_a_sensor_without_an_object_for_its_alarms_has_them_in_its_emergencies(
 ) -> None:
     peer.unmappable.add(0x6503)
     on_bus.connect()
-    assert on_bus.read(go_on) == (50_000, 0)
+    assert on_bus.read(ignore_stop) == (50_000, 0)
     for code, register, alarms in ((0x7305, 0x21, 1), (0x0000, 0, 0)):
         peer.send(0x080 + STRIP, struct.pack("<HB5x", code, register))
-        assert soon(lambda alarms=alarms: on_bus.read(go_on) == (50_000, alarms))
+        assert soon(lambda alarms=alarms: on_bus.read(ignore_stop) == (50_000, alarms))
 
 
 def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(
     peer: CanPeer, on_bus: CanopenStrip, time: RailTime
 ) -> None:
-    feed = StripFeed(on_bus)
+    feed = StripReader(on_bus)
     causes = (
         (lambda: peer.send(0x700 + STRIP, u8(0)), "boot-up"),
         (lambda: peer.nmt.__setitem__(STRIP, 0x7F), "not operational"),
@@ -143,13 +143,13 @@ def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(
     time.silence()
     for strike, text in causes:
         feed.connect()
-        assert feed.poll(go_on) == (50_000, 0)
+        assert feed.poll(ignore_stop) == (50_000, 0)
         strike()
-        soon(lambda: bool(feed.poll(go_on)[1] & LOST))
+        soon(lambda: bool(feed.poll(ignore_stop)[1] & LOST))
         assert text in feed.alarm_text(LOST)
         peer.server.drop()
-        feed.mend()
-        assert feed.poll(go_on) == (50_000, 0)
+        feed.reconnect()
+        assert feed.poll(ignore_stop) == (50_000, 0)
     feed.close()
 
 
@@ -198,9 +198,9 @@ def test_a_sensor_on_a_line_has_identity_and_readings(
     identity = on_line.connect()
     assert (identity.kind, identity.model) == ("strip", "MSAC501SN3-08Bit")
     assert (identity.serial, identity.firmware) == ("1234567", "V1.00-Nov 03 2015")
-    assert on_line.read(go_on) == (110_042, 0)
+    assert on_line.read(ignore_stop) == (110_042, 0)
     sensor.counts, sensor.register = lambda: -120, 0x03
-    assert on_line.read(go_on) == (-120, 3)
+    assert on_line.read(ignore_stop) == (-120, 3)
     assert "too far" in on_line.alarm_text(3)
 
 
@@ -223,7 +223,7 @@ def test_a_real_line_answers_in_two_pieces() -> None:
     strip = SerialStrip(serial_options(f"{os.ttyname(theirs)}@19200"), WireTime())
     with in_thread(serve):
         strip.connect()
-        assert strip.read(go_on) == (42, 0)
+        assert strip.read(ignore_stop) == (42, 0)
     strip.close()
     os.close(ours)
     os.close(theirs)
@@ -253,7 +253,7 @@ def test_an_answer_of_another_form_is_no_reading(
     sensor.spoil = lambda command, good: answer if command == b"Z" else good
     if not answer.endswith(b"\r"):
         time.silence(0.1)
-    assert refusal(lambda: on_line.read(go_on)).code == code
+    assert refusal(lambda: on_line.read(ignore_stop)).code == code
 
 
 def test_a_stop_ends_the_wait_for_a_line(on_line: SerialStrip) -> None:
@@ -274,18 +274,18 @@ def test_a_line_that_does_not_exist_is_an_alarm_of_its_own(time: RailTime) -> No
 def test_a_lost_line_shows_in_the_polls_and_is_opened_again_when_asked_to(
     sensor: StripPeer, on_line: SerialStrip, time: RailTime
 ) -> None:
-    feed = StripFeed(on_line)
+    feed = StripReader(on_line)
     feed.connect()
-    assert feed.poll(go_on) == (110_042, 0)
+    assert feed.poll(ignore_stop) == (110_042, 0)
     sensor.silent = True
     time.silence(0.1)
-    assert feed.poll(go_on) == (110_042, LOST)
+    assert feed.poll(ignore_stop) == (110_042, LOST)
     time.silence(0.0)
     sensor.silent = False
-    assert feed.poll(go_on) == (110_042, LOST)  # a late answer would be the next question's
+    assert feed.poll(ignore_stop) == (110_042, LOST)  # a late answer would be the next question's
     assert sensor.connections == 1
-    feed.mend()
-    assert feed.poll(go_on) == (110_042, 0)
+    feed.reconnect()
+    assert feed.poll(ignore_stop) == (110_042, 0)
     assert sensor.connections == 2
     feed.close()
 
@@ -293,16 +293,16 @@ def test_a_lost_line_shows_in_the_polls_and_is_opened_again_when_asked_to(
 def test_answers_are_counted_over_a_line_that_was_lost(
     sensor: StripPeer, on_line: SerialStrip
 ) -> None:
-    feed = StripFeed(on_line)
+    feed = StripReader(on_line)
     feed.connect()
-    feed.poll(go_on)
+    feed.poll(ignore_stop)
     before = feed.statistics()
     assert (before.frames, before.bad_lines) == (5, 0)
     sensor.spoil = lambda command, good: b"+nan>\r" if command == b"Z" else good
-    assert feed.poll(go_on)[1] == LOST
+    assert feed.poll(ignore_stop)[1] == LOST
     sensor.spoil = lambda _command, good: good
-    feed.mend()
-    feed.poll(go_on)
+    feed.reconnect()
+    feed.poll(ignore_stop)
     feed.close()
     assert (feed.statistics().frames, feed.statistics().bad_lines) == (10, 1)
     feed.connect()

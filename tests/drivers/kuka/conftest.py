@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers import standstill, supervision
+from drivers import slide, supervision
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka import robot_c3, robot_eki
 from drivers.kuka.robot_c3 import KukaC3Robot
@@ -30,7 +30,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
         (kuka_robot.KukaRobot, "SPEED_OVER_S", 10.0),
         (kuka_robot, "BRAKED_DWELL_S", 0.002),  # in real time: the PC's own clock is stopped
         (kuka_robot, "BRAKED_S", 0.3),
-        (standstill.Standing, "SETTLE_S", 0.3),
+        (slide.SlideMonitor, "SETTLE_S", 0.3),
         (supervision, "time", time),
         (robot_eki, "time", time),
     ):

@@ -10,7 +10,7 @@ from drivers.kuka import robot_eki as eki
 from drivers.kuka.controller import PROGRAM_VERSION
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.kuka.robot_c3 import C3Controller
-from drivers.supervision import LIFE_S
+from drivers.supervision import HEARTBEAT_TIMEOUT_S
 from tests.drivers.kuka.kuka_peer import VARIABLES
 
 
@@ -103,7 +103,7 @@ def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
     assert set(re.findall(r"\$TIMER(?:_STOP|_FLAG)?(\[\d+\])", SOURCE)) == {number}
     assert f"HC_VER = {PROGRAM_VERSION}\n" in SOURCE
     assert f"HC_VER={PROGRAM_VERSION}\n" in DATA
-    assert f"HC_LIFE={1000 * LIFE_S:.0f}\n" in DATA
+    assert f"HC_LIFE={1000 * HEARTBEAT_TIMEOUT_S:.0f}\n" in DATA
 
 
 @pytest.mark.parametrize("routine", ["HC_BRAKE", "HC_LOST"])

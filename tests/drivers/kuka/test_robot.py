@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from drivers.kuka import controller, robot_c3
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.robot_c3 import C3Controller, KukaC3Robot
-from drivers.supervision import LATE_S, LIFE_S
+from drivers.supervision import HEARTBEAT_TIMEOUT_S, LATE_S
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
 from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, Connect, robot_for
@@ -446,7 +446,7 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 
 
 def test_a_late_pc_reports_that_before_the_robot_brakes() -> None:
-    assert LIFE_S > LATE_S + C3Controller.SIGN_S
+    assert HEARTBEAT_TIMEOUT_S > LATE_S + C3Controller.SIGN_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

@@ -163,7 +163,7 @@ def test_a_stop_goes_out_though_a_request_is_in_flight() -> None:
         thread = threading.Thread(target=read)
         thread.start()
         assert asked_first.wait(c3.REPLY_S)
-        connection.write_unheard("HC_STOP", "TRUE")
+        connection.write_without_reply("HC_STOP", "TRUE")
         came_while_waiting = stopped.wait(c3.REPLY_S) and not ended.is_set()
         seen.set()
         thread.join()

@@ -9,7 +9,7 @@ from CESAPI import packet as cesapi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.device_errors import Garbled
+from drivers.device_errors import ProtocolError
 from drivers.leica import emscon
 from drivers.leica.emscon import (
     Command,
@@ -118,7 +118,7 @@ def test_samples_are_read_from_packets_in_pieces(cut: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 3, -1, 2**31 - 1])
 def test_a_wrong_number_of_samples_is_no_packet(count: int) -> None:
-    with pytest.raises(Garbled, match=str(count)):
+    with pytest.raises(ProtocolError, match=str(count)):
         PacketReader().feed(MULTI[:12] + struct.pack("<i", count) + MULTI[16:])
 
 
@@ -166,13 +166,13 @@ def test_an_independent_peers_replies_are_read() -> None:
 
 @pytest.mark.parametrize("size", [0, 4, 11, 65537, 2**31, 2**32 - 1])
 def test_impossible_lengths_are_refused(size: int) -> None:
-    with pytest.raises(Garbled, match=str(size)):
+    with pytest.raises(ProtocolError, match=str(size)):
         PacketReader().feed(struct.pack("<II", size, 8))
 
 
 @pytest.mark.parametrize(("kind", "size"), [(0, 12), (1, 12), (2, 152)])
 def test_packets_too_short_for_their_type_are_refused(kind: int, size: int) -> None:
-    with pytest.raises(Garbled, match=str(kind)):
+    with pytest.raises(ProtocolError, match=str(kind)):
         PacketReader().feed(struct.pack("<II", size, kind) + bytes(size - 8))
 
 
@@ -194,7 +194,7 @@ def test_any_slicing_gives_the_same_packets(data: st.DataObject, packets: list[b
 def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
     try:
         packets = PacketReader().feed(data)
-    except Garbled:
+    except ProtocolError:
         return
     assert 12 * len(packets) <= len(data)
 

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.device_errors import Garbled
+from drivers.device_errors import ProtocolError
 from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
@@ -615,13 +615,13 @@ def test_a_name_may_have_the_mark_of_an_arcsecond_in_it(text: str, values: tuple
     ["", "?", "%R1P,0,1", "%R1P,0:0", "%R1P,0,-1:0", "%R1P,a,1:0", "%R1Q,0,1:", '%R1P,0,1:0,"a"b'],
 )
 def test_other_lines_are_no_replies(line: str) -> None:
-    with pytest.raises(Garbled):
+    with pytest.raises(ProtocolError):
         geocom.parse(line)
 
 
 @pytest.mark.parametrize("values", [(), ("1", "2"), ("1", "2", "three"), ("1", "2", "")])
 def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -> None:
-    with pytest.raises(Garbled, match="3"):
+    with pytest.raises(ProtocolError, match="3"):
         geocom.numbers(values, 3)
 
 
@@ -629,7 +629,7 @@ def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -
 def test_any_text_is_a_reply_or_an_error(text: str) -> None:
     try:
         geocom.parse(text)
-    except Garbled:
+    except ProtocolError:
         return
     assert text.startswith("%R1P,")
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import supervision
-from drivers.device_errors import Garbled
+from drivers.device_errors import ProtocolError
 from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
-from drivers.tracker_readings import form_at
+from drivers.tracker_readings import matching_form
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.peers import WireTime, in_thread, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
@@ -460,7 +460,7 @@ def test_replies(line: str, reply: Reply) -> None:
 
 @pytest.mark.parametrize("line", ["", "READY", "ACK-30 x", "ACK-3000 x", "NAK-300 x", "ERR-30A x"])
 def test_other_lines_are_no_replies(line: str) -> None:
-    with pytest.raises(Garbled):
+    with pytest.raises(ProtocolError):
         t2sa.parse(line)
 
 
@@ -468,7 +468,7 @@ def test_other_lines_are_no_replies(line: str) -> None:
 def test_any_text_is_a_reply_or_an_error(text: str) -> None:
     try:
         t2sa.parse(text)
-    except Garbled:
+    except ProtocolError:
         return
     assert text.strip().startswith(("ACK-", "ERR-"))
 
@@ -511,7 +511,7 @@ def test_values_that_are_no_numbers_are_not_finite(x: str) -> None:
     ],
 )
 def test_texts_without_the_points_position_are_refused(body: str) -> None:
-    with pytest.raises(Garbled):
+    with pytest.raises(ProtocolError):
         t2sa.position_of(t2sa.parse(f"ACK-300 {body}"), "P1")
 
 
@@ -527,4 +527,4 @@ def test_texts_without_the_points_position_are_refused(body: str) -> None:
 def test_forms_of_a_result(xyz: list[float], form: str) -> None:
     named_mm, near_mm = np.array([2500.0, 0, 0]), np.array([2540.0, 0, 0])
     forms = t2sa.other_forms(np.array(xyz), named_mm)
-    assert form_at(near_mm, 1.0, forms) == form
+    assert matching_form(near_mm, 1.0, forms) == form

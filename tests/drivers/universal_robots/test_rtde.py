@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.device_errors import Garbled
+from drivers.device_errors import ProtocolError
 from drivers.universal_robots import rtde
 from drivers.universal_robots import rtde as ur_link
 from drivers.universal_robots.rtde import (
@@ -64,13 +64,13 @@ def test_a_number_that_no_robot_has_is_refused(name: str) -> None:
     }
     UrState.checked(values, 0.0, 0.0)
     huge = (*values[name][1:], -1e200)
-    with pytest.raises(Garbled, match=name):
+    with pytest.raises(ProtocolError, match=name):
         UrState.checked(values | {name: huge}, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("size", [0, 2, 4097, 65535])
 def test_an_impossible_size_is_refused(size: int) -> None:
-    with pytest.raises(Garbled, match=str(size)):
+    with pytest.raises(ProtocolError, match=str(size)):
         list(Packages().feed(struct.pack(">HB", size, Kind.DATA)))
 
 
@@ -82,13 +82,13 @@ def test_data_by_recipe() -> None:
 
 @pytest.mark.parametrize("bad", ["nan", "inf", "-inf"])
 def test_a_number_that_is_none_is_refused(bad: str) -> None:
-    with pytest.raises(Garbled, match="timestamp"):
+    with pytest.raises(ProtocolError, match="timestamp"):
         RECIPE.decode(struct.pack(">B7di", 1, float(bad), *range(6), 7))
 
 
 @pytest.mark.parametrize("payload", [b"", DATA[:-1], DATA + b"\0", b"\2" + DATA[1:]])
 def test_data_of_another_recipe_is_refused(payload: bytes) -> None:
-    with pytest.raises(Garbled):
+    with pytest.raises(ProtocolError):
         RECIPE.decode(payload)
 
 
@@ -96,7 +96,7 @@ def test_what_the_controller_lacks_or_another_holds() -> None:
     recipe = Recipe.from_answer(("a", "b", "c"), b"\x01DOUBLE,NOT_FOUND,IN_USE")
     assert (recipe.lacking("NOT_FOUND"), recipe.lacking("IN_USE")) == (["b"], ["c"])
     for types in (b"\x01DOUBLE", b""):
-        with pytest.raises(Garbled):
+        with pytest.raises(ProtocolError):
             Recipe.from_answer(("a", "b"), types)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from drivers.canopen.rail import CanopenRail
 from drivers.kuka.robot_c3 import REPLY_S, KukaC3Robot, decode_header
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
-from drivers.supervision import Patience
+from drivers.supervision import Deadline
 from hilcell.conformance.exercise import Port
 from hilcell.errors import DeviceError, DeviceRefused, NoReading, Stopped
 from hilcell.ports import Array, StreamBlock
@@ -233,7 +233,7 @@ class LateByTag(KukaC3Robot):
         receive = line._receive
 
         def received(operation: str, tag: int) -> Any:
-            line._await(C3_HEADER, operation, Patience(REPLY_S))
+            line._await(C3_HEADER, operation, Deadline(REPLY_S))
             came, _ = decode_header(line._received[:C3_HEADER])
             return receive(operation, came)
 
@@ -260,8 +260,8 @@ class Pieces(Robot):
         link = controller._line._link
         receive = link.receive
 
-        def whole(size: int, patience: Any) -> Any:
-            data = receive(size, patience)
+        def whole(size: int, deadline: Any) -> Any:
+            data = receive(size, deadline)
             if data:
                 sizes.append(len(data))
             if sizes.count(1) >= TORN:

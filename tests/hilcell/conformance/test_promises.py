@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.supervision import LIFE_S
+from drivers.supervision import HEARTBEAT_TIMEOUT_S
 from hilcell.cell.file import load_cell
 from hilcell.conformance import common_promises, trial
 from hilcell.conformance.exercise import PORTS, Port
@@ -129,7 +129,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
     monkeypatch.setattr(trial.Bench, "PACE", 1.5 * trial.Bench.PACE)
-    monkeypatch.setattr(common_promises, "GONE_S", LIFE_S + 0.5)
+    monkeypatch.setattr(common_promises, "GONE_S", HEARTBEAT_TIMEOUT_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 

@@ -14,21 +14,22 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.device_errors import ROBOT
-from drivers.motion_limits import (
+from drivers.supervision import (
+    Deadline,
     MotionLimits,
+    Watchdog,
     check_identity,
     checked_target,
+    not_at_target,
     planned_s,
-    stopped_short,
 )
-from drivers.supervision import Patience, Supervision
 from hilcell.cell.file import Joint
 from hilcell.ports import Array, Clock, DeviceError, Identity, RobotReading, says_simulated
 from hilcell_meca500.euler import rotations
 from hilcell_meca500.wire import Wire
 
 CHECKPOINTS = 8000  # they are numbered from 1
-WATCHDOG_S = 1.5  # longer than `Supervision` allows, which then reports that the PC was late
+WATCHDOG_S = 1.5  # longer than `Watchdog` allows, which then reports that the PC was late
 POLL_S = 0.05
 DWELL_S = 0.05  # between the two looks that tell standstill
 STALL_S = 5.0
@@ -71,7 +72,7 @@ class MecaRobot:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._watch = Supervision(ROBOT, "HC-B27", clock)
+        self._watch = Watchdog(ROBOT, "HC-B27", clock)
         self._wire: Wire | None = None
         self._number = 0  # of the last checkpoint
         self._under_way = self._stopped = False
@@ -163,12 +164,12 @@ class MecaRobot:
         tool = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         wire.send(f"SetWrf({_text(np.zeros(6))})", f"SetTrf({_text(tool)})", "SetBlending(0)")
         for command, code, expected in (("GetWrf()", 2013, np.zeros(6)), ("GetTrf()", 2014, tool)):
-            patience, over = Patience(SETTLE_S), False
+            deadline, over = Deadline(SETTLE_S), False
             while not bool(np.all(np.abs(wire.numbers(command, code, 6) - expected) <= FRAME_MM)):
                 if over:
                     found = f"{command}: {_text(wire.numbers(command, code, 6))}"
                     raise ROBOT.refused("HC-B06", "connect", found, expected=_text(expected))
-                over = patience.over()
+                over = deadline.expired()
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -217,7 +218,7 @@ class MecaRobot:
 
     def _rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after the checkpoint."""
-        patience, over = Patience(SETTLE_S), False
+        deadline, over = Deadline(SETTLE_S), False
         while True:
             self._check_state()
             before, after = self._two_looks()
@@ -227,9 +228,9 @@ class MecaRobot:
                 return self._reading(after, still=True)
             if over:
                 break
-            over = patience.over()
+            over = deadline.expired()
         at, expected = _text(after.joints_deg), f"{_text(target_deg)} +-{ARRIVED_DEG}"
-        raise stopped_short(at, expected, after.joints_deg, target_deg)
+        raise not_at_target(at, expected, after.joints_deg, target_deg)
 
     def _two_looks(self) -> tuple[Look, Look]:
         before = self._look()
@@ -263,7 +264,7 @@ class MecaRobot:
     def _attend(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
-        self._watch.look()
+        self._watch.feed()
 
     def _close_wire(self) -> None:
         wire, self._wire = self._wire, None

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.device_errors import ROBOT
-from drivers.supervision import Patience
-from drivers.wires.tcp import TcpLink
-from drivers.wires.text_lines import TextLines
+from drivers.supervision import Deadline
+from drivers.wires import TcpLink, TextLines
 from hilcell.ports import Array
 from hilcell.sanitize import clean
 
@@ -59,8 +58,8 @@ class Wire:
         """Return the text of the message ``code`` that answers a command; raises `DeviceError`."""
         self._number += 1
         self.send(f"SyncCmdQueue({self._number})", command)
-        patience, ours = Patience(ANSWER_S), False
-        while (message := self._next(patience)) is not None:
+        deadline, ours = Deadline(ANSWER_S), False
+        while (message := self._next(deadline)) is not None:
             if message.code == SYNCHRONISED:
                 ours = message.text == str(self._number)
             elif ours and message.code == code:
@@ -85,7 +84,7 @@ class Wire:
         self._link.close()
 
     def _greet(self) -> None:
-        greeting = self._next(Patience(ANSWER_S))
+        greeting = self._next(Deadline(ANSWER_S))
         if greeting is None:
             raise self._link.broken("connect", f"no greeting within {ANSWER_S:.0f} s")
         if greeting.code != CONNECTED:
@@ -97,8 +96,8 @@ class Wire:
                 act="end the other program that controls the robot",
             )
 
-    def _next(self, patience: Patience) -> Message | None:
-        line = self._lines.receive(patience)
+    def _next(self, deadline: Deadline) -> Message | None:
+        line = self._lines.receive(deadline)
         if line is None:
             return None
         match = _MESSAGE.fullmatch(line)

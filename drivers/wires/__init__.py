@@ -1,1 +1,0 @@
-"""Wires to devices: TCP, serial lines, lines of text."""
