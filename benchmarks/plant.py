@@ -146,7 +146,7 @@ def answers(url: str, runs: int) -> None:
     """Print how long the questions take in a plant of so many runs, as a row of a table."""
     count = max(1, runs // RUNS_PER_CELL)
     with closing(Database(url)) as database:
-        database.make()
+        database.create()
         began_s = time.perf_counter()
         with database.transaction() as connection:
             fill(connection, runs)
@@ -181,7 +181,7 @@ def shipping(url: str, folder: Path) -> None:
         began = datetime.now(UTC) - timedelta(days=10 * n + 1)
         model.write(folder / "runs", Run(f"run-{n}", "north", "HC-1", began))
     with closing(Database(url)) as database:
-        database.make()
+        database.create()
         began_s, cpu_s = time.perf_counter(), time.process_time()
         done = ship(folder / "runs", database)
         taken_s, cpu_s = time.perf_counter() - began_s, time.process_time() - cpu_s

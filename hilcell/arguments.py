@@ -1,7 +1,7 @@
-"""Signatures of commands: classes whose fields are the arguments, and the readers of their texts.
+"""Arguments of commands, declared as the fields of a class, and the parsers of their values.
 
-A field is ``seed: int = option("of random targets", "N", seed_of, default=1)``; the class is the
-signature from which `hilcell.commands.parser` makes the parser. Readers raise
+A field is ``seed: int = option("seed of the targets", "N", parse_seed, default=1)``; from its class
+`hilcell.commands.parser` builds the parser of the command. Parsers of values raise
 `argparse.ArgumentTypeError`.
 """
 
@@ -21,23 +21,23 @@ from typing import Any, NamedTuple, Self, TypeVar, cast, dataclass_transform, ge
 from hilcell.sanitize import LONGEST, clean
 
 T = TypeVar("T")
-MISSING: Any = object()  # a default that there is not
+MISSING: Any = object()  # no default
 
 
 class Argument(NamedTuple):
-    """An argument of a command line, as `option` declares it: its field's name, type and default.
+    """An argument of a command line, as `option` declares it, with its field's name and type.
 
-    A field of ``bool`` is a switch, a tuple may be given repeatedly, a `Literal` is a choice.
-    ``flags`` take the place of the field's name, and ``switches`` that of a choice's option: their
-    help by word. A ``word`` is given by its place. `MISSING` is no default.
+    A field of ``bool`` is a switch, a tuple may be repeated, a `Literal` is a choice. ``flags``
+    replace the field's name. ``switches`` replace the option of a choice: help by value. A
+    ``positional`` argument has no option. `MISSING` is no default.
     """
 
     help: str
     metavar: str | None
-    read: Callable[[str], object]
+    parse: Callable[[str], object]
     default: object
     flags: tuple[str, ...]
-    word: bool
+    positional: bool
     required: bool
     switches: Mapping[str, str]
     name: str = ""
@@ -45,30 +45,29 @@ class Argument(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of an option, or of the switches of a choice."""
+        """The names of an option, or of the switches of a choice."""
         if self.switches:
-            return tuple(f"--{word}" for word in self.switches)
+            return tuple(f"--{value}" for value in self.switches)
         return self.flags or (f"--{self.name.replace('_', '-')}",)
 
     @property
-    def needed(self) -> bool:
-        """Whether it must be given."""
+    def must_be_given(self) -> bool:
         return self.required and self.default is MISSING
 
 
 def option(
-    help: str = "",  # noqa: A002 - as argparse has it
+    help: str = "",  # noqa: A002 - argparse's name
     metavar: str | None = None,
-    read: Callable[[str], object] = str,
+    parse: Callable[[str], object] = str,
     *,
     default: T = MISSING,
     flags: tuple[str, ...] = (),
-    word: bool = False,
+    positional: bool = False,
     required: bool = True,
     switches: Mapping[str, str] = MappingProxyType({}),
 ) -> T:
-    """Declare a field of a signature, an `Argument`; for type checkers it is the field's value."""
-    declared = Argument(help, metavar, read, default, flags, word, required, switches)
+    """Declare a field of a signature, an `Argument`; type checkers see the field's value."""
+    declared = Argument(help, metavar, parse, default, flags, positional, required, switches)
     return cast("T", declared)
 
 
@@ -77,9 +76,9 @@ class Signature:
     """A frozen dataclass of keywords; `dataclasses` itself would double the time of `--help`."""
 
     def __init__(self, **values: object) -> None:
-        of = type(self)
-        names = [name for each in of.__mro__ for name in vars(each).get("__annotations__", ())]
-        declared = {name: getattr(of, name, MISSING) for name in names}
+        cls = type(self)
+        names = [name for each in cls.__mro__ for name in vars(each).get("__annotations__", ())]
+        declared = {name: getattr(cls, name, MISSING) for name in names}
         defaults = {
             name: each.default if isinstance(each, Argument) else each
             for name, each in declared.items()
@@ -87,7 +86,7 @@ class Signature:
         given = {name: each for name, each in defaults.items() if each is not MISSING}
         vars(self).update(given | values)
         if vars(self).keys() != {*names}:
-            raise TypeError(f"{of.__name__}: expected {', '.join(names)}, got {', '.join(values)}")
+            raise TypeError(f"{cls.__name__}: expected {', '.join(names)}, got {', '.join(values)}")
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
@@ -95,99 +94,92 @@ class Signature:
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and vars(self) == vars(other)
 
-    __hash__ = None  # type: ignore[assignment] # as of any class that is compared by values
+    __hash__ = None  # type: ignore[assignment] # compared by value
 
     def replace(self, **changes: object) -> Self:
         return type(self)(**(vars(self) | changes))
 
     @property
     def values(self) -> dict[str, object]:
-        """Return the values by name, with those of signatures that are fields."""
-        found: dict[str, object] = {}
+        """The values by name, with those of signatures that are fields."""
+        flat: dict[str, object] = {}
         for name, value in vars(self).items():
-            found |= value.values if isinstance(value, Signature) else {name: value}
-        return found
+            flat |= value.values if isinstance(value, Signature) else {name: value}
+        return flat
 
-    def words(self) -> list[str]:
-        """Return the command line that is read as this, without the command's name."""
-        values, words, options = self.values, list[str](), list[str]()
-        for field in fields_of(type(self)):
+    def command_line(self) -> list[str]:
+        """Return the words that parse as this signature, without the command's name."""
+        values, positional, options = self.values, list[str](), list[str]()
+        for field in arguments_of(type(self)):
             value = values[field.name]
             if value == field.default:
                 continue
-            if field.word:
-                words.append(written(value))
+            if field.positional:
+                positional.append(argument_text(value))
             elif value is True:
                 options.append(field.names[0])
             elif field.switches:
                 options.append(f"--{value}")
             else:
                 given = value if isinstance(value, tuple) else (value,)
-                options += [f"{field.names[0]}={written(each)}" for each in given]
-        return [*words, *options]
+                options += [f"{field.names[0]}={argument_text(each)}" for each in given]
+        return [*positional, *options]
 
 
-def fields_of(takes: type[Signature]) -> Iterator[Argument]:
+def arguments_of(signature: type[Signature]) -> Iterator[Argument]:
     """Yield the fields of a signature, and of the signatures that are its fields."""
-    for name, kind in get_type_hints(takes).items():
+    for name, kind in get_type_hints(signature).items():
         if is_signature(kind):
-            yield from fields_of(kind)
+            yield from arguments_of(kind)
         else:
-            yield getattr(takes, name)._replace(name=name, kind=kind)
+            yield getattr(signature, name)._replace(name=name, kind=kind)
 
 
 def is_signature(hint: object) -> bool:
     return isinstance(hint, type) and issubclass(hint, Signature)
 
 
-OUTPUT = ("-o", "--output")
-STROKE_MM = 20.0
-SIMULATED = ("rail", "robot", "tracker", "control")
-# For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
-TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
-HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, header {TARGETS}"
-
-
-def written(value: object) -> str:
+def argument_text(value: object) -> str:
     if isinstance(value, tuple):
         return "=".join(map(str, value))
     return "max" if value == math.inf else str(value)
 
 
-def _reader(fits: Callable[[float], bool], expected: str) -> Callable[[str], float]:
-    """Return the reader of a number that fits; any other text is refused."""
+# -- parsers of values -----------------------------------------------------------------------------
 
-    def read(text: str) -> float:
+
+def _number(accepts: Callable[[float], bool], expected: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
         with suppress(ValueError):
-            if fits(value := float(text)):
+            if accepts(value := float(text)):
                 return value
         raise argparse.ArgumentTypeError(f"expected {expected}, got {text[:80]!r}")
 
-    return read
+    return parse
 
 
-def _length(name: str, most_mm: float) -> Callable[[str], float]:
-    return _reader(lambda mm: 0.0 < mm <= most_mm, f"{name} above 0 up to {most_mm:g} mm")
+def _length(name: str, longest_mm: float) -> Callable[[str], float]:
+    return _number(lambda mm: 0.0 < mm <= longest_mm, f"{name} above 0 up to {longest_mm:g} mm")
 
 
-finite = _reader(math.isfinite, "a finite number")
-days = _reader(lambda value: 0 <= value <= 36_500, "days of 0 .. 36500")
-stroke, stroke_tolerance_of = _length("a length", 200.0), _length("a tolerance", 5.0)
-standoff_of = _length("a stand-off", 1000.0)  # as in hilcell.cell.robot
-_factor = _reader(
+parse_finite = _number(math.isfinite, "a finite number")
+parse_days = _number(lambda value: 0 <= value <= 36_500, "days of 0 .. 36500")
+parse_stroke_mm = _length("a length", 200.0)
+parse_stroke_tolerance_mm = _length("a tolerance", 5.0)
+parse_standoff_mm = _length("a stand-off", 1000.0)  # as in hilcell.cell.robot
+_parse_factor = _number(
     lambda value: 1 <= value <= 1e6,
-    "a factor of 1 .. 1e+06, or max (not slower than real time, in which the devices' watchdogs "
-    "run)",
+    "a factor of 1 .. 1e+06 or max (watchdogs of devices run in real time, so no factor below 1)",
 )
 
 
-def speed_of(text: str) -> float:
+def parse_speed(text: str) -> float:
     """Return a factor of real time, infinite for ``max``."""
-    return math.inf if text == "max" else _factor(text)
+    return math.inf if text == "max" else _parse_factor(text)
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
-    def read(text: str) -> int:
+    def parse(text: str) -> int:
         short = len(text) <= len(str(most))
         value = int(text) if text.isascii() and text.isdecimal() and short else -1
         if least <= value <= most:
@@ -195,34 +187,34 @@ def _whole(least: int, most: int) -> Callable[[str], int]:
         expected = f"a whole number of {least} .. {most}"
         raise argparse.ArgumentTypeError(f"expected {expected}, got {text[:80]!r}")
 
-    return read
+    return parse
 
 
-seed_of, workers_of = _whole(0, 2**63 - 1), _whole(1, 1024)
+parse_seed, parse_workers = _whole(0, 2**63 - 1), _whole(1, 1024)
 
 
-def ports_of(text: str) -> dict[str, int]:
-    """Return ports by the name of the simulated device."""
-    found: dict[str, int] = {}
+def parse_ports(text: str) -> dict[str, int]:
+    """Return TCP ports by the name of the simulated device."""
+    devices, ports = ("rail", "robot", "tracker", "control"), dict[str, int]()
     for word in text.split(","):
         name, _, port = word.partition("=")
         number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
-        if number and number in found.values():
-            raise argparse.ArgumentTypeError(f"port {number} is given twice; each needs its own")
-        if name not in SIMULATED or name in found or not 1 <= number <= 65535:
+        if number and number in ports.values():
+            raise argparse.ArgumentTypeError(f"port {number} is given twice")
+        if name not in devices or name in ports or not 1 <= number <= 65535:
             raise argparse.ArgumentTypeError(
-                f"expected rail=PORT,robot=PORT,... of {', '.join(SIMULATED)}, each once, with "
+                f"expected rail=PORT,robot=PORT,... of {', '.join(devices)}, each once, with "
                 f"ports of 1 .. 65535, got {word[:80]!r}"
             )
-        found[name] = number
-    return found
+        ports[name] = number
+    return ports
 
 
-def run_name(text: str) -> str:
-    """Return a name that a folder can have, in letters of any language."""
+def parse_run_name(text: str) -> str:
+    """Return a valid name of a folder, in letters of any language."""
     text = unicodedata.normalize("NFC", text)
     if text == "last":
-        raise argparse.ArgumentTypeError("'last' is reserved: it names the newest run")
+        raise argparse.ArgumentTypeError("'last' is reserved for the newest run")
     if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text):
         raise argparse.ArgumentTypeError(
             "expected 1 to 100 letters, digits, '_', '.' and '-', the first a letter or digit, "
@@ -231,48 +223,47 @@ def run_name(text: str) -> str:
     return text
 
 
-def noted(text: str) -> str:
-    """Return words as a journal keeps them."""
+def parse_note(text: str) -> str:
+    """Return text that a journal can store."""
     if len(text) > LONGEST:
         raise argparse.ArgumentTypeError(f"expected at most {LONGEST} characters, got {len(text)}")
     return clean(text)
 
 
-def reason(text: str) -> str:
-    """Return words that say why."""
-    if not (found := noted(text)):
-        raise argparse.ArgumentTypeError("expected words that say why, got none")
-    return found
+def parse_reason(text: str) -> str:
+    if not (reason := parse_note(text)):
+        raise argparse.ArgumentTypeError("must not be empty")
+    return reason
 
 
-def folder(text: str) -> Path:
-    return Path(name(text))
-
-
-def name(text: str) -> str:
+def parse_name(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("expected a name, got ''")
     return text
 
 
-def moment(text: str) -> datetime:
-    """Return a time with its zone, local where it states none; a date is its beginning."""
+def parse_folder(text: str) -> Path:
+    return Path(parse_name(text))
+
+
+def parse_time(text: str) -> datetime:
+    """Return a time with its zone, local by default; a date is its first moment."""
     try:
         return datetime.fromisoformat(text).astimezone()
     except (ValueError, OverflowError, OSError):
         raise argparse.ArgumentTypeError(
-            f"expected a date like 2026-11-22, or 2026-11-22T14:00, got {text[:80]!r}"
+            f"expected a date like 2026-11-22 or 2026-11-22T14:00, got {text[:80]!r}"
         ) from None
 
 
-def assignment(text: str) -> tuple[str, str]:
+def parse_setting(text: str) -> tuple[str, str]:
     key, sign, value = text.partition("=")
     if not (key and sign) or "\n" in text:
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE on one line, got {text[:80]!r}")
     return key.strip(), value.strip()
 
 
-def scheduler_of(text: str) -> str:
+def parse_scheduler(text: str) -> str:
     if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
         raise argparse.ArgumentTypeError(f"expected tcp://HOST:PORT, got {clean(text[:80])!r}")
     return text
@@ -280,35 +271,41 @@ def scheduler_of(text: str) -> str:
 
 # -- arguments of several commands -----------------------------------------------------------------
 
-CELL = option("a built-in name or a TOML path (default: paper, simulated)", "CELL", default="paper")
+CELL = option("built-in cell or cell file (default: paper, simulated)", "CELL", default="paper")
 SETTINGS = option(
-    "override one value of the cell file; may be repeated",
+    "override one value of the cell file; repeatable",
     "KEY=VALUE",
-    assignment,
+    parse_setting,
     default=(),
     flags=("--set",),
 )
 MACHINE_SEED = option(
-    "of the simulated machine: robot, rail, tracker (default: the seed; where a run uses a "
-    "calibration, that of the calibrated machine)",
+    "seed of the simulated machine: robot, rail, tracker (default: that of the calibration in use, "
+    "else --seed)",
     "N",
-    seed_of,
+    parse_seed,
     default=None,
 )
-NOTED = option("kept in the journal", "NAME", noted, default="")
-RUNS_HELP = "folder of runs (default: HILCELL_RUNS, or one for each user)"
-RUNS: Path = option(RUNS_HELP, "DIR", folder, required=False)
-RUN: str = option("a run's name, its beginning, or `last`", "RUN", word=True)
-JSON = option("print JSON: one object", default=False)
-JSON_LINES = option("print JSON: one event a line, as journalled", default=False)
+NOTED = option("recorded in the journal", "NAME", parse_note, default="")
+RUNS_HELP = "folder of runs (default: HILCELL_RUNS, else the user's)"
+RUNS: Path = option(RUNS_HELP, "DIR", parse_folder, required=False)
+RUN: str = option("name of the run, its beginning, or `last`", "RUN", positional=True)
+JSON = option("print one JSON object", default=False)
+JSON_LINES = option("print each event as a line of JSON, as in the journal", default=False)
 OUT_OF_TOLERANCE = option(
-    "use a calibration whose validation failed, was not made or had another tolerance",
+    "use a calibration that was validated out of tolerance, against another tolerance, or not at "
+    "all",
     default=False,
 )
 NOT_CURRENT = option("use a calibration that is revoked, superseded or out of date", default=False)
+OUTPUT = ("-o", "--output")
+STROKE_MM = 20.0  # default of --allow-stroke
+# For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
+TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
+HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, header {TARGETS}"
 TOOL = option(
-    "the tool of the cell file at whose tip they are given, or `reflector` (default: the "
-    "cell's only tool; the reflector where it has none)",
+    "tool of the cell file whose tip the targets refer to, or `reflector` (default: the cell's "
+    "only tool, else the reflector)",
     "NAME",
     default="",
 )

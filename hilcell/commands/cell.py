@@ -21,7 +21,7 @@ from hilcell.cell.differences import check_copied
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import by_line
-from hilcell.cell.undetectable_errors import unseen
+from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.commands.console import flush_data, print_answer, print_data, print_json, print_message
 from hilcell.commands.signatures import Check, Diagram, Sim
 from hilcell.decoding import Json
@@ -30,37 +30,34 @@ from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 
-HELP = (
-    "A number strikes that fault, Enter one that is not named; m lists them, q ends the simulated "
-    "cell."
-)
+HELP = "A number injects that fault, Enter a random one; m lists the faults, q ends the cell."
 
 
 class Trainer:
-    """Strikes one fault at a time, and afterwards says what it was and what is right to do."""
+    """Injects one fault at a time, and afterwards explains it and the right reaction."""
 
-    def __init__(self, cell: Training, chance: random.Random) -> None:
-        self._cell, self._chance = cell, chance
-        self._struck: Exercise | None = None
+    def __init__(self, cell: Training, rng: random.Random) -> None:
+        self._cell, self._rng = cell, rng
+        self._injected: Exercise | None = None
 
     def menu(self) -> None:
         rows = [f"{n:3d}  {each.title}" for n, each in enumerate(self._cell.exercises, start=1)]
         print_message("\n".join(["training:", *rows, HELP]))
 
     def take(self, line: str) -> bool:
-        """Obey one line of the keyboard; return whether to read another."""
-        word, known = line.strip().lower(), self._cell.exercises
+        """Process one line of input; return whether to read another."""
+        word, exercises = line.strip().lower(), self._cell.exercises
         if word == "q":
             return False
-        if self._struck is not None:
-            self._explain(self._struck)
+        if self._injected is not None:
+            self._explain(self._injected)
         elif word == "m":
             self.menu()
-        elif not word or (word.isdecimal() and 1 <= int(word) <= len(known)):
-            self._struck = known[int(word) - 1] if word else self._chance.choice(known)
-            self._cell.strike(self._struck)
+        elif not word or (word.isdecimal() and 1 <= int(word) <= len(exercises)):
+            self._injected = exercises[int(word) - 1] if word else self._rng.choice(exercises)
+            self._cell.strike(self._injected)
             print_message(
-                "It strikes as soon as the run gives it occasion. Find the cause by the screen and "
+                "The fault occurs at the next occasion in the run. Diagnose it by the screen and "
                 "the alarm, and decide what to do; then press Enter here."
             )
         else:
@@ -68,24 +65,23 @@ class Trainer:
         return True
 
     def _explain(self, exercise: Exercise) -> None:
-        """Say what it was, and put the cell right."""
         entry = entry_of(exercise.alarm)
         lines = [
-            f"It was: {exercise.title}.",
+            f"The fault was: {exercise.title}.",
             f"The alarm is {entry.code}, {entry.title}: {entry.means}",
             "The right reaction:",
             *(f"  {number}. {step}" for number, step in enumerate(entry.do, start=1)),
-            "The simulated cell is put right; resume the run.",
+            "The simulated cell is repaired; resume the run.",
         ]
         print_message("\n".join(lines))
         self._cell.heal()
-        self._struck = None
-        print_message(HELP)  # not the list: it would push the answer out of view
+        self._injected = None
+        print_message(HELP)  # the menu would scroll the answer out of view
 
 
 def train(cell: Training, ended: threading.Event) -> None:
-    """Train until ``ended`` is set, or the keyboard says or is at its end."""
-    trainer = Trainer(cell, random.Random())  # noqa: S311 - a surprise, not a secret
+    """Train until ``ended`` is set, "q" is entered or stdin ends."""
+    trainer = Trainer(cell, random.Random())  # noqa: S311 - no cryptography
     lines: SimpleQueue[str | None] = SimpleQueue()
     threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
     trainer.menu()
@@ -105,7 +101,7 @@ def _read(lines: SimpleQueue[str | None]) -> None:
 
 
 def check(args: Check) -> int:
-    cell = _sound(args.cell, dict(args.settings))
+    cell = _load_checked(args.cell, dict(args.settings))
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     for table in (cell.touch, cell.targets):
@@ -114,9 +110,9 @@ def check(args: Check) -> int:
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
-    turned = able["tracker_turns_over"] and not (cell.plan.quick or cell.layout.by_hand)
+    two_faces = able["tracker_turns_over"] and not (cell.plan.quick or cell.layout.by_hand)
     notes = list(plan.notes)
-    hidden = unseen(cell, turns_over=turned)
+    undetectable = undetectable_errors(cell, two_faces=two_faces)
     if cell.simulation is None and not cell.pauses_at_first_pass:
         notes.append("robot.first_pass_pause is false: no run pauses before the arm's first pass")
     facts: Json = able | {
@@ -128,30 +124,30 @@ def check(args: Check) -> int:
         "duration_s": plan.duration_s,
         "notes": notes,
         "warnings": plan.warnings,
-        "unseen": hidden,
+        "unseen": undetectable,
         "ok": True,
     }
     can = {name: "yes" if has else "no" for name, has in able.items()}
-    words = (
-        f"{args.cell}: cell {cell.name} is sound; calibrate measures {plan.points} points "
-        f"in {plan.duration_s / 60:.0f} min; this tracker streams: {can['tracker_streams']}, "
-        f"this robot sweeps an axis: {can['robot_sweeps']}; "
-        f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
+    text = (
+        f"{args.cell}: cell {cell.name} is valid; calibrate measures {plan.points} points "
+        f"in {plan.duration_s / 60:.0f} min; tracker streams: {can['tracker_streams']}, "
+        f"robot sweeps an axis: {can['robot_sweeps']}; "
+        f"keep-out volumes: {', '.join(facts['keep_out']) or 'none'}"
     )
     warnings = [f"warning: {each}" for each in plan.warnings]
-    limits = [f"no run shows: {each}" for each in hidden]
-    print_answer(facts, "\n".join([words, *notes, *warnings, *limits]), as_json=args.json)
+    limits = [f"no run detects: {each}" for each in undetectable]
+    print_answer(facts, "\n".join([text, *notes, *warnings, *limits]), as_json=args.json)
     return 0
 
 
-def _sound(where: str, overrides: dict[str, str]) -> Cell:
-    """Return a cell without a problem; raises `SettingsError` with all of them, by line."""
+def _load_checked(where: str, overrides: dict[str, str]) -> Cell:
+    """Return a valid cell; raises `SettingsError` with all problems, sorted by line."""
     try:
         cell = load_cell(where, overrides)
     except SettingsError as error:
         unknown = unknown_drivers(stated_drivers(where, overrides))
-        found = located(where, unknown, overrides).problems
-        raise SettingsError(where, by_line([*error.problems, *found], where)) from None
+        problems = [*error.problems, *located(where, unknown, overrides).problems]
+        raise SettingsError(where, by_line(problems, where)) from None
     try:
         check_options(cell)
     except SettingsError as error:
@@ -171,14 +167,13 @@ def sim(args: Sim) -> int:
     )
     if simulated is None:
         raise HilcellError(
-            f"cell {cell.name} is real: it names no simulator; "
-            "add --set simulation.simulator=paper",
+            f"cell {cell.name} is real: it has no simulator; add --set simulation.simulator=paper",
             code="HC-C12",
         )
     training = simulated if isinstance(simulated, Training) else None
     if args.train and training is None:
         simulated.close()
-        raise HilcellError(f"cell {cell.name}: its simulator offers no faults to practise on")
+        raise HilcellError(f"cell {cell.name}: its simulator has no training")
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
@@ -186,7 +181,7 @@ def sim(args: Sim) -> int:
         print_json(simulated.options | {"control": simulated.address})
         flush_data()
         print_message(
-            "simulated cell is up; in another terminal:\n"
+            "the simulated cell is running; in another terminal:\n"
             f"  hilcell run --cell {quote(args.cell)} "
             f"--set simulation.address={simulated.address}\n"
             "ctrl-C ends it"

@@ -1,6 +1,7 @@
-"""The command line: words in, exit code out. Each command imports its own heavy modules.
+"""The command line: parses a command, runs its function and returns the exit code.
 
-stdout carries data only; progress and messages go to stderr.
+The module of a command is imported by name, so that each command loads only its own packages. Data
+go to stdout, progress and messages to stderr.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from hilcell import __version__
 from hilcell.arguments import Signature
 from hilcell.atomic_files import NotPrinted
 from hilcell.commands import console, signatures
-from hilcell.commands.parser import Parser, made
+from hilcell.commands.parser import Parser, build
 from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED, HilcellError, exit_code
 from hilcell.run.order import Order, Resume
 
 if TYPE_CHECKING:
     from hilcell.decoding import Json
 
-EXITS = (  # by their number
+EXITS = (  # by code
     "in tolerance",
     "measured, out of tolerance",
     "refused before anything moved",
@@ -37,40 +38,38 @@ EXITS = (  # by their number
     "cell locked by another run",
     "storage fault",
 )
-AFTER = (
-    "Where `run` or `resume` ends with 3, 4, 5 or 7 and the run can go on, the last line says how."
-)
+AFTER = "After exit codes 3, 4, 5 and 7 of `run` and `resume` the last line tells how to resume."
 OTHERS = """\
-These are of a run. Any other command ends with 0 where it did its work, 2 where it refuses its
-arguments, a name or a file, 4 where ctrl-C ended it, 5 after a defect of hilcell, and 7 where a
-journal, a disk or a pipe failed: also where the reader of stdout went away, as in `| head`."""
-OWN_EXITS = {  # of commands, beyond these
-    "check": "2 where the cell file or its plan has a problem",
-    "compare": "0 whatever has changed: `verdict` of `--json` says it",
-    "doctor": "2 where something is WRONG; notes alone are 0",
-    "plant": "[Records of a plant](plant.md) lists them",
-    "revoke": "6 while another run holds the cell",
-    "runs": "0 with unreadable runs as well: `state` of `--json` says it",
-    "show": "0 whatever the run's outcome: `exit` of `--json` has its code; with `--check` 1 where "
-    "an invariant is broken",
-    "sim": "0 after ctrl-C, which ends it",
-    "study": "[Design studies](study.md) lists them",
-    "tui": "0 however a run ended; 5 where the screen failed",
-    "watch": "0 where the run has ended or its engine is gone, whatever its outcome: `exit` of the "
-    "`end` event of `--json` has its code; 2 before the first record; 4 after ctrl-C, which "
-    "changes nothing of the run",
+These are the exit codes of a run. Other commands return 0 on success, 2 if they refuse arguments, a
+name or a file, 4 after ctrl-C, 5 after a defect of hilcell, and 7 if a journal, a disk or a pipe
+failed (also if the reader of stdout ended early, as in `| head`)."""
+OWN_EXITS = {  # of commands that differ from these
+    "check": "2 if the cell file or its plan has a problem",
+    "compare": "0 whatever changed: see `verdict` of `--json`",
+    "doctor": "2 if something is WRONG; 0 with notes",
+    "plant": "see [Records of a plant](plant.md)",
+    "revoke": "6 while another run has locked the cell",
+    "runs": "0 also with unreadable runs: see `state` of `--json`",
+    "show": "0 whatever the run's outcome: see `exit` of `--json`; with `--check` 1 if an "
+    "invariant is broken",
+    "sim": "0 after ctrl-C",
+    "study": "see [Design studies](study.md)",
+    "tui": "0 however a run ended; 5 if the screen failed",
+    "watch": "0 once the run has ended or its process has died, whatever the outcome: see `exit` "
+    "of the `end` event of `--json`; 2 before the first record; 4 after ctrl-C, which does not "
+    "affect the run",
 }
-SAFETY = "hilcell is not a safety function: keep the E-stop in reach."
+SAFETY = "hilcell is not a safety function: keep the E-stop within reach."
 FIRST = """\
 `hilcell run` calibrates a simulated cell in about a minute; nothing real moves
-`hilcell show last` shows its result; `hilcell report last -o report.html` prints it
+`hilcell show last` prints its result, `hilcell report last -o report.html` writes its report
 your own cell: `hilcell check CELL.toml`, then `hilcell tui --cell CELL.toml`
 `hilcell --help` lists all commands"""
 
 
-Commands = Mapping[str, tuple[type[Signature], str]]  # what each takes, and module:function
+Commands = Mapping[str, tuple[type[Signature], str]]  # signature, and module:function
 GROUPS: Mapping[str, Commands] = {
-    "every day": {
+    "daily work": {
         "run": (Order, "run:run"),
         "resume": (Resume, "run:resume"),
         "pause": (signatures.Pause, "control:pause"),
@@ -81,7 +80,7 @@ GROUPS: Mapping[str, Commands] = {
         "prepare": (signatures.Prepare, "prepare:prepare"),
         "compensate": (signatures.Compensate, "targets:compensate"),
     },
-    "look back": {
+    "records": {
         "show": (signatures.Show, "runs:show"),
         "runs": (signatures.ListRuns, "runs:runs"),
         "report": (signatures.Report, "runs:report"),
@@ -90,13 +89,13 @@ GROUPS: Mapping[str, Commands] = {
         "explain": (signatures.Explain, "manual:explain"),
         "revoke": (signatures.Revoke, "runs:revoke"),
     },
-    "set up": {
+    "setup": {
         "check": (signatures.Check, "cell:check"),
         "doctor": (signatures.Doctor, "doctor:doctor"),
         "sim": (signatures.Sim, "cell:sim"),
         "completion": (signatures.Completion, "manual:completion"),
     },
-    "for engineers": {
+    "engineering": {
         "fit": (signatures.Fit, "targets:fit"),
         "study": (signatures.RunStudy, "study:study"),
         "plant": (signatures.Plant, ""),
@@ -114,7 +113,7 @@ PLANT: Commands = {
 
 @cache
 def whole_parser() -> Parser:
-    codes = "; ".join(f"{code} {words}" for code, words in enumerate(EXITS))
+    codes = "; ".join(f"{code} {text}" for code, text in enumerate(EXITS))
     parser = Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
@@ -123,62 +122,60 @@ def whole_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"hilcell {__version__}")
     parser.groups = GROUPS
-    choices = _add(
-        parser, {name: each for group in GROUPS.values() for name, each in group.items()}
-    )
-    _add(choices["plant"], PLANT)
+    _add(parser, {name: each for group in GROUPS.values() for name, each in group.items()})
     return parser
 
 
-def _add(parser: Parser, commands: Commands) -> Mapping[str, Parser]:
-    added = parser.add_commands()
-    for name, (takes, act) in commands.items():
-        text = takes.__doc__ or ""
-        words = text[0].lower() + text[1:].rstrip(".")
-        command = added.add_parser(name, takes=takes, help=words, description=text)
-        command.set_defaults(takes=takes, act=act)
-    return added.choices
+def _add(parser: Parser, commands: Commands) -> None:
+    subparsers = parser.add_commands()
+    for name, (signature, function) in commands.items():
+        text = signature.__doc__ or ""
+        short = text[0].lower() + text[1:].rstrip(".")
+        command = subparsers.add_parser(name, signature=signature, help=short, description=text)
+        command.set_defaults(signature=signature, function=function)
+        if name == "plant":
+            _add(command, PLANT)
 
 
 def read(words: Sequence[str]) -> tuple[str, type[Signature], Json]:
-    """Return what performs a command, what it takes, and the values of this."""
+    """Return a command's module:function, its signature, and the parsed values."""
     values = vars(whole_parser().parse_args(words))
-    return values.pop("act"), values.pop("takes"), values
+    return values.pop("function"), values.pop("signature"), values
 
 
 def main(
     words: Sequence[str] | None = None, *, imported: Callable[[], object] = lambda: None
 ) -> int:
-    """Run one command and return its exit code; ``imported`` is called when the command begins."""
+    """Run one command and return its exit code; ``imported`` is called before it begins."""
     console.never_fail_to_encode((sys.stdout, sys.stderr))
     words = sys.argv[1:] if words is None else words
     if not words:
         console.print_message(FIRST)
         return EXIT_REFUSED
     try:
-        act, takes, values = read(words)
+        function, signature, values = read(words)
     except NotPrinted as error:  # the help
         return _refuse(error, as_json=False)
-    # Many small matrices: a second thread of the linear algebra makes them up to 30 times slower.
+    # A second thread of the linear algebra makes many small matrices up to 30 times slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    module, _, function = act.partition(":")
+    module, _, name = function.partition(":")
     try:
-        perform = getattr(importlib.import_module(f"hilcell.commands.{module}"), function)
+        command = getattr(importlib.import_module(f"hilcell.commands.{module}"), name)
         imported()
         if "runs" in values:
-            values["runs"] = _runs_of(values["runs"])
-        code = int(perform(made(takes, values)))
+            values["runs"] = _runs_folder(values["runs"])
+        code = int(command(build(signature, values)))
         console.flush_data()
     except KeyboardInterrupt:
         console.print_message("hilcell: interrupted")
         return EXIT_ABORTED
-    except Exception as error:  # noqa: BLE001 - the last place where an error can be reported
-        return _refuse(error, as_json=takes is Order and bool(values["json"]))
+    except Exception as error:  # noqa: BLE001 - the last place that can report it
+        return _refuse(error, as_json=signature is Order and bool(values["json"]))
     else:
         return code
 
 
-def _runs_of(named: Path | None) -> Path:
+def _runs_folder(named: Path | None) -> Path:
     from hilcell.journal.runs_folder import at_home, usual_runs  # loads the journal
 
     if named is not None:

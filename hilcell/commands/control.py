@@ -1,4 +1,4 @@
-"""``pause``, ``stop`` and ``watch``: a live run, from another process."""
+"""``pause``, ``stop`` and ``watch``: control a live run from another process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hilcell.commands.run_output import (
     JsonOutput,
     ProgressOutput,
     RunOutput,
-    ended_words,
+    end_text,
     kind_of,
     left_moving,
 )
@@ -42,12 +42,12 @@ def _command(args: Pause, command: Command) -> int:
 
 
 def watch(args: Watch) -> int:
-    """Follow a run's journal to its end, or until the engine has died."""
+    """Print a run's records to its end, or until its process has died."""
     folder = find_run(args.runs, args.run)
     try:
         return _watch(folder, as_json=args.json)
     except KeyboardInterrupt:
-        print_message(f"run {folder.name}: not watched any more; watching changes nothing of it")
+        print_message(f"run {folder.name}: watching ended; the run is not affected")
         return EXIT_ABORTED
 
 
@@ -56,7 +56,7 @@ def _watch(folder: Path, *, as_json: bool) -> int:
     records = _follow(folder)
     first = next(records, None)
     if first is None or first.kind != "plan":
-        print_message(f"run {folder.name}: nothing to see yet")
+        print_message(f"run {folder.name}: no records yet")
         return EXIT_REFUSED
     log.take(first)
     name = encodable(folder.name)
@@ -70,24 +70,24 @@ def _watch(folder: Path, *, as_json: bool) -> int:
             output.take(record)
     if output.lost is not None:
         raise output.lost
-    state = log.state if log.end is None else ended_words(log)
-    again = command_on(folder, "resume")
-    ended = "" if log.end is not None else f"; its engine is gone, `{again}` continues it"
+    state = log.state if log.end is None else end_text(log)
+    resume = command_on(folder, "resume")
+    died = "" if log.end is not None else f"; the run process has died, `{resume}` continues it"
     fault = f": {log.fault}" if log.end is not None and log.fault else ""
-    print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
-    if words := left_moving(log):
-        print_message(words)
+    print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{died}")
+    if problem := left_moving(log):
+        print_message(problem)
     return 0
 
 
 def _follow(folder: Path) -> Iterator[Record]:
-    """Yield the records of a journal as they come, until the run's end or its engine's."""
-    seen = 0
+    """Yield the records of a journal as they come, until the run's process has ended."""
+    count = 0
     while True:
         alive = live_engine(folder) is not None
-        fresh = read_journal(folder / JOURNAL, after=seen)
-        yield from fresh
-        seen += len(fresh)
-        if not alive and not fresh:
+        new = read_journal(folder / JOURNAL, after=count)
+        yield from new
+        count += len(new)
+        if not alive and not new:
             return
         time.sleep(0.1)

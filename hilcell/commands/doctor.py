@@ -1,7 +1,7 @@
-"""``doctor``: check this PC, and on request the places of a cell's devices; nothing moves.
+"""``doctor``: check this PC, and optionally the addresses of a cell's devices; nothing moves.
 
-Each check returns one finding, with the act that mends it. Nothing is changed but a file that is
-written into the folder of runs and removed at once.
+Each check returns a finding, with the remedy if one is needed. The only change is a temporary file
+in the folder of runs.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 
 
 class Finding(NamedTuple):
-    """``state`` of what was checked, ``found`` in words, and ``do``: the act, where one is due."""
+    """The result of a check, as text, and what to ``do`` if something is needed."""
 
     state: Literal["ok", "warning", "wrong"]
     found: str
@@ -50,7 +50,7 @@ class Finding(NamedTuple):
 
 
 def doctor(args: Doctor) -> int:
-    """Print what was checked; exit code 2 where something has to be mended before a run."""
+    """Print all checks; exit code 2 if something prevents a run."""
     found = {
         "python": python(),
         "terminal": terminal(os.environ, *shutil.get_terminal_size()),
@@ -66,30 +66,30 @@ def doctor(args: Doctor) -> int:
         "drivers": _drivers(),
     }
     if args.cell:
-        found |= _of_cell(args.cell, dict(args.settings))
-    sound = all(each.state != "wrong" for each in found.values())
+        found |= _devices(args.cell, dict(args.settings))
+    ok = all(each.state != "wrong" for each in found.values())
     if args.json:
         checks = [{"check": check} | each._asdict() for check, each in found.items()]
-        print_json({"ok": sound, "checks": checks})
+        print_json({"ok": ok, "checks": checks})
     else:
         lines = list[str]()
         for check, each in found.items():
             lines.append(f"{SHOWN[each.state]:6} {check:13} {each.found}")
             lines += [f"{'':20} -> {each.do}"] if each.do else []
         print_data(harmless_lines("\n".join(lines)))
-    return 0 if sound else EXIT_REFUSED
+    return 0 if ok else EXIT_REFUSED
 
 
 # -- this PC --------------------------------------------------------------------------------------
 
 LEAST_PYTHON = (3, 11)
-PLENTY_GB = 1.0  # a run takes up to 10 MB: for a hundred of them
+PLENTY_GB = 1.0  # a hundred runs of up to 10 MB
 WAKES, LATE_S = 200, 0.05  # a stop takes 0.02 s
 DIALOUT = "sudo usermod -a -G dialout $USER, then log in again"
 
 
 def python() -> Finding:
-    """Check the interpreter, and that every package it needs is there."""
+    """Check the interpreter and the required packages."""
     found = f"{platform.python_version()} at {sys.executable}"
     if sys.version_info < LEAST_PYTHON:
         return Finding("wrong", found, "install Python 3.11 or newer")
@@ -97,24 +97,24 @@ def python() -> Finding:
     names = [name[0] for line in lines if (name := re.match(r"[\w.-]+", line))]
     missing = [name for name in names if not any(Distribution.discover(name=name))]
     if missing:
-        return Finding("wrong", f"{found} lacks {', '.join(missing)}", "install hilcell again")
+        return Finding("wrong", f"{found} lacks {', '.join(missing)}", "reinstall hilcell")
     return Finding("ok", found)
 
 
 def terminal(environment: Mapping[str, str], columns: int, rows: int) -> Finding:
-    """Check that the technician's screen can be shown."""
+    """Check that the terminal can show the screen."""
     shapes = "UTF-8" if has_unicode(environment, coerced=is_coerced()) else "ASCII shapes"
     colours = "colours" if has_colours(environment) else "no colours"
     found = f"TERM {environment.get('TERM') or 'not set'}, {columns} x {rows}, {shapes}, {colours}"
     if columns < 60 or rows < 15:  # 80 x 24 shows everything
-        return Finding("warning", found, "make the window 80 x 24 or larger before `hilcell tui`")
+        return Finding("warning", found, "enlarge the window to 80 x 24 before `hilcell tui`")
     if shapes != "UTF-8":
         return Finding("warning", found, "set LANG=C.UTF-8 and TERM=xterm-256color for all shapes")
     return Finding("ok", found)
 
 
 def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
-    """Check the CAN interfaces; a rail behind a gateway, and a simulated one, need none."""
+    """Check the CAN interfaces, which only SocketCAN needs."""
     found = {
         each.name: _first_line(each / "operstate")
         for each in sorted(interfaces.glob("*"))
@@ -122,7 +122,7 @@ def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
     }
     if not found:
         return Finding(
-            "ok", "no interface; a rail on SocketCAN needs one, an slcan gateway does not"
+            "ok", "no interface (needed for a rail on SocketCAN, not for an slcan gateway)"
         )
     down = [name for name, state in found.items() if state not in {"up", "unknown"}]
     words = ", ".join(f"{name} {state}" for name, state in found.items())
@@ -132,16 +132,16 @@ def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
 
 
 def serial_ports(devices: Path = Path("/dev")) -> Finding:
-    """Check that the adapters of serial lines may be opened."""
+    """Check the permissions of serial adapters."""
     ports = sorted(str(port) for kind in ("USB", "ACM") for port in devices.glob(f"tty{kind}*"))
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
-        return Finding("warning", f"{', '.join(closed)} may not be opened by this user", DIALOUT)
+        return Finding("warning", f"{', '.join(closed)}: no permission to open", DIALOUT)
     return Finding("ok", ", ".join(ports) or "none")
 
 
 def loopback() -> Finding:
-    """Check that a program of this PC can listen for another, as the screen and the engine do."""
+    """Check connections between programs on this PC, such as the screen and the run."""
     try:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port = server.getsockname()[1]
@@ -156,7 +156,7 @@ def loopback() -> Finding:
 
 
 def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
-    """Check the folder of runs: that it can be written, its space, and that its disk is local."""
+    """Check the folder of runs: write permission, free space, and a local disk."""
     folder, where = nearest_existing(runs), str(runs.absolute())
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -170,25 +170,25 @@ def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
             "choose another folder with --runs",
         )
     found = f"{where}, {free / 1e9:.2f} GB free"
-    usual_points = 1_700  # no run of a cell that comes with hilcell has more
-    if free < (needed := bytes_needed(usual_points)):
-        return Finding("wrong", found, f"make {needed / 1e6:.0f} MB of room: a run needs it")
+    longest_points = 1_700  # of all runs of the built-in cells
+    if free < (needed := bytes_needed(longest_points)):
+        return Finding("wrong", found, f"free {needed / 1e6:.0f} MB, which a run needs")
     shared = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks for SQLite
     if (kind := _file_system(folder, mounts)) in shared:
         return Finding(
             "wrong",
-            f"{found}, shared over a network ({kind})",
-            "choose a folder of a local disk with --runs: journals need its locks",
+            f"{found}, on a network file system ({kind})",
+            "choose a folder on a local disk with --runs: journals need its locks",
         )
     if free < PLENTY_GB * 1e9:
-        return Finding("warning", found, f"make {PLENTY_GB:g} GB of room for later runs")
+        return Finding("warning", found, f"free {PLENTY_GB:g} GB for later runs")
     return Finding("ok", found)
 
 
 def _file_system(folder: Path, mounts: Path) -> str:
-    """Return the kind of file system that ``folder`` lies on; "" where it is not known."""
+    """Return the type of the file system of ``folder``, or ""."""
     text = mounts.read_text("utf-8", "replace") if mounts.exists() else ""
-    # The last mount counts; spaces in names are written as octal numbers (proc(5)).
+    # The last mount counts; spaces in names are octal escapes (proc(5)).
     points = {
         re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), fields[1]): fields[2]
         for fields in map(str.split, text.splitlines()) if len(fields) > 2
@@ -198,24 +198,24 @@ def _file_system(folder: Path, mounts: Path) -> str:
 
 
 def clock(runs: Path) -> Finding:
-    """Check the clock by which calibrations age."""
+    """Check the clock, which determines the age of calibrations."""
     now_s = time.time()
     found = time.strftime("%Y-%m-%d %H:%M:%S %Z", time.localtime(now_s))
     newest_s = max((each.stat().st_mtime for each in runs.glob("*")), default=0.0)
     if newest_s > now_s + 60.0:
-        return Finding("wrong", f"{found}, earlier than the newest run", "set the clock right")
+        return Finding("wrong", f"{found}, earlier than the newest run", "set the clock")
     if not _is_synchronized():
         return Finding(
             "warning",
             f"{found}, not synchronized",
-            "sudo timedatectl set-ntp true, or set it by hand; calibrations age by it",
+            "sudo timedatectl set-ntp true, or set it by hand: calibrations expire by this clock",
         )
     return Finding("ok", f"{found}, synchronized")
 
 
 def _is_synchronized() -> bool:
-    """Whether the kernel counts its clock as synchronized (adjtimex(2), nothing is set)."""
-    timex = ctypes.create_string_buffer(512)  # zeros: a question, in more room than it takes
+    """Whether the kernel's clock is synchronized (adjtimex(2) with modes 0, which sets nothing)."""
+    timex = ctypes.create_string_buffer(512)  # larger than struct timex
     unsynchronized = 5  # TIME_ERROR
     return int(ctypes.CDLL(None).adjtimex(timex)) not in {-1, unsynchronized}
 
@@ -225,7 +225,7 @@ def locks() -> Finding:
         folder, warning = locks_folder()
     except StorageError as error:
         found, _, do = str(error).rpartition("; ")
-        return Finding("wrong", found or do, do if found else "mend its permissions")
+        return Finding("wrong", found or do, do if found else "correct its permissions")
     if warning:
         found, _, do = warning.rpartition(": ")
         return Finding("warning", found, do)
@@ -233,7 +233,7 @@ def locks() -> Finding:
 
 
 def pace() -> Finding:
-    """Check how late this PC wakes a program that waits."""
+    """Check how late this PC wakes a waiting program."""
     wait_s, late_s = 0.005, list[float]()
     for _ in range(WAKES):
         due_s = time.monotonic() + wait_s
@@ -242,18 +242,18 @@ def pace() -> Finding:
     worst_s = max(late_s)
     found = f"wakes at most {1e3 * worst_s:.1f} ms late ({WAKES} waits)"
     if not worst_s <= LATE_S:
-        return Finding("warning", found, "end other programs: stops come late on a busy PC")
+        return Finding("warning", found, "close other programs: a busy PC stops late")
     return Finding("ok", found)
 
 
 def browser() -> Finding:
-    """Check for a browser, which only a report as PDF needs."""
+    """Check for a browser, needed for PDF reports only."""
     try:
         return Finding("ok", f"{find_browser()} prints reports as PDF")
     except NotWritten:
         return Finding(
             "warning",
-            "none; reports are written as HTML",
+            "none; reports are HTML only",
             "install chromium for `hilcell report -o FILE.pdf`",
         )
 
@@ -269,13 +269,13 @@ def _keys() -> Finding:
     try:
         load_keys(None)
     except SettingsError as error:
-        return Finding("wrong", str(error), f"mend {default_file()}")
+        return Finding("wrong", str(error), f"correct {default_file()}")
     file = default_file()
-    return Finding("ok", str(file) if file.exists() else "as delivered")
+    return Finding("ok", str(file) if file.exists() else "default bindings")
 
 
 def _drivers() -> Finding:
-    """Load every driver and all that belongs to it, also those of packages beside hilcell."""
+    """Load all installed drivers, simulated devices, program formats and alarm catalogues."""
     problems = list[str]()
     for group in PARTS:
         for name in installed(group):
@@ -288,16 +288,16 @@ def _drivers() -> Finding:
     except CatalogueError as error:
         problems.append(str(error))
     if problems:
-        return Finding("warning", "; ".join(problems), "mend or uninstall its package")
+        return Finding("warning", "; ".join(problems), "repair or uninstall the package")
     found = "; ".join(f"{group} {', '.join(installed(group))}" for group in (*PORTS, "programs"))
     return Finding("ok", found)
 
 
-# -- the places of a cell's devices ---------------------------------------------------------------
+# -- the addresses of a cell's devices ------------------------------------------------------------
 
 
-def _of_cell(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
-    """Check the places at which a cell's devices are reached; raises `SettingsError`."""
+def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
+    """Check the addresses of a cell's devices; raises `SettingsError`."""
     cell = load_cell(where, overrides)
     check_options(cell)
     if cell.simulation is not None:
@@ -307,7 +307,7 @@ def _of_cell(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
         if tables == ["rail"] and not cell.has_rail:
             continue
         check = f"{' and '.join(tables)} at {place}"
-        try:  # a connection could disturb a run that holds the place
+        try:  # a connection could disturb a run that uses the device
             with locked(lock_of_device(place), check, "hilcell doctor"):
                 checked[check] = _place(place)
         except CellLocked as error:
@@ -316,18 +316,16 @@ def _of_cell(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
 
 
 def _place(place: str) -> Finding:
-    if place.startswith("{"):  # all options of a driver that has other words for its place
-        return Finding("ok", "not checked: its driver names no host, port or channel")
+    if place.startswith("{"):  # all options of a driver without host, port or channel
+        return Finding("ok", "not checked: its driver has no option host, port or channel")
     host, sign, port = place.rpartition(":")
     if sign and port.isdecimal():
         return _network("127.0.0.1" if host == THIS_MACHINE else host, int(port))
     if place.startswith("/"):
         return _file(Path(place))
     if Path("/sys/class/net", place).exists():
-        return Finding("ok", "this PC has the interface")
-    return Finding(
-        "wrong", "this PC has no such interface", "`ip link` lists them; correct the channel"
-    )
+        return Finding("ok", "the interface exists")
+    return Finding("wrong", "no such interface", "correct the channel; `ip link` lists interfaces")
 
 
 def _network(address: str, port: int) -> Finding:
@@ -337,14 +335,14 @@ def _network(address: str, port: int) -> Finding:
         return Finding(
             "wrong",
             f"no connection: {error.strerror or error}",
-            "switch the device on, check its cable, its address and the port",
+            "switch the device on; check its cable, address and port",
         )
-    return Finding("ok", "accepts a connection")
+    return Finding("ok", "accepts connections")
 
 
 def _file(port: Path) -> Finding:
     if not port.exists():
-        return Finding("wrong", "no such port", "plug its adapter in, or correct channel")
+        return Finding("wrong", "no such port", "plug in the adapter, or correct the channel")
     if not os.access(port, os.R_OK | os.W_OK):
-        return Finding("wrong", "may not be opened by this user", DIALOUT)
+        return Finding("wrong", "no permission to open", DIALOUT)
     return Finding("ok", "can be opened")

@@ -1,8 +1,7 @@
-"""The manual at the prompt: alarms explained, commands completed, the page of all commands.
+"""``explain``, ``completion``, and the manual's page of all commands.
 
-By ``completion`` bash, zsh, fish or tcsh complete commands, options and names. Files are completed
-where an argument's name is that of a file; cells, procedures and runs by name, alarms by code. The
-page is the manual's: ``python -m hilcell.commands.manual``.
+Shells complete commands, options, cells, procedures, runs, codes of alarms, and files where the
+argument's name is that of a file. ``python -m hilcell.commands.manual`` prints the page.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Literal, get_args, get_origin
 import shtab
 
 from hilcell.alarms.catalogue import catalogue
-from hilcell.arguments import MISSING, Argument, Signature, fields_of
+from hilcell.arguments import MISSING, Argument, Signature, arguments_of
 from hilcell.cell.settings import near_misses
 from hilcell.cell.source import built_in_cells
 from hilcell.commands import cli
@@ -30,15 +29,15 @@ from hilcell.errors import HilcellError
 
 
 def explain(args: Explain) -> int:
-    """Print one entry of the catalogue; an unknown code with those that are most like it."""
+    """Print one entry of the catalogue; suggest similar codes for an unknown one."""
     known = catalogue()
-    named = re.sub("^(HC[- ]?)?", "HC-", args.code.upper(), count=1)
-    if named not in known:
-        # One digit, or a word, is like too many codes.
-        near = near_misses(named, known, most=3) if re.match(r"HC-[A-Z].*\d", named) else []
-        hint = f"did you mean {' or '.join(near)}?" if near else "codes are like HC-T10"
-        raise HilcellError(f"alarm {args.code[:80]!r} is unknown; {hint}")
-    entry = known[named]
+    code = re.sub("^(HC[- ]?)?", "HC-", args.code.upper(), count=1)
+    if code not in known:
+        # a single digit or a word resembles too many codes
+        near = near_misses(code, known, most=3) if re.match(r"HC-[A-Z].*\d", code) else []
+        hint = f"did you mean {' or '.join(near)}?" if near else "expected a code like HC-T10"
+        raise HilcellError(f"unknown alarm {args.code[:80]!r}; {hint}")
+    entry = known[code]
     facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}
     if args.json:
         print_json(facts)
@@ -50,7 +49,7 @@ def explain(args: Explain) -> int:
 
 # -- completion -----------------------------------------------------------------------------------
 
-# The lines of the table of runs are bars in ASCII, or box characters; three of it are its head.
+# Columns of the table of runs, with bars in ASCII or box characters, without its three head lines.
 _LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
 _NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
 _CELLS = " ".join(sorted(built_in_cells()))
@@ -69,27 +68,27 @@ _hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
 
 
 def completion(args: Completion) -> int:
-    parser = deepcopy(cli.whole_parser())  # it is written into
+    parser = deepcopy(cli.whole_parser())  # its actions are changed
     for action in _actions(parser):
         if action.dest == "procedure":
             action.choices = sorted(entry_points(group="hilcell.procedures").names)
         elif action.metavar == "CODE":
             action.choices = sorted(catalogue())
-        elif (by := _completed_by(action)) is not None:
-            action.complete = by  # type: ignore[attr-defined] # the attribute that shtab reads
+        elif (completer := _completer(action)) is not None:
+            action.complete = completer  # type: ignore[attr-defined] # read by shtab
     print_data(shtab.complete(parser, args.shell, preamble=PREAMBLE.get(args.shell, "")))
     return 0
 
 
 def _actions(parser: Parser) -> Iterator[argparse.Action]:
-    for action in parser.fill()._actions:  # noqa: SLF001 - argparse offers no list of them
+    for action in parser.fill()._actions:  # noqa: SLF001 - argparse has no public list
         yield action
         for command in action.choices.values() if isinstance(action.choices, dict) else ():
             yield from _actions(command)
 
 
-def _completed_by(action: argparse.Action) -> dict[str, str | dict[str, str]] | None:
-    """Return what completes an argument, by shell as shtab has it; None for words of no list."""
+def _completer(action: argparse.Action) -> dict[str, str | dict[str, str]] | None:
+    """Return shtab's completer of an argument, by shell; None for free text."""
     name = str(action.metavar or "")
     of_runs = (action.dest, name) == ("cell", "NAME")
     functions = {"RUN": "run", "CALIBRATION": "run", "CELL": "cell"}  # of the preamble
@@ -104,62 +103,62 @@ def _completed_by(action: argparse.Action) -> dict[str, str | dict[str, str]] | 
 
 HEAD = """# The command line
 
-All commands, with their options and defaults. This page is written from the signatures of the
-commands by `make docs`; `hilcell COMMAND --help` prints the same.
+All commands with their options and defaults. `make docs` writes this page from the commands'
+signatures; `hilcell COMMAND --help` prints the same.
 
-Options stand after their command, in any order. `--help` is an option of each; `hilcell --version`
-prints the version.
+Options follow their command, in any order. Every command has `--help`; `hilcell --version` prints
+the version.
 """
 COLUMNS = ("| argument | meaning | default |", "|---|---|---|")
-SHARED = 3  # commands that take an option, from which on it stands in the common table
-STATED = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
+SHARED = 3  # an option of so many commands or more is in the common table
+DEFAULT = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
 
 
 def page() -> str:
     parts, shared = [HEAD], _shared_rows()
     if shared:
-        about = "Commands that take these name them below their own arguments.\n"
+        about = "Each command lists those that it has below its own arguments.\n"
         parts += ["## Common options\n", about, "\n".join([*COLUMNS, *shared.values(), ""])]
     for title, commands in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
         parts += _sections("hilcell", commands, shared)
-    codes = "\n".join(f"| {code} | {words} |" for code, words in enumerate(cli.EXITS))
+    codes = "\n".join(f"| {code} | {text} |" for code, text in enumerate(cli.EXITS))
     parts.append(
         f"## Exit codes\n\n| code | meaning |\n|---|---|\n{codes}\n\n{cli.AFTER} {cli.SAFETY}\n"
     )
-    own = "\n".join(f"| `{command}` | {words} |" for command, words in cli.OWN_EXITS.items())
+    own = "\n".join(f"| `{command}` | {text} |" for command, text in cli.OWN_EXITS.items())
     parts.append(f"{cli.OTHERS}\n\n| command | its exit codes |\n|---|---|\n{own}\n")
     return "\n".join(parts)
 
 
 def _shared_rows() -> dict[str, str]:
-    """Return the rows of options that several commands take with the same words, by option."""
-    takes: set[type[Signature]] = set()
+    """Return the rows of options that several commands have with the same help, by option."""
+    signatures: set[type[Signature]] = set()
     for commands in cli.GROUPS.values():
-        for each, act in commands.values():
-            takes |= {each} if act else {part for part, _ in cli.PLANT.values()}
+        for each, function in commands.values():
+            signatures |= {each} if function else {part for part, _ in cli.PLANT.values()}
     counts = Counter(
         (_name(field), row)
-        for each in takes
-        for field in fields_of(each)
-        if not (field.word or field.needed or field.switches)
+        for each in signatures
+        for field in arguments_of(each)
+        if not (field.positional or field.must_be_given or field.switches)
         for row in _rows(field)
     )
-    found: dict[str, str] = {}
+    shared: dict[str, str] = {}
     for (name, row), count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
         if count >= SHARED:
-            found.setdefault(name, row)
-    return found
+            shared.setdefault(name, row)
+    return shared
 
 
 def _sections(program: str, commands: cli.Commands, shared: dict[str, str]) -> Iterator[str]:
-    for name, (takes, act) in commands.items():
-        yield f"### {program} {name}\n\n{takes.__doc__}\n"
-        if not act:  # what it does is done by commands of its own
+    for name, (signature, function) in commands.items():
+        yield f"### {program} {name}\n\n{signature.__doc__}\n"
+        if not function:  # has subcommands
             yield from _sections(f"{program} {name}", cli.PLANT, shared)
             continue
-        fields = list(fields_of(takes))
-        words = [_given(each) for each in fields if each.word or each.needed]
+        fields = list(arguments_of(signature))
+        words = [_usage(each) for each in fields if each.positional or each.must_be_given]
         words += ["[OPTIONS]"] * (len(words) < len(fields))
         yield f"```\n{' '.join([program, name, *words])}\n```\n"
         rows = [(_name(field), row) for field in fields for row in _rows(field)]
@@ -169,11 +168,11 @@ def _sections(program: str, commands: cli.Commands, shared: dict[str, str]) -> I
             yield f"Common options: {', '.join(common)}\n"
 
 
-def _given(field: Argument) -> str:
+def _usage(field: Argument) -> str:
     if field.switches:
         return f"({' | '.join(field.names)})"
-    if field.word:
-        return _value(field) if field.needed else f"[{_value(field)}]"
+    if field.positional:
+        return _value(field) if field.must_be_given else f"[{_value(field)}]"
     return f"{field.names[0]} {_value(field)}"
 
 
@@ -184,30 +183,30 @@ def _value(field: Argument) -> str:
 
 
 def _name(field: Argument) -> str:
-    """Return an argument as it is given, with its value."""
+    """Return an argument as on a command line, with its value."""
     value = "" if field.kind is bool or field.switches else f" {_value(field)}"
-    return value.strip() if field.word else f"{', '.join(field.names)}{value}"
+    return value.strip() if field.positional else f"{', '.join(field.names)}{value}"
 
 
 def _rows(field: Argument) -> Iterator[str]:
     """Yield the rows of an argument: one, or one for each switch of a choice."""
-    for word, text in field.switches.items():
-        yield _row(f"--{word}", text, "one of these")
+
+    def row(argument: str, meaning: str, default: str) -> str:
+        cells = (f"`{argument}`", meaning, default)
+        return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
+
+    for switch, text in field.switches.items():
+        yield row(f"--{switch}", text, "one of these")
     if field.switches:
         return
     meaning, default = field.help, ""
-    if field.needed:
-        default = "must be given"
-    elif len(stated := STATED.findall(meaning)) == 1:
-        meaning, default = STATED.sub("", meaning), stated[0]
+    if field.must_be_given:
+        default = "required"
+    elif len(defaults := DEFAULT.findall(meaning)) == 1:
+        meaning, default = DEFAULT.sub("", meaning), defaults[0]
     elif field.default not in (MISSING, None, "", False, ()):
         default = str(field.default)
-    yield _row(_name(field), meaning, default)
-
-
-def _row(given: str, meaning: str, default: str) -> str:
-    cells = (f"`{given}`", meaning, default)
-    return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
+    yield row(_name(field), meaning, default)
 
 
 if __name__ == "__main__":

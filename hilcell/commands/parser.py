@@ -1,4 +1,4 @@
-"""From a signature to its parser: short errors that name the nearest command or option."""
+"""The parser of a signature: short errors that name the nearest command or option."""
 
 from __future__ import annotations
 
@@ -17,50 +17,49 @@ from typing import (
     get_type_hints,
 )
 
-from hilcell.arguments import MISSING, Argument, Signature, fields_of, is_signature
+from hilcell.arguments import MISSING, Argument, Signature, arguments_of, is_signature
 from hilcell.commands.console import print_message, stdout_checked
 from hilcell.errors import EXIT_REFUSED
 
 if TYPE_CHECKING:
     from hilcell.decoding import Json
 
-HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
-Taken = TypeVar("Taken", bound=Signature)
+HELP = ("-h", "--help")  # never suggested: every command has it
+S = TypeVar("S", bound=Signature)
 
 
 class Parser(argparse.ArgumentParser):
-    """Reads the words of one command, by the signature ``takes``, or those of its ``commands``."""
+    """Parses one command by its signature, or its subcommands."""
 
-    def __init__(self, *, takes: type[Signature] | None = None, **options: Any) -> None:
+    def __init__(self, *, signature: type[Signature] | None = None, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
-        self.takes = takes
+        self._signature = signature
         self.commands: argparse._SubParsersAction[Parser] | None = None
-        self.groups: Mapping[str, Iterable[str]] = {}  # of commands by title, as the help lists
+        self.groups: Mapping[str, Iterable[str]] = {}  # names of commands by title, for the help
 
     def add_commands(self) -> argparse._SubParsersAction[Parser]:
         self.commands = self.add_subparsers(metavar="COMMAND", required=True)
         return self.commands
 
-    def knows(self, option: str) -> bool:
-        """Whether an option is one of this parser's own."""
-        self.fill()
-        return option in self._option_string_actions
-
     def fill(self) -> Parser:
-        """Return it with its arguments, which are added late: a process reads one command."""
-        takes, self.takes = self.takes, None
-        if takes is not None:
-            for each in fields_of(takes):
+        """Return the parser with its arguments, added lazily: a process parses one command."""
+        signature, self._signature = self._signature, None
+        if signature is not None:
+            for each in arguments_of(signature):
                 self._add_field(each)
         return self
+
+    def knows(self, option: str) -> bool:
+        self.fill()
+        return option in self._option_string_actions
 
     def _add_field(self, field: Argument) -> None:
         name, kind = field.name, field.kind
         if field.switches:
             group = self.add_mutually_exclusive_group(required=True)
-            for word, text in field.switches.items():
+            for value, text in field.switches.items():
                 group.add_argument(
-                    f"--{word}", dest=name, action="store_const", const=word, help=text
+                    f"--{value}", dest=name, action="store_const", const=value, help=text
                 )
             return
         options: Json = {"help": field.help.replace("%", "%%")}
@@ -71,13 +70,13 @@ class Parser(argparse.ArgumentParser):
         elif get_origin(kind) is Literal:
             options["choices"] = get_args(kind)
         else:
-            options |= {"metavar": field.metavar, "type": field.read}
+            options |= {"metavar": field.metavar, "type": field.parse}
         if get_origin(kind) is tuple:
             options |= {"action": "append", "default": []}
-        if field.word:
-            self.add_argument(name, nargs=None if field.needed else "?", **options)
+        if field.positional:
+            self.add_argument(name, nargs=None if field.must_be_given else "?", **options)
         else:
-            self.add_argument(*field.names, dest=name, required=field.needed, **options)
+            self.add_argument(*field.names, dest=name, required=field.must_be_given, **options)
 
     def format_help(self) -> str:
         """Return the help, with the commands in their groups."""
@@ -86,7 +85,7 @@ class Parser(argparse.ArgumentParser):
         formatter = self._get_formatter()
         formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
         formatter.add_text(self.description)
-        actions = self.commands._choices_actions  # noqa: SLF001 - argparse lists them nowhere else
+        actions = self.commands._choices_actions  # noqa: SLF001 - argparse has no public list
         listed = {each.dest: each for each in actions}
         for title, names in self.groups.items():
             formatter.start_section(title)
@@ -99,14 +98,14 @@ class Parser(argparse.ArgumentParser):
         return formatter.format_help()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse unknown words first: argparse would name missing arguments in their place."""
+        """Refuse unknown words first: argparse would report missing arguments instead."""
         self.fill()
         self._refuse_unknown(sys.argv[1:] if args is None else args)
-        taken, rest = super().parse_known_args(args, namespace)
+        parsed, rest = super().parse_known_args(args, namespace)
         if rest:
             kind = "unknown option" if rest[0].startswith("-") else "unexpected argument"
             self.error(f"{kind} {rest[0][:80]}")
-        return taken, rest
+        return parsed, rest
 
     def _refuse_unknown(self, words: Sequence[str]) -> None:
         for word in words:
@@ -122,7 +121,7 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"unknown option {name[:80]}{self._nearest(name, known)}")
 
     def _refuse_early(self, name: str, words: Sequence[str]) -> None:
-        """Refuse an option that stands before the command to which it belongs."""
+        """Refuse an option of a command before that command."""
         choices = self.commands.choices if self.commands is not None else {}
         command = next((word for word in words if word in choices), "")
         if command and choices[command].knows(name):
@@ -131,7 +130,7 @@ class Parser(argparse.ArgumentParser):
     def _refuse_unknown_command(self, word: str, known: Iterable[str]) -> None:
         if word in known:
             return
-        from importlib.metadata import entry_points  # takes a third of the time of `--help`
+        from importlib.metadata import entry_points  # a third of the time of `--help`
 
         if word in entry_points(group="hilcell.procedures").names:
             self.error(f"{word} is a procedure; did you mean `{self.prog} run {word}`?")
@@ -139,8 +138,8 @@ class Parser(argparse.ArgumentParser):
 
     @staticmethod
     def _nearest(word: str, known: Iterable[str]) -> str:
-        """Return the end of a sentence that names the word that was meant; a beginning means it."""
-        from hilcell.cell.settings import did_you_mean  # `--help` does without it
+        """Return a suggestion, or "": a unique beginning counts as the whole word."""
+        from hilcell.cell.settings import did_you_mean  # not for `--help`
 
         known = list(known)
         begun = [each for each in known if each.startswith(word)]
@@ -150,14 +149,13 @@ class Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """Print an error, and where the arguments are listed, and end with exit code 2."""
-        # A URL in the place of another word may hold a password.
-        words = re.sub(r"(://[^:/@\s]*:)\S*@", r"\1***@", message)
-        print_message(f"{self.prog}: {words}\n`{self.prog} --help` lists what there is")
+        """Print an error and exit with code 2."""
+        text = re.sub(r"(://[^:/@\s]*:)\S*@", r"\1***@", message)  # passwords in URLs
+        print_message(f"{self.prog}: {text}\n`{self.prog} --help` lists all arguments")
         self.exit(EXIT_REFUSED)
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print the help or an error; raises `NotPrinted`, where argparse takes no notice."""
+        """Print the help or an error; raises `NotPrinted`, unlike argparse."""
         if file is not sys.stdout:
             super()._print_message(message, file)
             return
@@ -166,10 +164,10 @@ class Parser(argparse.ArgumentParser):
             sys.stdout.flush()
 
 
-def made(takes: type[Taken], values: Mapping[str, object]) -> Taken:
-    """Return what a command takes, of the values that its parser has read."""
-    found: dict[str, object] = {}
-    for name, hint in get_type_hints(takes).items():
-        value = made(hint, values) if is_signature(hint) else values[name]
-        found[name] = tuple(value) if isinstance(value, list) else value
-    return takes(**found)
+def build(signature: type[S], values: Mapping[str, object]) -> S:
+    """Return a signature with parsed values."""
+    fields: dict[str, object] = {}
+    for name, hint in get_type_hints(signature).items():
+        value = build(hint, values) if is_signature(hint) else values[name]
+        fields[name] = tuple(value) if isinstance(value, list) else value
+    return signature(**fields)

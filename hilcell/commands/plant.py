@@ -1,4 +1,4 @@
-"""``plant``: records of all cells in one database: made, filled, asked, exported, verified."""
+"""``plant``: the records of all cells in one database: create, fill, query, export, verify."""
 
 from __future__ import annotations
 
@@ -38,45 +38,45 @@ if TYPE_CHECKING:
         Change,
         Drift,
         Instrument,
-        RobotCourse,
-        StationCourse,
+        RobotTrend,
+        StationTrend,
     )
 
 
 def init(args: PlantInit) -> int:
-    """Make the tables of a plant's database, where they are not there."""
+    """Create the tables of a plant's database, unless they exist."""
     with closing(_open_database(args.plant)) as database:
-        before = database.make()
+        before = database.create()
     from hilcell.plant.tables import HEAD
 
-    words = "is up to date" if before else "made"
+    state = "is up to date" if before else "created"
     print_answer(
         {"plant": database.name, "schema": HEAD, "before": before or None},
-        f"plant database {database.name}: {words}, schema {HEAD}",
+        f"plant database {database.name}: {state}, schema {HEAD}",
         as_json=args.json,
     )
     return EXIT_OK
 
 
 def ship(args: PlantShip) -> int:
-    """Ship the runs of a folder that are over; exit code 7 where one could not be."""
+    """Ship the ended runs of a folder; exit code 7 if one was refused."""
     with closing(_open_database(args.plant)) as database:
-        from hilcell.plant.shipper import ship as ship_runs  # loads what may not be installed
+        from hilcell.plant.shipper import ship as ship_runs  # needs optional packages
 
         done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
     if done.waiting:
-        print_message(f"hilcell: not over yet, shipped after their end: {_names(done.waiting)}")
+        print_message(f"hilcell: not ended yet, to be shipped later: {_names(done.waiting)}")
     if done.behind:
         behind = [
-            f"{run} (here up to record {each.here}, there {each.plant})"
+            f"{run} (record {each.here} in the folder, {each.plant} in the database)"
             for run, each in done.behind.items()
         ]
         print_message(
-            f"hilcell: the plant has later records of {counted(len(behind), 'run')} than this "
-            f"folder: {_names(behind)}; the folder was restored from an older backup, or is a "
-            "copy; restore a newer one before using or resuming them"
+            f"hilcell: the database has later records of {counted(len(behind), 'run')} than this "
+            f"folder: {_names(behind)}; the folder is an old backup or a copy: restore a newer one "
+            "before using or resuming these runs"
         )
     if not (done.runs or done.before or done.waiting or done.refused):
         print_message(f"hilcell: no runs in {clean(str(args.runs))}")
@@ -91,42 +91,43 @@ def ship(args: PlantShip) -> int:
             "behind": {encodable(run): each._asdict() for run, each in done.behind.items()},
         },
         f"{counted(done.runs, 'run')} shipped with {counted(done.points, 'point')}, "
-        f"{done.before} there before, "
-        f"{len(done.waiting)} not over yet, {len(done.refused)} refused",
+        f"{done.before} shipped before, "
+        f"{len(done.waiting)} not ended yet, {len(done.refused)} refused",
         as_json=args.json,
     )
     return EXIT_STORAGE if done.refused else EXIT_OK
 
 
-def _names(every: Sequence[str]) -> str:
-    named = 3
-    more = f" and {len(every) - named} more" if len(every) > named else ""
-    return ", ".join(map(clean, every[:named])) + more
+def _names(names: Sequence[str]) -> str:
+    most = 3
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(clean, names[:most])) + more
 
 
 def show(args: PlantShow) -> int:
-    """Show what the plant's records say of cells, robots, stations, instruments and alarms."""
+    """Show cells, robots, stations, instruments and alarms of the plant's records."""
     with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
-            found = Answers.asked(connection, args)
+            overview = Overview.queried(connection, args)
     if args.json:
-        print_json(msgspec.to_builtins(found))
+        print_json(msgspec.to_builtins(overview))
         return EXIT_OK
-    if not found.cells:
+    if not overview.cells:
         print_message(f"plant database {database.name}: no runs were shipped yet")
         return EXIT_OK
-    print_table(Table(CELLS, found.cells))
-    print_table(Table(DRIFTS, [(each, drift) for each in found.robots for drift in each.drift]))
-    for each in found.robots:
+    robots = overview.robots
+    print_table(Table(CELLS, overview.cells))
+    print_table(Table(DRIFTS, [(each, drift) for each in robots for drift in each.drift]))
+    for each in robots:
         for what, reason in each.not_judged.items():
-            who = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
-            print_data(f"{who}: no drift stated of {what}: {reason}")
-    print_table(Table(STEPS, [(each, step) for each in found.robots for step in each.changes]))
-    print_table(Table(STATIONS, found.stations))
-    print_table(Table(INSTRUMENTS, found.instruments))
-    print_table(Table(ALARMS, found.alarms))
-    for doubt in found.doubts:
+            robot = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
+            print_data(f"{robot}: no drift of {what}: {reason}")
+    print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
+    print_table(Table(STATIONS, overview.stations))
+    print_table(Table(INSTRUMENTS, overview.instruments))
+    print_table(Table(ALARMS, overview.alarms))
+    for doubt in overview.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
     return EXIT_OK
 
@@ -136,8 +137,7 @@ def _require_packages(*names: str) -> None:
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
         raise HilcellError(
-            f"plant: not installed: {', '.join(missing)}; in a clone, `pip install '.[plant]'` "
-            "installs what it needs"
+            f"plant: not installed: {', '.join(missing)}; in a clone, run `pip install '.[plant]'`"
         )
 
 
@@ -147,7 +147,7 @@ def _open_database(url: str | None) -> Database:
     url = url or os.environ.get("HILCELL_PLANT", "")
     if not url:
         raise HilcellError(
-            "plant: no database is named; say its URL by --to or --from, or set HILCELL_PLANT: "
+            "plant: expected a database in --to, --from or HILCELL_PLANT: "
             "postgresql://USER@HOST/DATABASE or sqlite:///FILE"
         )
     from hilcell.plant.database import Database
@@ -156,18 +156,18 @@ def _open_database(url: str | None) -> Database:
 
 
 @dataclass(frozen=True)
-class Answers:
-    """The records' answers, each part a table."""
+class Overview:
+    """What `show` prints, each field a table."""
 
     cells: list[CellState]
-    robots: list[RobotCourse]
-    stations: list[StationCourse]
+    robots: list[RobotTrend]
+    stations: list[StationTrend]
     instruments: list[Instrument]
     alarms: list[AlarmCount]
     doubts: list[str]
 
     @classmethod
-    def asked(cls, connection: Connection, args: PlantShow) -> Self:
+    def queried(cls, connection: Connection, args: PlantShow) -> Self:
         from hilcell.plant.cells import cells, doubts
         from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
 
@@ -175,11 +175,11 @@ class Answers:
         states = cells(connection, datetime.now(UTC), args.max_age)
         names = sorted({state.cell for state in states})
         if cell and cell not in names:
-            raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
-        courses = robots(connection, robot, cell)
-        if robot and not courses:
+            raise HilcellError(f"unknown cell {cell[:80]!r}{did_you_mean(cell, names)}")
+        trends = robots(connection, robot, cell)
+        if robot and not trends:
             raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
-        places = {(each.cell, each.serial, each.machine) for each in courses}
+        places = {(each.cell, each.serial, each.machine) for each in trends}
         states = [
             state
             for state in states
@@ -188,7 +188,7 @@ class Answers:
         ]
         return cls(
             cells=states,
-            robots=courses,
+            robots=trends,
             stations=worse_stations(connection, cell, robot),
             instruments=instruments(connection, cell, robot),
             alarms=alarms(connection, cell, robot),
@@ -216,17 +216,17 @@ CELLS: tuple[Column[CellState], ...] = (
     Column("days left", _days),
     Column("last run", lambda each: f"{each.last_run}, {each.last_state}, {_day(each.last_ended)}"),
 )
-DRIFTS: tuple[Column[tuple[RobotCourse, Drift]], ...] = (
+DRIFTS: tuple[Column[tuple[RobotTrend, Drift]], ...] = (
     Column("robot", lambda row: row[0].robot),
     Column("cell", lambda row: row[0].cell),
     Column("calibrations", lambda row: row[0].calibrations, form="d"),
     Column("of", lambda row: row[1].what),
     Column("mm a year", lambda row: row[1].mm_per_year, form="+z.4f"),
     Column("U", lambda row: row[1].U_mm_per_year, form=".4f"),
-    Column("drifts", lambda row: "yes" if row[1].drifts else "no"),
+    Column("significant", lambda row: "yes" if row[1].drifts else "no"),
     Column("noise", lambda row: row[1].noise_mm, "mm", ".4f"),
 )
-STEPS: tuple[Column[tuple[RobotCourse, Change]], ...] = (
+STEPS: tuple[Column[tuple[RobotTrend, Change]], ...] = (
     Column("robot", lambda row: row[0].robot),
     Column("cell", lambda row: row[0].cell),
     Column("step of", lambda row: row[1].what),
@@ -234,13 +234,13 @@ STEPS: tuple[Column[tuple[RobotCourse, Change]], ...] = (
     Column("mm", lambda row: row[1].size_mm, form="+z.3f"),
     Column("U", lambda row: row[1].U_mm, form=".3f"),
     Column(
-        "first seen by",
+        "first in",
         lambda row: row[1].before if row[1].confirmed else f"{row[1].before} (one run only)",
     ),
-    Column("said then", lambda row: "\n".join(map(harmless, row[1].said))),
+    Column("messages then", lambda row: "\n".join(map(harmless, row[1].said))),
 )
-STATIONS: tuple[Column[StationCourse], ...] = (
-    Column("station that gets worse", attrgetter("station")),
+STATIONS: tuple[Column[StationTrend], ...] = (
+    Column("station with rising errors", attrgetter("station")),
     Column("cell", attrgetter("cell")),
     Column("mean", attrgetter("mean_mm"), "mm", ".3f"),
     Column("tolerance", attrgetter("tolerance_mm"), form="g"),
@@ -304,25 +304,24 @@ def verify(args: PlantVerify) -> int:
     for file, what in findings.items():
         print_message(f"{harmless(file)}: {harmless(what)}")
     count = len(manifest.files)
-    words = f"all {count} files are as they were signed"
+    text = f"all {counted(count, 'file')} verified"
     if findings:
-        words = f"{len(findings)} files are not as they were signed"
-        words = "1 file is not as it was signed" if len(findings) == 1 else words
+        text = f"{counted(len(findings), 'file')} not as signed"
     print_answer(
         {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
          "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,
          "findings": {encodable(file): encodable(what) for file, what in findings.items()}},
-        f"cell {harmless(manifest.cell)}: {words}, on {harmless(manifest.made)} by {manifest.key}",
+        f"cell {harmless(manifest.cell)}: {text}, on {harmless(manifest.made)} by {manifest.key}",
         as_json=args.json,
     )  # fmt: skip
     return EXIT_OUT_OF_TOLERANCE if findings else EXIT_OK
 
 
 def _passphrase() -> bytes | None:
-    """Ask for the passphrase of an encrypted key, where somebody is there to be asked."""
+    """Ask for the passphrase of an encrypted key, in a terminal."""
     if not (sys.stdin is not None and sys.stdin.isatty()):
         return None
     try:
         return getpass.getpass("passphrase of the key: ").encode()
-    except (EOFError, UnicodeError):  # nothing that could be one
+    except (EOFError, UnicodeError):
         return b""

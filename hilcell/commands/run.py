@@ -1,4 +1,4 @@
-"""``run`` and ``resume``: perform what is ordered, and print it; ask before a run goes on."""
+"""``run`` and ``resume``: run a procedure and print it; ask before a run is resumed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hilcell.run.engine import Engine, NewEngine, ResumedEngine
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.procedure import Procedure
 
-UNASKED = "nobody can be asked whether the robot may go on, for this is no terminal"
+UNASKED = "cannot ask for confirmation (not a terminal); the robot was not moved"
 
 
 def run(args: Order) -> int:
@@ -48,21 +48,21 @@ def resume(args: Resume) -> int:
     folder = find_run(args.runs, args.run)
     if live_engine(folder) is not None:
         return _resume_live(folder, args)
-    somebody = asks(args.attendance)
-    plan = args.check(folder, read_log(folder), somebody=somebody)
+    operator = can_ask(args.attendance)
+    plan = args.check(folder, read_log(folder), somebody=operator)
     with ResumedEngine(args, plan, print_message) as engine:
         log, plan = engine.journal.log, engine.plan
-        if plan.goes_on and not somebody:
+        if plan.goes_on and not operator:
             check_unasked(folder.name, log, plan.procedure, args.attendance)
         elif plan.goes_on:
-            if not agrees(folder.name, log, plan.procedure, plan.changes.inputs):
+            if not confirmed(folder.name, log, plan.procedure, plan.changes.inputs):
                 return EXIT_ABORTED
             engine.agree()
         return _performed(engine, as_json=args.json)
 
 
 def _performed(engine: Engine, *, as_json: bool) -> int:
-    """Run to an end, print it, and return its exit code."""
+    """Run to the end, print it, and return the exit code."""
     plan, log, name = engine.plan, engine.journal.log, engine.journal.run
     output = JsonOutput(name) if as_json else ProgressOutput(plan.folder, plan.points)
     code, fault, unclosed = engine.run(output)
@@ -76,97 +76,93 @@ def _performed(engine: Engine, *, as_json: bool) -> int:
 
 
 def _resume_live(folder: Path, args: Resume) -> int:
-    """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here.
+    """Let a live run continue; not confirmed here where it is unattended or a screen shows it.
 
-    A motion that was announced waits for a typed word, also where a screen is open.
+    An announced motion of a real robot always needs a typed "yes" or a screen.
     """
-    somebody, status = asks(args.attendance), order(folder, "status")
-    log, under_way = read_log(folder), status.state == "running" and not status.pausing
+    operator, status = can_ask(args.attendance), order(folder, "status")
+    log, in_progress = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     motion = awaited_motion(log)
-    if not somebody and motion and not log.inputs.simulated:
+    if not operator and motion and not log.inputs.simulated:
         raise HilcellError(
             f"run {folder.name}: {UNASKED}; it waits before a motion: {motion}; type "
-            f'"yes" at `{command_on(folder, "resume")}` in a terminal, or let it go on at '
+            f'"yes" at `{command_on(folder, "resume")}` in a terminal, or continue it in '
             "`hilcell tui`",
             code="HC-C31",
         )
-    if somebody or not (status.unattended or status.screens):
-        waits_for = log.life[-1].change.reason if log.life else ""
-        if not somebody:
+    if operator or not (status.unattended or status.screens):
+        reason = log.life[-1].change.reason if log.life else ""
+        if not operator:
             check_unasked(folder.name, log, procedure, args.attendance)
-        elif not under_way and not agrees(folder.name, log, procedure, [], waits_for):
+        elif not in_progress and not confirmed(folder.name, log, procedure, [], reason):
             return EXIT_ABORTED
-    seen = log.newest.seq if log.newest is not None else 0
+    newest = log.newest.seq if log.newest is not None else 0
     for key in args.retake:
         order(folder, "retake", key=key)
-    if under_way:
+    if in_progress:
         announced = log.happened(Announced)
         moving = announced[-1].motion if announced else _moves(log, procedure)
         print_message(
-            f"{kind_of(log)} {folder.name}: {log.state}; it waits for no answer, and nothing was "
-            f"asked of it. Under way: {moving}"
+            f"{kind_of(log)} {folder.name}: {log.state}; it waits for no answer, so none was "
+            f"sent. In progress: {moving}"
         )
         return 0
-    answer = order(folder, "proceed", until=seen)
-    print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
+    answer = order(folder, "proceed", until=newest)
+    print_message(f"run {folder.name}: asked to continue; it was {answer.state}")
     return 0
 
 
-def asks(attendance: Attendance) -> bool:
-    """Whether somebody is at a terminal to be asked: no script, and no screen, which asks itself.
-
-    ``--unattended`` says that nobody is there.
-    """
-    here = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    return here and not (attendance.unattended or attendance.screen)
+def can_ask(attendance: Attendance) -> bool:
+    """Whether an operator at this terminal can answer: no script, no screen, not unattended."""
+    terminal = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+    return terminal and not (attendance.unattended or attendance.screen)
 
 
 def check_unasked(run: str, log: Log, procedure: Procedure, attendance: Attendance) -> None:
-    """Refuse to let a real robot go on where somebody should be asked and nobody can be.
-
-    A simulated one moves nothing: scripts go on with it, and what moves is only said.
-    """
+    """Refuse to continue a real run without a confirmation; a simulated one moves nothing."""
     if attendance.unattended or attendance.screen:
         return
     if not log.inputs.simulated:
         raise HilcellError(
-            f"run {run}: {UNASKED}; resume it at a terminal or from `hilcell tui`, or add "
-            "--unattended where nobody is in the cell",
+            f"run {run}: {UNASKED}; resume it in a terminal or in `hilcell tui`, or add "
+            "--unattended if the cell is clear of people",
             code="HC-C31",
         )
     moves = _moves(log, procedure)
-    print_message(f"{kind_of(log)} {run}: nobody is asked, nothing real moves: {moves}")
+    print_message(f"{kind_of(log)} {run}: continues without confirmation, simulated: {moves}")
 
 
 def awaited_motion(log: Log) -> str:
-    """Return the announced motion for which a live run waits, "" where it waits for none."""
-    went_on = max((change.seq for change in log.life if change.to == "running"), default=0)
-    since = (each.fact for each in reversed(log.events) if each.seq > went_on)
+    """Return the announced motion for which a live run waits, or ""."""
+    resumed = max((change.seq for change in log.life if change.to == "running"), default=0)
+    since = (each.fact for each in reversed(log.events) if each.seq > resumed)
     return next((fact.motion for fact in since if isinstance(fact, Announced)), "")
 
 
-def agrees(
+def confirmed(
     run: str, log: Log, procedure: Procedure, changes: Sequence[str], reason: str = ""
 ) -> bool:
-    """Say what moves when the run goes on, and return whether the operator wants that.
+    """Print what will move, and return whether the operator confirms it.
 
-    ``reason`` is what a live run waits for. Real devices move by the full word alone.
+    ``reason``: why a live run waits. Real devices move only after a full "yes".
     """
     print_message(f"{kind_of(log)} {run}: {log.state}, {log.counted} points are measured")
     if reason:
         print_message(f"it waits: {reason}")
     for change in changes:
-        print_message(f"not as before: {change}")
+        print_message(f"changed: {change}")
     if reason and awaited_motion(log):
-        print_message("your answer is for this motion alone; the next one is asked for again")
+        print_message("your answer applies to this motion only")
     else:
         print_message(
-            f"what goes on: {_moves(log, procedure)}; the robot goes to its safe pose before the "
+            f"next: {_moves(log, procedure)}; the robot moves to its safe pose before the "
             "slide moves. Clear the cell, and stay at the E-stop."
         )
     real = not log.inputs.simulated
-    question = 'type "yes" to go on; any other answer moves nothing: ' if real else "go on? [y/N] "
+    question = (
+        'type "yes" to continue; other answers move nothing: ' if real else "continue? [y/N] "
+    )
     print(question, end="", file=sys.stderr, flush=True)
     answer = sys.stdin.readline().strip()
     if answer.lower() in (("yes",) if real else ("y", "yes")):
@@ -177,7 +173,7 @@ def agrees(
 
 
 def _moves(log: Log, procedure: Procedure) -> str:
-    """Return what moves in the step with which the run goes on."""
+    """Return the step with which the run continues, and what it moves."""
     begun = [each.number for each in log.happened(StepBegun)]
     number = min(begun[-1] if begun else 1, len(procedure.steps))
     step = procedure.steps[number - 1]

@@ -1,7 +1,6 @@
-"""Prints a run as it goes: events as JSON lines, or a progress bar and a table.
+"""Printing of a run while it runs and at its end: JSON lines, or a progress bar and a table.
 
-Output only listens: a closed pipe or a lost terminal never ends the run. Data that stdout did not
-take are reported at its end.
+A closed pipe or a lost terminal never ends the run; data missing on stdout are reported at the end.
 """
 
 from __future__ import annotations
@@ -49,12 +48,11 @@ from hilcell.run.stopping import not_at_rest
 from hilcell.sanitize import encodable, harmless, harmless_lines
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress
 
 
 class RunOutput:
-    """Takes every durable record of a run; this base class prints nothing."""
+    """Receives every durable record of a run; this base class prints nothing."""
 
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
@@ -71,10 +69,10 @@ class RunOutput:
         """Count the points that a resumed run already has."""
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
-        """Print the end where the journal could not store it."""
+        """Print the end if the journal could not store it."""
 
     def take(self, record: Record) -> None:
-        """Print one record; after a failed write nothing more is printed."""
+        """Print one record; nothing more after a failed write."""
         if not self._closed:
             try:
                 self.print_record(record)
@@ -113,8 +111,14 @@ class JsonOutput(RunOutput):
 
 
 def progress_bar() -> Progress:
-    """Return a bar on stderr with counts and times, which nobody need read."""
+    """Return a progress bar on stderr; nothing is printed once stderr is a broken pipe."""
     from rich import progress
+    from rich.console import Console
+
+    class Quiet(Console):
+        def on_broken_pipe(self) -> None:
+            """Continue: rich would end the thread that prints, which is the run's worker."""
+            self.quiet = True
 
     return progress.Progress(
         progress.TextColumn("{task.description}", markup=False),
@@ -122,7 +126,7 @@ def progress_bar() -> Progress:
         progress.MofNCompleteColumn(),
         progress.TimeElapsedColumn(),
         progress.TimeRemainingColumn(),
-        console=_console(),
+        console=Quiet(stderr=True),
     )
 
 
@@ -149,7 +153,7 @@ class ProgressOutput(RunOutput):
         self._show_measured()
 
     def _show_measured(self, description: str | None = None) -> None:
-        """Show the count; a point measured again counts once, a quick run may need more points."""
+        """Show the count: re-measured points count once; a quick run may exceed its plan."""
         count = len(self._measured)
         total = max(count, self._planned)
         self._progress.update(self._task, completed=count, total=total, description=description)
@@ -163,7 +167,7 @@ class ProgressOutput(RunOutput):
             case StateChanged() as change:
                 self._print_state(change)
             case FirstPassBegun(key=key, speed_percent=percent):
-                self._print(f"{key}: first pass outside of the cube, at {percent:g} %")
+                self._print(f"{key}: first pass outside the cube, at {percent:g} %")
             case PromiseJudged(port=port, promise=promise, verdict=verdict, why=why):
                 self._progress.update(self._task, description=harmless(f"{port} {promise}"))
                 if verdict == "broken":
@@ -179,33 +183,20 @@ class ProgressOutput(RunOutput):
         elif change.to == "checking":
             self._print("connecting; a tracker may take half a minute to initialise")
         elif change.to in WAITING:
-            for_what = f"{change.reason}; " if change.reason else ""
+            reason = f"{change.reason}; " if change.reason else ""
             if change.prompt is not None:
-                question = f"{change.prompt['title']}. {change.prompt['text']}"
-                for_what = f"{question} When it is done, "
-            go_on = f"`{command_on(self._folder, 'resume')}` goes on, ctrl-C stops"
-            self._print(f"{change.to}: {for_what}{go_on}")
+                reason = f"{change.prompt['title']}. {change.prompt['text']} When it is done, "
+            proceed = f"`{command_on(self._folder, 'resume')}` continues, ctrl-C stops"
+            self._print(f"{change.to}: {reason}{proceed}")
 
     def _print(self, text: str) -> None:
         self._console.print(harmless_lines(text), markup=False, highlight=False)
 
 
-def _console() -> Console:
-    """Return stderr for people; once nobody reads it any more nothing is printed."""
-    from rich.console import Console
-
-    class Quiet(Console):
-        def on_broken_pipe(self) -> None:
-            """Go on: rich would end the thread that prints, which is the run's worker."""
-            self.quiet = True
-
-    return Quiet(stderr=True)
-
-
 def print_end(
     folder: Path, log: Log, procedure: Procedure, output: RunOutput, fault: Exception | None
 ) -> None:
-    """Print how the run ended: its table on stdout, everything else on stderr."""
+    """Print the end of a run: its table on stdout, everything else on stderr."""
     if fault is not None:
         print_error(fault)
     if output.as_json:
@@ -218,10 +209,10 @@ def print_end(
     if log.end is not None and log.end.result and log.state == "finished":
         _print_result(procedure, output, log.end.result)
     for key, verdict in failed_verdicts(log.verdicts).items():
-        print_message(failed_words(key, verdict))
+        print_message(failure_text(key, verdict))
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
-    print_message(f"{kind_of(log)} {folder.name}: {ended_words(log)}; journal in {folder}")
+    print_message(f"{kind_of(log)} {folder.name}: {end_text(log)}; journal in {folder}")
 
 
 def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None:
@@ -230,12 +221,12 @@ def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None
         flush_data()
     except NotPrinted as error:
         output.lost = error
-    if words := procedure.words(result):
-        print_message(words)
+    if text := procedure.words(result):
+        print_message(text)
 
 
 def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
-    """Return the line that says how a run which ended early goes on; "" where it cannot."""
+    """Return how to resume a run that ended early; "" if it cannot be resumed."""
     if code not in RESUMABLE:
         return ""
     resume = command_on(folder, "resume")
@@ -243,14 +234,14 @@ def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
     if advised is None or advised.then != "new run":
         return f"resume with: {resume}"
     if isinstance(fault, StorageError | RecordingEnded):
-        return ""  # the journal takes no more, or the recording has no more
+        return ""  # the journal cannot be written, or the recording has ended
     return f"a new run is advised (hilcell explain {advised.code}); resume this one with: {resume}"
 
 
-def ended_words(log: Log) -> str:
-    """Return how a run ended: its state, and its outcome where it finished."""
+def end_text(log: Log) -> str:
+    """Return the state of an ended run, and its outcome if it finished."""
     if log.end is None:
-        return f"{log.state}, engine gone"
+        return f"{log.state}, its process has died"
     outcome = log.outcome
     if log.state != "finished":
         return outcome
@@ -258,7 +249,7 @@ def ended_words(log: Log) -> str:
 
 
 def failed_verdicts(verdicts: Mapping[str, Verdict]) -> dict[str, Verdict]:
-    """Return the verdicts that do not hold; of stations together only where none of them failed."""
+    """Return the failed verdicts; that of all stations together only if no station's failed."""
     failed = {key: verdict for key, verdict in verdicts.items() if not verdict.holds}
     together = f"{VALIDATION}{OTHERS}"
     if any(key.startswith(VALIDATION) and key != together for key in failed):
@@ -267,21 +258,21 @@ def failed_verdicts(verdicts: Mapping[str, Verdict]) -> dict[str, Verdict]:
 
 
 def print_suspected(log: Log) -> None:
-    """Print which cause the fault names that ended a run; a finished one's words have its own."""
+    """Print the suspected causes of a faulted run; the text of a finished one contains them."""
     if log.end is not None and log.state == "faulted":
         for each in suspected_in(log.end.result):
             print_message(f"Suspected: {each.text}.")
 
 
 def print_unclosed(problems: Mapping[str, Exception], fault: Exception | None) -> None:
-    """Print which devices could not be left at rest, where that is not the fault itself."""
+    """Print which devices were not left at rest, unless the fault says so."""
     error = not_at_rest(problems)
     if error is not None and str(error) != str(fault):
         print_error(error)
 
 
 def left_moving(log: Log) -> str:
-    """Return what the last session did not see at rest when it closed its devices; "" for all."""
+    """Return which devices the last session did not leave at rest, or ""."""
     closings = log.happened(Closed)
     last = closings[-1].problems if closings and log.over else {}
     problems = {name: HilcellError(text) for name, text in last.items()}
@@ -290,25 +281,24 @@ def left_moving(log: Log) -> str:
 
 
 def print_lost(folder: Path, output: RunOutput) -> None:
-    """Print that stdout did not take the run's data, and that none of them are lost."""
+    """Print that data are missing on stdout, and where they are complete."""
     if output.lost is not None:
         print_error(output.lost)
         print_message(
-            f"the journal in {folder} is whole: "
+            f"the journal in {folder} is complete: "
             f"`hilcell watch {quote(str(folder))} --json` prints it"
         )
 
 
 def kind_of(log: Log) -> str:
-    """Return how to name a run: a simulated one is always marked."""
     return "SIMULATED run" if log.inputs.simulated else "run"
 
 
-def failed_words(key: str, verdict: Verdict) -> str:
-    """Return a verdict that does not hold in words: its outcome, its subject, what decided."""
+def failure_text(key: str, verdict: Verdict) -> str:
+    """Return a failed verdict as text: its outcome, its subject, the decisive values."""
     code = code_of_verdict(key, verdict.outcome)
-    words = f"{verdict.outcome.words}: {verdict_label(key)}: {verdict.why}"
-    return f"{words} (hilcell explain {code})"
+    text = f"{verdict.outcome.words}: {verdict_label(key)}: {verdict.why}"
+    return f"{text} (hilcell explain {code})"
 
 
 def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool) -> None:

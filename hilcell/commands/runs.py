@@ -1,4 +1,4 @@
-"""The commands that look back: recorded runs, read from their journals."""
+"""The commands on recorded runs: list, show, compare, report, export, revoke."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from hilcell.sanitize import encodable, harmless
 
 
 def runs(args: ListRuns) -> int:
-    """List the runs of a folder, in the order of their names."""
+    """List the runs of a folder, sorted by name."""
     rows = read_index(args.runs)
     known = calibration_statuses(args.runs, rows)
-    listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
+    listed = sorted((row for row in rows if _selected(row, args)), key=lambda row: row.name)
     for note in clock_notes(rows):
         print_message(f"warning: {note}")
     if args.json:
         print_json({"runs": [_summary(row, known.get(row.name)) for row in listed]})
         return 0
     if not os.path.isdir(args.runs):  # noqa: PTH112 - Path.is_dir raises for a name too long
-        print_message(f"no runs: the folder of runs {args.runs} is not there")
+        print_message(f"no runs: the folder {args.runs} does not exist")
         return 0
     if not listed:
         print_message(f"no {'such ' if rows else ''}runs in {args.runs}")
@@ -61,12 +61,13 @@ def runs(args: ListRuns) -> int:
     return 0
 
 
-def _asked_for(row: RunRow, args: ListRuns) -> bool:
-    """Return whether a run is of the cell and operator, and as young, as was asked for."""
+def _selected(row: RunRow, args: ListRuns) -> bool:
     begun = _time(row.begun)
-    young = args.since is None or (begun is not None and begun >= args.since)
-    asked = ((args.cell, row.cell), (args.operator, row.operator))
-    return young and all(word is None or word.casefold() == own.casefold() for word, own in asked)
+    recent = args.since is None or (begun is not None and begun >= args.since)
+    names = ((args.cell, row.cell), (args.operator, row.operator))
+    return recent and all(
+        wanted is None or wanted.casefold() == own.casefold() for wanted, own in names
+    )
 
 
 def _time(begun: str) -> datetime | None:
@@ -76,7 +77,7 @@ def _time(begun: str) -> datetime | None:
 
 
 def _local(begun: str) -> str:
-    """Return a time of the index (UTC) in the zone of this PC."""
+    """Return a time of the index (UTC) in local time."""
     time = _time(begun)
     return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
 
@@ -96,18 +97,18 @@ LIST: tuple[Column[RunRow], ...] = (
 
 
 def _print_list(rows: list[RunRow], known: Mapping[str, CalibrationStatus]) -> None:
-    """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
+    """Print runs as a table, with fewer columns in a narrow terminal."""
     texts = {row.name: encodable(known[row.name].text) for row in rows if row.name in known}
     status = Column[RunRow](
         "calibration", lambda row: texts.get(row.name) if row.readable else None
     )
-    room, columns = terminal_columns(), [*LIST, status]
+    width, columns = terminal_columns(), [*LIST, status]
     for name in ("procedure", "exit", "points", "operator", "begun", "state", "calibration"):
-        if room is not None and width_of(Table(columns, rows)) > room:
+        if width is not None and width_of(Table(columns, rows)) > width:
             columns = [column for column in columns if column.name != name]
     print_table(Table(columns, rows))
     if len(columns) <= len(LIST):
-        print_message("a wider terminal, or --json, shows more of each run")
+        print_message("a wider terminal or --json shows more columns")
 
 
 def _summary(row: RunRow, status: CalibrationStatus | None) -> Json:
@@ -193,59 +194,58 @@ def show(args: Show) -> int:
 
 
 def _check(folder: Path, *, as_json: bool) -> int:
-    """Print each invariant, whether it holds and how often it was judged; 1 where one is broken."""
-    proofs = check_invariants(read_records(folder))
+    """Print each invariant, whether it is kept and how often it was checked; 1 if one is broken."""
+    results = check_invariants(read_records(folder))
     if as_json:
-        found = {
+        checks = {
             name: {
-                "holds": proof.holds,
-                "checked": proof.checked,
-                "broken": _listed(proof.broken),
-                "unproven": _listed(proof.unproven),
+                "holds": result.holds,
+                "checked": result.checked,
+                "broken": _listed(result.broken),
+                "unproven": _listed(result.unproven),
             }
-            for name, proof in proofs.items()
+            for name, result in results.items()
         }
-        print_json({"run": encodable(folder.name), "invariants": found})
+        print_json({"run": encodable(folder.name), "invariants": checks})
     else:
         columns: list[Column[tuple[str, InvariantResult]]] = [
             Column("", itemgetter(0)),
             Column("invariant", lambda row: INVARIANTS[row[0]]),
-            Column("holds", lambda row: _held(row[1])),
+            Column("kept", lambda row: _kept(row[1])),
             Column("checked", lambda row: row[1].checked, form="d"),
         ]
-        print_table(Table(columns, proofs.items()))
+        print_table(Table(columns, results.items()))
         most = 3  # violations of one invariant
-        for name, proof in proofs.items():
-            for word, breaks in (("broken", proof.broken), ("not proven", proof.unproven)):
+        for name, result in results.items():
+            for word, breaks in (("broken", result.broken), ("not verified", result.unproven)):
                 for each in breaks[:most]:
                     print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
                 if len(breaks) > most:
                     print_message(f"{name} {word} at {len(breaks) - most} more records")
-    return 0 if all(proof.holds for proof in proofs.values()) else 1
+    return 0 if all(result.holds for result in results.values()) else 1
 
 
 def _listed(breaks: Sequence[Violation]) -> list[Json]:
     return [{"record": each.seq, "what": encodable(each.what)} for each in breaks]
 
 
-def _held(verdict: InvariantResult) -> str:
-    """Return the verdict in words; an invariant that was never judged is not claimed."""
-    if not verdict.holds:
+def _kept(result: InvariantResult) -> str:
+    if not result.holds:
         return "BROKEN"
-    return "yes" if verdict.checked else "not checked"
+    return "yes" if result.checked else "not checked"
 
 
 # -- compare --------------------------------------------------------------------------------------
 
 
 def compare(args: Compare) -> int:
-    """Print the changes from the first run to the second; a drift is no failure of the command."""
+    """Print the changes from the first run to the second."""
     folders = [find_run(args.runs, name) for name in (args.first, args.second)]
     if folders[0].resolve() == folders[1].resolve():
-        raise HilcellError(f"run {folders[0].name} is both; expected two runs")
+        raise HilcellError(f"expected two runs, got run {folders[0].name} twice")
     first, second = (read_log(folder) for folder in folders)
-    lives, lives_too = (live_engine(folder) is not None for folder in folders)
-    found = compare_runs(first, second, live=(lives, lives_too))
+    live = [live_engine(folder) is not None for folder in folders]
+    found = compare_runs(first, second, live=(live[0], live[1]))
     names = [encodable(folder.resolve().name) for folder in folders]
     if args.json:
         changes = [
@@ -273,7 +273,7 @@ def compare(args: Compare) -> int:
 
 
 def report(args: Report) -> int:
-    """Write one self-contained HTML file, or print it to a PDF where it is named so."""
+    """Write one self-contained HTML file, or a PDF by its suffix."""
     from hilcell.report.html import PARTS, report_html
     from hilcell.report.pdf import find_browser, pages_of, pdf_of
 
@@ -282,11 +282,11 @@ def report(args: Report) -> int:
     browser = find_browser() if place.suffix.lower() == ".pdf" else ""
     facts = read_facts(folder)
     html = report_html(facts)
-    if browser:  # once to see on which page each part begins, once to say so
+    if browser:  # printed twice: first to read the page numbers
         html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
     content = pdf_of(html, browser) if browser else html.encode()
     write_whole(place, content, inputs=_files(folder))
-    _say_written("report", facts, folder, args.output)
+    _print_written("report", facts, folder, args.output)
     return 0
 
 
@@ -304,19 +304,19 @@ def export(args: Export) -> int:
     check_output(place, suffixes, what, inputs=_files(folder))
     facts = read_facts(folder)
     write_whole(place, written(facts), inputs=_files(folder))
-    _say_written(args.form, facts, folder, args.output)
+    _print_written(args.form, facts, folder, args.output)
     return 0
 
 
-def _say_written(what: str, facts: Facts, folder: Path, output: str) -> None:
-    print_message(f"{what} of run {facts.run} in {output}")
+def _print_written(what: str, facts: Facts, folder: Path, output: str) -> None:
+    print_message(f"{what} of run {facts.run} written to {output}")
     if facts.log.state != "finished":
         state = row_of(folder).condition
-        print_message(f"the run is {state}, not finished: it holds what was measured so far")
+        print_message(f"the run is {state}, not finished: {output} has the points up to now")
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return what a run is made of: none of it can be made again from the others."""
+    """Return the original files of a run, which must not be overwritten."""
     return [*folder.glob(f"{JOURNAL}*"), folder / CALIBRATION]
 
 
@@ -324,7 +324,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def revoke(args: Revoke) -> int:
-    """Revoke the calibration of a run, and name the one that is current then."""
+    """Revoke the calibration of a run, and print which one is current now."""
     folder = find_run(args.runs, args.run)
     log = read_log(folder)
     if not log.calibrates or live_engine(folder) is not None:
@@ -332,9 +332,7 @@ def revoke(args: Revoke) -> int:
             f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
         )
     if before := row_of(folder).facts.revoked:
-        raise HilcellError(
-            f"run {folder.name} is revoked already: {before}; its reason is kept", code="HC-J09"
-        )
+        raise HilcellError(f"run {folder.name} is already revoked: {before}", code="HC-J09")
     cell = f"cell {log.cell.name}"
     operator = ("--operator", args.operator) if args.operator else ()
     again = command_on(folder, "revoke", "--reason", args.reason, *operator)
@@ -353,18 +351,18 @@ def revoke(args: Revoke) -> int:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
         return 0
     machine = f" ({status.machine})" if status and status.machine else ""
-    none = f"{cell}{machine} has no current calibration any more"
-    left = f"current is {current}" if current else none
-    print_message(f"the calibration of run {folder.name} is revoked; {left}")
+    none = f"{cell}{machine} has no current calibration now"
+    now = f"the current one is {current}" if current else none
+    print_message(f"the calibration of run {folder.name} is revoked; {now}")
     return 0
 
 
 def _check_permission(folder: Path, again: str) -> None:
-    """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
+    """Raise `StorageError` where no record can be added; the lock is beside the run."""
     for place in (folder / JOURNAL, folder, folder.resolve().parent):
         why = ""
         if os.statvfs(place).f_flag & os.ST_RDONLY:
-            why = f"{place} lies on a read-only file system; mount it for writing"
+            why = f"{place} is on a read-only file system; mount it for writing"
         elif not os.access(place, os.W_OK):
             why = f"no permission to write {place}; ask its owner, or revoke as the owner"
         if why:

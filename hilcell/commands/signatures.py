@@ -1,4 +1,4 @@
-"""The signatures of all commands but `run`, apart from what they do: a parser needs them alone."""
+"""The arguments of all commands except `run` and `resume`: `hilcell.run.order` has theirs."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ from hilcell.arguments import (
     TARGETS,
     TOOL,
     Signature,
-    days,
-    folder,
-    moment,
-    name,
-    noted,
     option,
-    ports_of,
-    reason,
-    scheduler_of,
-    seed_of,
-    speed_of,
-    standoff_of,
-    stroke,
-    stroke_tolerance_of,
-    workers_of,
+    parse_days,
+    parse_folder,
+    parse_name,
+    parse_note,
+    parse_ports,
+    parse_reason,
+    parse_scheduler,
+    parse_seed,
+    parse_speed,
+    parse_standoff_mm,
+    parse_stroke_mm,
+    parse_stroke_tolerance_mm,
+    parse_time,
+    parse_workers,
 )
 from hilcell.run.order import Release
 
-HOLES_FILE: str = option(HOLES, "HOLES.csv", word=True)
+HOLES_FILE: str = option(HOLES, "HOLES.csv", positional=True)
 
 
 class OfRun(Signature):
-    """A run, and the folder where it is."""
+    """A run, and its folder of runs."""
 
     run: str = RUN
     runs: Path = RUNS
 
 
 class Pause(OfRun):
-    """Pause a live run after the point in flight."""
+    """Pause a live run after the present point."""
 
-    json: bool = option("print JSON: the engine's answer", default=False)
+    json: bool = option("print the run's answer as JSON", default=False)
 
 
 class Stop(Pause):
@@ -68,43 +68,43 @@ class Watch(OfRun):
 
 
 class Tui(Signature):
-    """The technician's screen: start, attach to or look at runs."""
+    """Open the screen: start, follow and inspect runs."""
 
     run: str = option(
-        "a run's name, its beginning, or `last` (default: the live one, else the form)",
+        "name of the run, its beginning, or `last` (default: the live run, else the start form)",
         "RUN",
         default="",
-        word=True,
+        positional=True,
     )
     runs: Path = RUNS
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
     theme: Literal["calm", "daylight", "contrast", "contrast-light"] = option(
-        "calm is safe for colour-blind eyes (default)", default="calm"
+        "colours; calm suits colour-blind users (default: calm)", default="calm"
     )
     colors: Literal["auto", "none", "16", "256", "truecolor"] = option(
-        "what the terminal can show (default: auto)", default="auto"
+        "colours of the terminal (default: auto)", default="auto"
     )
-    ascii: bool = option("no shapes beyond ASCII", default=False)
-    slow: bool = option("for thin links: once a second", default=False)
+    ascii: bool = option("use ASCII characters only", default=False)
+    slow: bool = option("update once a second, for slow links", default=False)
     keys: str = option(
-        "other keys (default: keys.toml in the user's configuration, where it exists)",
+        "key bindings (default: keys.toml in the user's configuration)",
         "FILE.toml",
         default="",
     )
 
 
 class Plan(Signature):
-    """Choose stations and orders for holes."""
+    """Choose stations for holes and the order of visits."""
 
     holes: str = HOLES_FILE
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
     tool: str = TOOL
-    free: bool = option("stations anywhere along the rail, too", default=False)
+    free: bool = option("allow stations anywhere along the rail", default=False)
     output: str = option("CSV: station,order,name", "OUT", default="", flags=OUTPUT)
     calibration: str = option(
-        "a run or calibration.json: no hole where `compensate` would refuse it",
+        "a run or calibration.json: plan only holes that `compensate` accepts",
         "CALIBRATION",
         default="",
     )
@@ -113,52 +113,51 @@ class Plan(Signature):
 
 
 class Prepare(Signature):
-    """Plan holes, correct them, and write a file of targets for each station."""
+    """Plan holes, correct them, and write the targets of each station."""
 
     holes: str = HOLES_FILE
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
     tool: str = TOOL
     standoff: float | None = option(
-        "along the outward normal, before and after each hole (default: the tool's of the "
-        "cell file, at least its drill's length plus 20; 100 for the reflector)",
+        "distance along the outward normal before and after each hole (default: that of the tool "
+        "in the cell file, at least the drill's length plus 20; 100 for the reflector)",
         "MM",
-        standoff_of,
+        parse_standoff_mm,
         default=None,
     )
     calibration: str = option("a run or calibration.json", "CALIBRATION")
-    output: str = option("a new folder, or an empty one", "FOLDER", flags=OUTPUT)
+    output: str = option("a new or empty folder", "FOLDER", flags=OUTPUT)
     release: Release
     json: bool = JSON
 
 
 class Compensate(Signature):
-    """Correct targets by a calibration."""
+    """Correct targets or a robot program by a calibration."""
 
-    calibration: str = option("a run or calibration.json", "CALIBRATION", word=True)
+    calibration: str = option("a run or calibration.json", "CALIBRATION", positional=True)
     targets: str = option(
         f"targets in {{W}}, header {TARGETS}; or a robot program of an installed format",
         "TARGETS.csv|PROGRAM",
-        word=True,
+        positional=True,
     )
     allow_stroke: float = option(
-        "how far a program's relative motions along the tool may lead from their point "
+        "longest relative motion of a program along the tool, from its point "
         f"(default: {STROKE_MM:g})",
         "MM",
-        stroke,
+        parse_stroke_mm,
         default=STROKE_MM,
     )
     stroke_tolerance: float | None = option(
-        "by how far these may miss, across and along, on all of their way (default: the 95 % "
-        "bound of their point)",
+        "largest error of such motions, across and along (default: the 95 % bound of their point)",
         "MM",
-        stroke_tolerance_of,
+        parse_stroke_tolerance_mm,
         default=None,
     )
-    station: str = option("where they are reached", "S")
+    station: str = option("station from which the targets are reached", "S")
     output: str = option("corrected targets, or program", "OUT", flags=OUTPUT)
     cell: str = option(
-        "refuse a calibration of another cell, and joint turns that change", "CELL", default=""
+        "cell of the calibration; also refuse changes of a joint's turn", "CELL", default=""
     )
     settings: tuple[tuple[str, str], ...] = SETTINGS
     tool: str = TOOL
@@ -168,71 +167,69 @@ class Compensate(Signature):
 
 
 class Show(OfRun):
-    """Show a run, computed from its journal."""
+    """Show a run and its results."""
 
-    check: bool = option(
-        "judge the run's invariants from its journal; exit 1 where one is broken", default=False
-    )
+    check: bool = option("check the run's invariants; exit 1 if one is broken", default=False)
     json: bool = JSON
 
 
 class ListRuns(Signature):
     """List the runs."""
 
-    cell: str | None = option("those of this cell, by its name", "NAME", default=None)
-    operator: str | None = option("those of this operator", "NAME", noted, default=None)
+    cell: str | None = option("only runs of this cell", "NAME", default=None)
+    operator: str | None = option("only runs of this operator", "NAME", parse_note, default=None)
     since: datetime | None = option(
-        "those that began at 2026-11-22 or later, or 2026-11-22T14:00, in local time",
+        "only runs that began on or after 2026-11-22 or 2026-11-22T14:00, in local time",
         "DATE",
-        moment,
+        parse_time,
         default=None,
     )
     runs: Path = RUNS
-    json: bool = option("print JSON: one object with all runs", default=False)
+    json: bool = option("print one JSON object with all runs", default=False)
 
 
 class Report(OfRun):
     """Write a run's report."""
 
     output: str = option(
-        "one file; FILE.pdf is printed by a browser of this machine", "FILE.html", flags=OUTPUT
+        "the report; FILE.pdf needs a browser on this PC", "FILE.html", flags=OUTPUT
     )
 
 
 class Export(OfRun):
-    """Export a run's tables."""
+    """Export a run's data."""
 
     form: Literal["csv", "xlsx", "json", "dcc"] = option(
         switches={
-            "csv": "the points",
-            "xlsx": "a workbook: run, points, frames, results",
-            "json": "everything",
-            "dcc": "a Digital Calibration Certificate (PTB, XML)",
+            "csv": "points",
+            "xlsx": "workbook of run, points, frames and results",
+            "json": "all data",
+            "dcc": "Digital Calibration Certificate (PTB, XML)",
         }
     )
-    output: str = option("where to write", "FILE", flags=OUTPUT)
+    output: str = option("the file to write", "FILE", flags=OUTPUT)
 
 
 class Compare(Signature):
-    """Compare two runs of a cell: the drift between them."""
+    """Compare two runs of a cell: what changed between them."""
 
-    first: str = option("the earlier run", "RUN", word=True)
-    second: str = option("the later run", "RUN", word=True)
+    first: str = option("earlier run", "RUN", positional=True)
+    second: str = option("later run", "RUN", positional=True)
     runs: Path = RUNS
     json: bool = JSON
 
 
 class Explain(Signature):
-    """Say what an alarm means, and what to do."""
+    """Explain an alarm and what to do."""
 
-    code: str = option("as shown beside the alarm: HC-R31", "CODE", word=True)
+    code: str = option("code of the alarm, such as HC-R31", "CODE", positional=True)
     json: bool = JSON
 
 
 class Revoke(OfRun):
     """Revoke the calibration of a run."""
 
-    reason: str = option("kept in the journal", "TEXT", reason)
+    reason: str = option("recorded in the journal", "TEXT", parse_reason)
     operator: str = NOTED
     json: bool = JSON
 
@@ -240,16 +237,18 @@ class Revoke(OfRun):
 class Check(Signature):
     """Check a cell file and its plan."""
 
-    cell: str = option("a built-in name or a TOML path", "CELL", word=True)
+    cell: str = option("built-in cell or cell file", "CELL", positional=True)
     settings: tuple[tuple[str, str], ...] = SETTINGS
     json: bool = JSON
 
 
 class Doctor(Signature):
-    """Check this PC before a run; nothing moves."""
+    """Check this PC; nothing moves."""
 
     cell: str = option(
-        "also connect once to each device of a real cell that no run uses", "CELL", default=""
+        "also check the device connections of a cell that is not in use",
+        "CELL",
+        default="",
     )
     settings: tuple[tuple[str, str], ...] = SETTINGS
     runs: Path = RUNS
@@ -257,72 +256,73 @@ class Doctor(Signature):
 
 
 class Sim(Signature):
-    """Run the simulated cell by itself."""
+    """Run a simulated cell on its own."""
 
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
-    seed: int = option("of the machine (default: 1)", "N", seed_of, default=1)
+    seed: int = option("seed of the machine (default: 1)", "N", parse_seed, default=1)
     machine_seed: int | None = MACHINE_SEED
-    truth: bool = option("the control channel answers what is true; for tests", default=False)
+    truth: bool = option("answer true values on the control channel (for tests)", default=False)
     speed: float = option(
-        "a factor of real time, or as fast as it goes (default: 1)", "X|max", speed_of, default=1.0
+        "a factor of real time, or unlimited (default: 1)",
+        "X|max",
+        parse_speed,
+        default=1.0,
     )
-    faults: str = option(
-        "faults to inject, TOML: docs/training.md has names and form", "FILE", default=""
-    )
-    train: bool = option("offer faults from a menu, to practise", default=False)
+    faults: str = option("TOML file of faults to inject (docs/training.md)", "FILE", default="")
+    train: bool = option("training: inject faults from a menu", default=False)
     ports: dict[str, int] | None = option(
-        "TCP ports of rail, robot, tracker, control (default: free ones)",
+        "TCP ports of rail, robot, tracker and control (default: free ports)",
         "NAME=PORT,...",
-        ports_of,
+        parse_ports,
         default=None,
     )
 
 
 class Completion(Signature):
-    """Print the script that completes commands in bash, zsh, fish or tcsh."""
+    """Print a completion script for bash, zsh, fish or tcsh."""
 
-    shell: Literal["bash", "zsh", "fish", "tcsh"] = option("the shell", word=True)
+    shell: Literal["bash", "zsh", "fish", "tcsh"] = option("shell", positional=True)
 
 
 class Fit(Signature):
-    """Fit measured data and judge the fit."""
+    """Identify a robot from measured data, without a run."""
 
-    robot: str = option("nominal DH rows, or URDF", "ROBOT.toml|ROBOT.urdf")
-    tip: str = option("of a URDF: the link where the arm ends", "LINK", default="")
-    train: str = option("measured rows to learn from", "A.csv")
-    test: str = option("rows to judge by (default: cross-validation)", "B.csv", default="")
-    urdf_out: str = option("write the URDF with the identified arm", "FILE", default="")
-    dh_out: str = option("write its DH table: CSV, or .json with covariance", "FILE", default="")
-    correct: str = option("correct poses or joints", "TARGETS.csv|PROGRAM", default="")
-    tool: str = option("the reflector that targets are meant for", "TARGET", default="")
+    robot: str = option("nominal DH rows or URDF", "ROBOT.toml|ROBOT.urdf")
+    tip: str = option("last link of the arm in a URDF", "LINK", default="")
+    train: str = option("training data", "A.csv")
+    test: str = option("test data (default: cross-validation)", "B.csv", default="")
+    urdf_out: str = option("write the identified arm as URDF", "FILE", default="")
+    dh_out: str = option("write its DH table: CSV, or JSON with covariance", "FILE", default="")
+    correct: str = option("poses or joints to correct", "TARGETS.csv|PROGRAM", default="")
+    tool: str = option("reflector to which the targets refer", "TARGET", default="")
     output: str = option("corrected targets, or program", "OUT", default="", flags=OUTPUT)
     bounds: str = BOUNDS
     json: bool = JSON
 
 
 class RunStudy(Signature):
-    """Simulate many cells before any exists: accuracy against minutes and money."""
+    """Simulate variants of a cell to weigh accuracy against time and cost."""
 
-    file: str = option("a study file (docs/study.md), or `report`", "FILE|report", word=True)
-    folder: str = option("results to report", "DIR", default="", word=True)
+    file: str = option("study file (docs/study.md), or `report`", "FILE|report", positional=True)
+    folder: str = option("folder of results to report", "DIR", default="", positional=True)
     workers: int | None = option(
-        "processes on this PC (default: one for each processor)", "N", workers_of, default=None
+        "processes on this PC (default: one per processor)", "N", parse_workers, default=None
     )
     scheduler: str | None = option(
-        "a Dask scheduler, tcp://HOST:PORT, whose workers measure",
+        "Dask scheduler that distributes the cases, tcp://HOST:PORT",
         "ADDRESS",
-        scheduler_of,
+        parse_scheduler,
         default=None,
     )
     output: str = option(
-        "folder of results (default: FILE-results); of a report its file "
+        "folder of results (default: FILE-results), or file of the report "
         "(default: DIR/report.html)",
         "OUT",
         default="",
         flags=OUTPUT,
     )
-    dry_run: bool = option("list the cases only", default=False)
+    dry_run: bool = option("only list the cases", default=False)
     json: bool = JSON
 
 
@@ -331,29 +331,29 @@ class Diagram(Signature):
 
 
 class Plant(Signature):
-    """Keep the records of all cells in one database, and ask it."""
+    """Collect the records of all cells in one database."""
 
 
 DATABASE = (
-    "the plant's database (default: HILCELL_PLANT): postgresql://USER@HOST/DATABASE, its password "
-    "in ~/.pgpass, or sqlite:///FILE"
+    "database of the plant: postgresql://USER@HOST/DATABASE, with the password in ~/.pgpass, or "
+    "sqlite:///FILE (default: HILCELL_PLANT)"
 )
 TO_PLANT = option(DATABASE, "URL", default=None, flags=("--to",))
 FROM_PLANT = option(DATABASE, "URL", default=None, flags=("--from",))
 
 
 class PlantInit(Signature):
-    """Make the tables, or bring them up to this version's."""
+    """Create the tables, or upgrade them to this version."""
 
     plant: str | None = TO_PLANT
     json: bool = JSON
 
 
 class PlantShip(Signature):
-    """Ship the runs that are over and not there yet."""
+    """Copy ended runs that the database lacks."""
 
     plant: str | None = TO_PLANT
-    runs: Path = option(RUNS_HELP, "DIR", folder, required=False, word=True)
+    runs: Path = option(RUNS_HELP, "DIR", parse_folder, required=False, positional=True)
     json: bool = JSON
 
 
@@ -361,30 +361,30 @@ class PlantShow(Signature):
     """Show cells, drift of robots, instruments and alarms."""
 
     plant: str | None = FROM_PLANT
-    cell: str | None = option("of this cell alone", "NAME", name, default=None)
+    cell: str | None = option("only this cell", "NAME", parse_name, default=None)
     robot: str | None = option(
-        "of this robot and what was with it alone", "SERIAL", name, default=None
+        "only this robot, its stations and instruments", "SERIAL", parse_name, default=None
     )
     max_age: float = option(
-        "how long a calibration is valid (default: 180)", "DAYS", days, default=180.0
+        "validity of a calibration (default: 180)", "DAYS", parse_days, default=180.0
     )
     json: bool = JSON
 
 
 class PlantExport(Signature):
-    """Write the record of one cell for an auditor, signed."""
+    """Write the signed record of one cell for an audit."""
 
     plant: str | None = FROM_PLANT
-    cell: str = option("name of the cell", "CELL", word=True)
-    serial: str | None = option("of the cell with this serial number", "SERIAL", default=None)
-    out: Path = option("a new place", "FOLDER|FILE.zip", Path, flags=("-o",))
-    key: Path = option("private key, Ed25519 in PEM", "KEYFILE", Path)
+    cell: str = option("name of the cell", "CELL", positional=True)
+    serial: str | None = option("serial number of the cell", "SERIAL", default=None)
+    out: Path = option("new folder or archive", "FOLDER|FILE.zip", Path, flags=("-o",))
+    key: Path = option("private key: Ed25519, PEM", "KEYFILE", Path)
     json: bool = JSON
 
 
 class PlantVerify(Signature):
-    """Verify an exported record: each file that differs, is missing or is extra."""
+    """Verify an exported record: list files that differ, are missing or were added."""
 
-    record: Path = option("what was exported", "FOLDER|FILE.zip", Path, word=True)
-    public_key: Path = option("the plant's, in PEM", "FILE", Path)
+    record: Path = option("exported record", "FOLDER|FILE.zip", Path, positional=True)
+    public_key: Path = option("public key of the plant: PEM", "FILE", Path)
     json: bool = JSON

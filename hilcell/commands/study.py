@@ -1,4 +1,4 @@
-"""``study``: a design study performed, and its answers."""
+"""``study``: run a design study, and print its results."""
 
 from __future__ import annotations
 
@@ -30,78 +30,78 @@ REPORT = "report"
 
 
 def study(args: RunStudy) -> int:
-    _check_words(args)
     try:
-        return _report(args) if args.file == REPORT else _perform(args)
+        _check_arguments(args)
+        return _report(args) if args.file == REPORT else _run(args)
     except ImportError as error:
         raise HilcellError(
-            f"study: {error.name or error} is not installed; in a clone, "
-            "`pip install '.[study]'` installs what it needs",
+            f"study: {error.name or error} is not installed; in a clone, run "
+            "`pip install '.[study]'`",
             code="HC-D03",
         ) from error
 
 
-def _check_words(args: RunStudy) -> None:
-    of_report = args.file == REPORT
+def _check_arguments(args: RunStudy) -> None:
+    report = args.file == REPORT
     options = {
         "--workers": args.workers,
         "--scheduler": args.scheduler,
         "--dry-run": args.dry_run,
     }
-    performing = [option for option, given in options.items() if given]
-    if of_report and not args.folder:
-        refusal = "study report: name the folder of results"
-    elif args.folder and not of_report:
+    given = [option for option, value in options.items() if value]
+    if report and not args.folder:
+        refusal = "study report: expected the folder of results"
+    elif args.folder and not report:
         refusal = (
-            f"study: {clean(args.folder)!r} is one word too many; results go to -o DIR, a report "
-            "is `hilcell study report DIR`"
+            f"study: unexpected argument {clean(args.folder)!r}; -o DIR sets the folder of "
+            "results, `hilcell study report DIR` writes a report"
         )
-    elif of_report and performing:
-        refusal = f"study report: {performing[0]} is for performing"
+    elif report and given:
+        refusal = f"study report: unexpected option {given[0]}"
     elif args.workers and args.scheduler:
-        refusal = "study: --workers are of this PC, --scheduler has workers of its own; name one"
+        refusal = "study: expected either --workers or --scheduler, got both"
     else:
         return
     raise HilcellError(refusal, code="HC-C11")
 
 
-def _perform(args: RunStudy) -> int:
+def _run(args: RunStudy) -> int:
     path = Path(args.file)
-    asked = read_study(path)
+    study = read_study(path)
     folder = Path(args.output) if args.output else path.with_name(f"{path.stem}-results")
     if args.dry_run:
-        return _dry_run(asked, as_json=args.json)
+        return _dry_run(study, as_json=args.json)
     from hilcell.study.results import Results
     from hilcell.study.tables import Summary
 
-    results = Results(folder, asked)
-    planned = asked.most_cases
+    results = Results(folder, study)
+    planned = study.most_cases
     with results.held():
-        kept = len(results.finished())
-        print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
-        if kept < planned:
+        finished = len(results.finished())
+        print_message(f"study {study.name}: {planned} cases, {finished} finished, in {folder}")
+        if finished < planned:
             from hilcell.study.cluster import Cluster
 
             try:
                 with interrupted_once() as check, _workers(args) as workers:
-                    counts = _measured(results, workers, planned, kept, check)
+                    counts = _measured(results, workers, planned, finished, check)
             except (Cluster, KeyboardInterrupt) as error:
                 lost = isinstance(error, Cluster)
-                if not len(results.finished()) > (kept if lost else 0):
+                if not len(results.finished()) > (finished if lost else 0):
                     raise
                 print_message(
-                    f"hilcell: {error if lost else 'interrupted'}; finished cases are kept, the "
-                    "same command goes on"
+                    f"hilcell: {error if lost else 'interrupted'}; finished cases are stored, the "
+                    "same command continues"
                 )
                 return EXIT_FAULT if lost else EXIT_ABORTED
             print_message(", ".join(f"{n} {state}" for state, n in sorted(counts.items())))
         else:
             results.merge()
-    return _answer(Summary(asked, results.rows()), as_json=args.json)
+    return _answer(Summary(study, results.rows()), as_json=args.json)
 
 
-def _dry_run(asked: Study, *, as_json: bool) -> int:
-    found = cases(asked)
+def _dry_run(study: Study, *, as_json: bool) -> int:
+    planned = cases(study)
     if as_json:
         listed = [
             {
@@ -111,13 +111,13 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
                 "seed": each.seed,
                 "settings": each.point.values,
             }
-            for each in found
+            for each in planned
         ]
-        print_json({"study": asked.name, "cases": listed})
+        print_json({"study": study.name, "cases": listed})
         return EXIT_OK
     from hilcell.study.tables import point_columns
 
-    point, *factors = point_columns(asked)
+    point, *factors = point_columns(study)
     columns: list[Column[Case]] = [
         Column("case", attrgetter("number"), form="d"),
         point,
@@ -126,12 +126,12 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
         *factors,
     ]
     most_listed = 1000  # a table of 65 536 takes half a minute
-    print_table(Table(columns, itertools.islice(found, most_listed)))
-    if more := sum(1 for _ in found):
+    print_table(Table(columns, itertools.islice(planned, most_listed)))
+    if more := sum(1 for _ in planned):
         print_message(f"{more} more cases; --json lists all")
-    if asked.optimise is not None:
+    if study.optimise is not None:
         print_message(
-            f"the search goes on from these; it measures {asked.most_cases} cases at most"
+            f"the search starts from these; it simulates at most {study.most_cases} cases"
         )
     return EXIT_OK
 
@@ -145,20 +145,20 @@ def _workers(args: RunStudy) -> AbstractContextManager[Workers]:
 
 
 def _measured(
-    results: Results, workers: Workers, planned: int, kept: int, check: Callable[[], None]
+    results: Results, workers: Workers, planned: int, finished: int, check: Callable[[], None]
 ) -> Counter[str]:
-    """Measure the cases that are left, with a progress bar on stderr; ``check`` may end it."""
+    """Simulate the remaining cases, with a progress bar on stderr; ``check`` may end it."""
     from hilcell.commands.run_output import progress_bar
     from hilcell.study.runner import perform
 
     with progress_bar() as progress:
-        task = progress.add_task(clean(results.study.name), total=planned, completed=kept)
+        task = progress.add_task(clean(results.study.name), total=planned, completed=finished)
 
-        def heard(_: object) -> None:
+        def on_progress(_: object) -> None:
             progress.advance(task)
             check()
 
-        return perform(results, workers, heard)
+        return perform(results, workers, on_progress)
 
 
 def _report(args: RunStudy) -> int:
@@ -179,7 +179,7 @@ def _report(args: RunStudy) -> int:
 
 
 def _answer(summary: Summary, *, as_json: bool) -> int:
-    """Print the answers; return whether every case was done, or cannot be."""
+    """Print the results; exit code 1 if a case failed or none was done."""
     from hilcell.study.case import DONE, FAILED
 
     if as_json:

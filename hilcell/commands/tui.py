@@ -1,4 +1,4 @@
-"""``tui``: the technician's screen."""
+"""``tui``: open the screen."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ from hilcell.journal.runs_folder import command_on
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
-COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they are others
-SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
+COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names that differ
+SWITCH_S = 0.0005  # longest wait of the thread that reads Esc for one that draws
 
 
 def tui(args: Tui) -> int:
-    """Show the technician's screen until it is left; raises what keeps it from opening."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise HilcellError(
             "tui: stdin and stdout must be a terminal; `hilcell watch` follows a run in a pipe"
         )
     keymap = load_keys(Path(args.keys) if args.keys else None)
-    writes = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
-    shapes = writes and has_unicode(os.environ, coerced=is_coerced()) and not args.ascii
-    glyphs = UNICODE if shapes else ASCII
+    utf8 = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+    unicode = utf8 and has_unicode(os.environ, coerced=is_coerced()) and not args.ascii
     variables = textual_environment(args.colors, os.environ)
     os.environ.pop("NO_COLOR", None)
     os.environ.update(variables)
@@ -38,7 +36,7 @@ def tui(args: Tui) -> int:
     options = Options(
         runs=args.runs,
         keymap=keymap,
-        glyphs=glyphs,
+        glyphs=UNICODE if unicode else ASCII,
         run=args.run,
         cell=args.cell,
         settings=tuple(f"{key}={value}" for key, value in args.settings),
@@ -54,22 +52,22 @@ def tui(args: Tui) -> int:
         raise app.refused
     if app.return_code:
         print_message(
-            "hilcell: the screen ended by a defect of its own; please report it. A live run is"
-            " not stopped by that: `hilcell tui last` shows it again"
+            "hilcell: the screen failed by a defect of its own; please report it. A live run "
+            "continues: `hilcell tui last` shows it"
         )
         return EXIT_INTERNAL
     for detached in app.detached:
-        again = command_on(args.runs / detached, "tui")
-        print_message(f"hilcell: detached; the run goes on: `{again}` shows it again")
+        command = command_on(args.runs / detached, "tui")
+        print_message(f"hilcell: detached; the run continues: `{command}` shows it")
     return 0
 
 
 def textual_environment(colours: str, environment: Mapping[str, str]) -> dict[str, str]:
     """Return the variables that Textual reads when it is imported.
 
-    ``environment`` must lose its own NO_COLOR: Textual obeys even an empty one.
+    NO_COLOR of ``environment`` must be removed: Textual obeys even an empty one.
     """
     if colours == "auto" and not has_colours(environment):
         colours = "none"
-    found = {"TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours), "TEXTUAL_ANIMATIONS": "none"}
-    return found | ({"NO_COLOR": "1"} if colours == "none" else {})
+    system = {"TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours), "TEXTUAL_ANIMATIONS": "none"}
+    return system | ({"NO_COLOR": "1"} if colours == "none" else {})

@@ -97,7 +97,7 @@ class Database:
         with self.transaction() as connection:
             self._check(connection)
 
-    def make(self) -> str:
+    def create(self) -> str:
         """Make the schema where there is none; return which it was before, or "".
 
         Raises `PlantAway` and `PlantError`.

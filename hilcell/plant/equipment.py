@@ -182,7 +182,7 @@ class Drift(msgspec.Struct, frozen=True, kw_only=True):
     noise_mm: float
 
 
-class RobotCourse(msgspec.Struct, frozen=True, kw_only=True):
+class RobotTrend(msgspec.Struct, frozen=True, kw_only=True):
     """One robot in one cell. ``not_judged`` says by quantity why no drift of it is stated."""
 
     robot: str
@@ -198,7 +198,7 @@ class RobotCourse(msgspec.Struct, frozen=True, kw_only=True):
     changes: list[Change]
 
 
-def robots(connection: Connection, robot: str = "", cell: str = "") -> list[RobotCourse]:
+def robots(connection: Connection, robot: str = "", cell: str = "") -> list[RobotTrend]:
     """Return the course of every robot that was calibrated, or of one by its serial number."""
     base = FRAME.alias("base")
     asked = (
@@ -221,7 +221,7 @@ class _Robots:
 
     connection: Connection
 
-    def robot(self, rows: Sequence[Found]) -> RobotCourse:
+    def robot(self, rows: Sequence[Found]) -> RobotTrend:
         newest = rows[-1]
         alike = [row for row in rows if row.places_mm == newest.places_mm]  # of the newest grid
         years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
@@ -246,7 +246,7 @@ class _Robots:
                 changes += [self._change(what, alike, step) for step in seen.steps]
             else:
                 not_judged[what] = hindrance(years, along_mm)
-        return RobotCourse(
+        return RobotTrend(
             robot=newest.robot, cell=newest.cell, serial=newest.serial, machine=newest.machine,
             calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
             left_out=len(rows) - len(alike), drift=drift,
@@ -300,7 +300,7 @@ class _Robots:
         }
 
 
-class StationCourse(msgspec.Struct, frozen=True, kw_only=True):
+class StationTrend(msgspec.Struct, frozen=True, kw_only=True):
     """A station whose mean error after correction grows: Kendall's test, Theil-Sen's slope.
 
     ``low`` and ``high`` bound the slope with 95 %; ``out_in_years`` is when its mean would leave
@@ -352,7 +352,7 @@ class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
     last: datetime
 
 
-def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> list[StationCourse]:
+def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> list[StationTrend]:
     """Return the stations whose error after correction grows from calibration to calibration."""
     asked = (
         select(*CELL, RUN.c.ended, VERDICT.c.key, VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm)
@@ -371,7 +371,7 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
     return [each for each in courses if each is not None]
 
 
-def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> StationCourse | None:
+def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> StationTrend | None:
     from scipy import stats  # it takes half a second to import, and most questions need none
 
     years = np.array([row.ended.timestamp() for row in rows]) / YEAR_S
@@ -383,7 +383,7 @@ def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> Statio
     now_mm, tolerance_mm = intercept + slope * float(years[-1]), rows[-1].mean_tolerance_mm
     left_mm = None if tolerance_mm is None else tolerance_mm - now_mm
     cell, serial, machine, station = place
-    return StationCourse(
+    return StationTrend(
         cell=cell, serial=serial, machine=machine, station=station, calibrations=len(rows),
         mean_mm=now_mm, tolerance_mm=tolerance_mm, mm_per_year=slope,
         low_mm_per_year=low, high_mm_per_year=high,

@@ -15,7 +15,7 @@ from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.calibration.position_errors import places, validation
 from hilcell.cell.file import Cell
-from hilcell.cell.undetectable_errors import unseen
+from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.labels import period_text
@@ -193,8 +193,8 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         "drift": drawn["nests"] or drawn["air"],
     }
     stations_title = ", ".join(name for name, there in named.items() if there).capitalize()
-    turns_over = TWO_FACES[0] in facts.log.verdicts
-    hidden = [] if targets.missing else unseen(facts.cell, turns_over=turns_over)
+    two_faces = TWO_FACES[0] in facts.log.verdicts
+    hidden = [] if targets.missing else undetectable_errors(facts.cell, two_faces=two_faces)
     return environment("hilcell.report").get_template("report.html.j2").render(
         **_first_page(facts, budget, targets),
         **drawn,

@@ -17,12 +17,12 @@ from hilcell.arguments import (
     RUNS,
     SETTINGS,
     Signature,
-    days,
-    finite,
     option,
-    run_name,
-    seed_of,
-    speed_of,
+    parse_days,
+    parse_finite,
+    parse_run_name,
+    parse_seed,
+    parse_speed,
 )
 from hilcell.sanitize import clean
 
@@ -35,47 +35,47 @@ if TYPE_CHECKING:
 class Attendance(Signature):
     """The operator, a screen and a recording at a run."""
 
-    unattended: bool = option("nobody is there to ask", default=False)
+    unattended: bool = option("no operator can answer questions", default=False)
     screen: bool = option(
-        "a screen has ordered this: nothing moves before one attends", default=False
+        "started by a screen: nothing moves before a screen is attached", default=False
     )
     record_wire: bool = option(
-        "keep all bytes to and from the devices, with times, beside the journal", default=False
+        "record all bytes to and from the devices, with times, beside the journal", default=False
     )
 
 
 class Order(Signature):
-    """Perform a procedure on a cell."""
+    """Run a procedure on a cell."""
 
-    procedure: str = option("the procedure (default: calibrate)", default="calibrate", word=True)
+    procedure: str = option("procedure (default: calibrate)", default="calibrate", positional=True)
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
     seed: int = option(
-        "of random targets; of the simulated machine, too, unless it has its own (default: 1)",
+        "seed of random targets, and of the simulated machine without --machine-seed (default: 1)",
         "N",
-        seed_of,
+        parse_seed,
         default=1,
     )
     machine_seed: int | None = MACHINE_SEED
     runs: Path = RUNS
     speed: float | None = option(
-        "of a simulated cell's time: a factor, or as fast as it goes (default: max)",
+        "speed of a simulated cell: a factor of real time, or as fast as possible (default: max)",
         "X|max",
-        speed_of,
+        parse_speed,
         default=None,
     )
     attendance: Attendance = Attendance()
     operator: str = NOTED
     name: str | None = option(
-        "the run's name and folder (default: made of time and procedure)",
+        "name of the run and its folder (default: from time and procedure)",
         "RUN",
-        run_name,
+        parse_run_name,
         default=None,
     )
-    job: str = option("kept in the journal", "ID", clean, default="")
+    job: str = option("recorded in the journal", "ID", clean, default="")
     accept_out_of_tolerance: bool = OUT_OF_TOLERANCE
     accept_not_current: bool = NOT_CURRENT
-    dry_run: bool = option("check and show the plan; open nothing", default=False)
+    dry_run: bool = option("check and print the plan only", default=False)
     json: bool = JSON_LINES
 
     def check(self, say: Callable[[str], object]) -> NewRun:
@@ -129,17 +129,17 @@ class Order(Signature):
 
 
 class Resume(Signature):
-    """Continue a run, or a paused one."""
+    """Continue an interrupted or paused run."""
 
     run: str = RUN
     runs: Path = RUNS
     attendance: Attendance = Attendance()
     accept_changes: bool = option(
-        "go on with another device, cell file or version of hilcell; the journal keeps it",
+        "continue with another device, cell file or version of hilcell; recorded in the journal",
         default=False,
     )
     retake: tuple[str, ...] = option(
-        "re-measure this point; may be repeated; opens a finished run again", "KEY", default=()
+        "re-measure this point, also of a finished run; repeatable", "KEY", default=()
     )
     json: bool = JSON_LINES
 
@@ -201,10 +201,13 @@ class Release(Signature):
     """The conditions under which a calibration is used, and where runs are."""
 
     temperature: float | None = option(
-        "the room's: refuse one further than 2 K from the calibrated", "T_C", finite, default=None
+        "ambient temperature: refuse a calibration made at one that differs by more than 2 K",
+        "T_C",
+        parse_finite,
+        default=None,
     )
     max_age: float = option(
-        "refuse an older calibration (default: 180)", "DAYS", days, default=180.0
+        "refuse an older calibration (default: 180)", "DAYS", parse_days, default=180.0
     )
     accept_out_of_tolerance: bool = OUT_OF_TOLERANCE
     accept_not_current: bool = NOT_CURRENT

@@ -112,7 +112,7 @@ async def run_command(*arguments: str) -> str:
     if process.returncode:
         reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
         words, _, hint = reason.partition("\n")
-        if hint.endswith("--help` lists what there is"):  # of a command line: nobody wrote it here
+        if hint.endswith("--help` lists all arguments"):  # of a command line: nobody wrote it here
             reason = words.partition(": ")[2].removeprefix("argument --")  # the field's name
         raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")
@@ -132,7 +132,7 @@ class DryRun(msgspec.Struct, frozen=True, kw_only=True):
 
 async def dry_run(order: Order) -> DryRun:
     """Return the plan of an order; raises `HilcellError` with every refusal."""
-    text = await run_command("run", *order.replace(dry_run=True, json=True).words())
+    text = await run_command("run", *order.replace(dry_run=True, json=True).command_line())
     return decoded(text.splitlines()[0], DryRun)
 
 

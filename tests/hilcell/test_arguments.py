@@ -8,15 +8,22 @@ from collections.abc import Callable
 
 import pytest
 
-from hilcell.arguments import days, finite, speed_of, standoff_of, stroke, stroke_tolerance_of
+from hilcell.arguments import (
+    parse_days,
+    parse_finite,
+    parse_speed,
+    parse_standoff_mm,
+    parse_stroke_mm,
+    parse_stroke_tolerance_mm,
+)
 
 RANGES: dict[Callable[[str], float], tuple[list[str], list[str]]] = {
-    finite: (["-1e300", "0"], ["inf", "-inf", "1e999"]),
-    days: (["0", "36500"], ["-0.1", "36500.1", "inf"]),
-    stroke: (["1e-9", "200"], ["0", "-1", "200.1", "inf"]),
-    stroke_tolerance_of: (["1e-9", "5"], ["0", "-1", "5.1", "inf"]),
-    standoff_of: (["1e-9", "1000"], ["0", "-1", "1000.1", "inf"]),
-    speed_of: (["1", "1e6", "max"], ["0.99", "1000001", "inf"]),
+    parse_finite: (["-1e300", "0"], ["inf", "-inf", "1e999"]),
+    parse_days: (["0", "36500"], ["-0.1", "36500.1", "inf"]),
+    parse_stroke_mm: (["1e-9", "200"], ["0", "-1", "200.1", "inf"]),
+    parse_stroke_tolerance_mm: (["1e-9", "5"], ["0", "-1", "5.1", "inf"]),
+    parse_standoff_mm: (["1e-9", "1000"], ["0", "-1", "1000.1", "inf"]),
+    parse_speed: (["1", "1e6", "max"], ["0.99", "1000001", "inf"]),
 }
 
 

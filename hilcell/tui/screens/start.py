@@ -23,7 +23,7 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widgets import Input, Label
 
-from hilcell.arguments import assignment, seed_of, speed_of
+from hilcell.arguments import parse_seed, parse_setting, parse_speed
 from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
 from hilcell.journal.labels import procedure_label, step_label, with_labels
@@ -79,8 +79,8 @@ class Entries:
                 procedure=self.procedure,
                 operator=clean(self.operator),
                 job=clean(self.job),
-                seed=seed_of(self.seed),
-                speed=speed_of(self.speed) if self.speed else None,
+                seed=parse_seed(self.seed),
+                speed=parse_speed(self.speed) if self.speed else None,
                 attendance=Attendance(unattended=not self.attended),
                 settings=settings,
                 runs=runs,
@@ -226,7 +226,7 @@ class StartScreen(BaseScreen):
     def order(self, entries: Entries) -> Order:
         """Return the order that the entries are; raises `HilcellError` for one that is none."""
         options = self.application.options
-        return entries.order(tuple(map(assignment, options.settings)), options.runs)
+        return entries.order(tuple(map(parse_setting, options.settings)), options.runs)
 
     def action_turn(self, step: int) -> None:
         """Choose in a choice; from a text field go to the next one, or to the one before."""
@@ -301,7 +301,7 @@ class StartScreen(BaseScreen):
 
         runs = self.application.options.runs
         run = new_run(order.procedure)
-        self.application.start_engine(runs / run, ["run", *order.replace(name=run).words()])
+        self.application.start_engine(runs / run, ["run", *order.replace(name=run).command_line()])
 
     @staticmethod
     def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
@@ -313,7 +313,7 @@ class StartScreen(BaseScreen):
     def _cell_of(name: str, settings: Sequence[str]) -> Cell | None:
         """Return the cell of a plan; None where its file cannot be read."""
         with suppress(HilcellError):
-            return load_cell(name, dict(map(assignment, settings)))
+            return load_cell(name, dict(map(parse_setting, settings)))
         return None
 
 

@@ -57,7 +57,7 @@ OTHERS = [("explain", "HC-J14"), ("diagram",), ("check", "paper", "--json"), ("-
 
 def lost(err: str) -> bool:
     """Whether the only line of a command's messages is that its output is lost."""
-    return err.startswith("hilcell: stdout: ") and err.count("\n") == 1
+    return err.startswith("hilcell: stdout ") and err.count("\n") == 1
 
 
 @needs_full
@@ -72,7 +72,7 @@ def test_a_command_into_a_full_disk_is_exit_7(
     with full() as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
         assert main(given) == 7
-    assert f"hilcell: stdout: cannot be written: {os.strerror(errno.ENOSPC)}" in (
+    assert f"hilcell: stdout cannot be written: {os.strerror(errno.ENOSPC)}" in (
         capsys.readouterr().err
     )
 
@@ -172,7 +172,7 @@ def test_a_run_into_a_full_disk_ends_with_exit_7_and_a_whole_journal(
     end = read_journal(tmp_path / "r" / JOURNAL)[-1]
     assert (end.kind, end.body["state"], end.body["exit"]) == ("end", "finished", 0)
     err = capsys.readouterr().err
-    assert "hilcell: stdout: " in err
+    assert "hilcell: stdout " in err
     assert "resume" not in err
 
 

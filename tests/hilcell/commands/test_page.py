@@ -9,7 +9,7 @@ from typing import Literal
 import pytest
 
 from hilcell import errors
-from hilcell.arguments import Signature, fields_of, option, seed_of
+from hilcell.arguments import Signature, arguments_of, option, parse_seed
 from hilcell.commands.cli import EXITS, GROUPS, OWN_EXITS, PLANT
 from hilcell.commands.manual import page
 
@@ -26,7 +26,7 @@ def test_every_command_and_option_stands_in_it() -> None:
     commands = [each for group in GROUPS.values() for each in group.items()]
     for name, (takes, _) in [*commands, *((f"plant {name}", each) for name, each in PLANT.items())]:
         section = text.partition(f"### hilcell {name}\n")[2].partition("\n### ")[0]
-        fields = [each for each in fields_of(takes) if not each.word]
+        fields = [each for each in arguments_of(takes) if not each.positional]
         for given in (each for field in fields for each in field.names):
             assert f"`{given}" in section or f", {given}" in section
 
@@ -34,8 +34,8 @@ def test_every_command_and_option_stands_in_it() -> None:
 class Sample(Signature):
     """Try."""
 
-    word: str = option("a|b", "A|B", word=True)
-    runs: int = option("how often (default: by day (or night) 3)", "N", seed_of, default=3)
+    word: str = option("a|b", "A|B", positional=True)
+    runs: int = option("how often (default: by day (or night) 3)", "N", parse_seed, default=3)
     shape: Literal["round", "flat"] = option("its shape", default="flat")
     two: str = option("one (default: x); other (default: y)", default="")
     form: Literal["csv", "json"] = option(switches={"csv": "rows", "json": "all"})
@@ -49,13 +49,13 @@ def test_a_section_has_usage_and_defaults(monkeypatch: pytest.MonkeyPatch) -> No
     assert "hilcell try A|B (--csv | --json) -o OUT [OPTIONS]\n" in text
     rows = re.findall(r"^\| `(.*)` \| (.*) \| (.*) \|$", text, re.MULTILINE)
     assert rows == [
-        ("A\\|B", "a\\|b", "must be given"),
+        ("A\\|B", "a\\|b", "required"),
         ("--runs N", "how often", "by day (or night) 3"),
         ("--shape {round,flat}", "its shape", "flat"),
         ("--two TWO", "one (default: x); other (default: y)", ""),
         ("--csv", "rows", "one of these"),
         ("--json", "all", "one of these"),
-        ("-o, --output OUT", "where", "must be given"),
+        ("-o, --output OUT", "where", "required"),
         ("--quick", "hurry", ""),
     ]
 
@@ -67,7 +67,7 @@ def test_a_default_in_words_is_the_one_that_counts() -> None:
     stated = {
         (each.__name__, field.name): (float(words[1]), field.default)
         for each in takes
-        for field in fields_of(each)
+        for field in arguments_of(each)
         if (words := re.search(r"\(default: ([\d.]+)\)", field.help))
     }
     assert len(stated) > 5

@@ -16,7 +16,7 @@ from hilcell.commands.cli import main
 from hilcell.commands.run_output import (
     ProgressOutput,
     RunOutput,
-    failed_words,
+    failure_text,
     how_to_resume,
     print_end,
 )
@@ -150,7 +150,7 @@ POSITION = {
 def test_a_verdict_that_does_not_hold_is_printed_with_its_figures(
     key: str, more: dict[str, Any], words: str
 ) -> None:
-    printed = failed_words(key, verdict_of(key, more))
+    printed = failure_text(key, verdict_of(key, more))
     assert [word for word in words.split() if word not in printed] == []
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.commands.cli import read
-from hilcell.commands.parser import made
+from hilcell.commands.parser import build
 from hilcell.run.order import Attendance, Order, Resume
 
 # Also names that look like options, and nothing that `clean` would change.
@@ -36,13 +36,13 @@ ORDERS = st.builds(
 
 @given(order=ORDERS)
 def test_an_order_is_read_from_its_words(order: Order) -> None:
-    _, takes, values = read(["run", *order.words()])
+    _, takes, values = read(["run", *order.command_line()])
     values["runs"] = values["runs"] or order.runs
-    assert made(takes, values) == order
+    assert build(takes, values) == order
 
 
 def test_an_order_says_only_what_differs() -> None:
     order = Order(procedure="home", runs=Path("r"), speed=math.inf, settings=(("a.b", "c"),))
-    assert order.words() == ["home", "--set=a.b=c", "--runs=r", "--speed=max"]
+    assert order.command_line() == ["home", "--set=a.b=c", "--runs=r", "--speed=max"]
     resume = Resume(run="last", runs=Path("r"), attendance=Attendance(unattended=True))
-    assert resume.words() == ["last", "--runs=r", "--unattended"]
+    assert resume.command_line() == ["last", "--runs=r", "--unattended"]

@@ -29,7 +29,7 @@ def blank(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return an office's database that holds nothing yet."""
     file = tmp_path_factory.mktemp("office") / "plant.db"
     with closing(Database(f"sqlite:///{file}")) as database:
-        database.make()
+        database.create()
     return file
 
 
@@ -47,7 +47,7 @@ def _server() -> Iterator[Server]:
         pytest.skip(MISSING)
     with server() as found:
         with closing(Database(found.make(BLANK))) as database:
-            database.make()
+            database.create()
         yield found
 
 

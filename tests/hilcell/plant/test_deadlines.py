@@ -125,9 +125,9 @@ def test_a_server_that_freezes_in_a_migration_is_named(
     with closing(Database(postgresql.make())) as database:
         freezer = Freezer(postgresql, database, "before_cursor_execute", 1, "CREATE TABLE point")
         with pytest.raises(PlantAway, match=STILL):
-            database.make()
+            database.create()
         freezer.thaw()
-        assert database.make() == ""
+        assert database.create() == ""
         with monkeypatch.context() as patch, database.transaction(migrating=True) as connection:
             for name in ("ORDER_S", "SLACK_S"):
                 patch.setattr(deadlines, name, SHORT_S)

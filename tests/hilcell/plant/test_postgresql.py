@@ -115,7 +115,7 @@ def test_tables_are_made_once_in_any_encoding_and_in_months(
             owner.execute(made.encode())
         model.write(runs / name, Run("a", "Köln", "HC-1", NOW))
         with closing(Database(postgresql.url(name))) as database:
-            database.make()
+            database.create()
             assert ship(runs / name, database).runs == 1
             with database.transaction() as connection:
                 assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
@@ -140,7 +140,7 @@ def _two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None
 
     def make() -> None:
         with closing(Database(url)) as other:
-            made.append(other.make())
+            made.append(other.create())
 
     second = threading.Thread(target=make)
 
@@ -154,7 +154,7 @@ def _two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None
 
     with closing(Database(url)) as database:
         event.listen(database.engine, "before_cursor_execute", wait)
-        assert database.make() == ""
+        assert database.create() == ""
     second.join()
     assert made == [HEAD]
 

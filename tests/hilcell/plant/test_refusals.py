@@ -148,11 +148,11 @@ def test_an_office_s_tables_are_made_whole_or_not_at_all(tmp_path: Path) -> None
     with closing(Database(f"sqlite:///{tmp_path}/plant.db")) as database:
         event.listen(database.engine, "before_cursor_execute", full)
         with pytest.raises(PlantAway):
-            database.make()
+            database.create()
         with closing(sqlite3.connect(tmp_path / "plant.db")) as base:
             assert base.execute("SELECT name FROM sqlite_master").fetchall() == []
         event.remove(database.engine, "before_cursor_execute", full)
-        database.make()
+        database.create()
         database.check()
 
 

@@ -37,7 +37,7 @@ def test_a_defect_of_the_screen_is_reported_and_fails(
     assert main(["tui", "--runs", str(tmp_path)]) == 5
     reported = capsys.readouterr().err
     assert DEFECT in reported
-    assert "`hilcell tui last` shows it again" in reported.replace("\n", " ")
+    assert "`hilcell tui last` shows it" in reported.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ RUNS = Path("r")
 @given(operator=TYPED, job=TYPED, attended=st.booleans())
 def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) -> None:
     entries = replace(ENTRIES, operator=operator, job=job, attended=attended)
-    found = whole_parser().parse_args(["run", *entries.order((("a.b", "c"),), RUNS).words()])
+    found = whole_parser().parse_args(["run", *entries.order((("a.b", "c"),), RUNS).command_line()])
     assert (found.operator, found.job) == (clean(operator), clean(job))
     assert (found.cell, found.procedure, found.seed) == ("paper", "home", 1)
     assert found.settings == [("a.b", "c")]
@@ -41,12 +41,12 @@ def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) 
 @pytest.mark.parametrize("name", ["--unattended", "-x", "---", "=", "a b", "[/nope]"])
 def test_names_that_look_like_options_are_names(name: str) -> None:
     order = replace(ENTRIES, operator=name, job=name).order((), RUNS)
-    found = whole_parser().parse_args(["run", *order.words()])
+    found = whole_parser().parse_args(["run", *order.command_line()])
     assert (found.operator, found.job, found.unattended) == (name, name, False)
 
 
 def test_speed_is_named_only_where_it_is_chosen() -> None:
-    assert "--speed" not in " ".join(ENTRIES.order((), RUNS).words())
+    assert "--speed" not in " ".join(ENTRIES.order((), RUNS).command_line())
     assert replace(ENTRIES, speed="10").order((), RUNS).speed == 10.0
 
 
