@@ -380,7 +380,7 @@ def verdicts(facts: Facts) -> Table:
     """Return the verdicts, with the figures behind them."""
     columns: tuple[Column[tuple[str, Verdict]], ...] = (
         Column("judged", lambda row: verdict_label(row[0])),
-        Column("verdict", lambda row: "holds" if row[1].holds else "does not hold"),
+        Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
         Column("by", lambda row: with_signs(row[1].words)),
     )
     return Table(columns, facts.log.verdicts.items(), "Verdicts")

@@ -399,7 +399,7 @@ class HilcellApp(Application):
             self._close_questions()
             # The key's own thread has stopped already: its engine may be gone by now.
             heard = sent or self.open_runs.stop_received
-            notice = "STOP: no engine is there to hear it"
+            notice = "STOP: no engine received it"
             if heard:
                 notice = "STOP sent" if sent else "stopped: the engine has ended"
             if any(session.view.state == "silent" for session in live):

@@ -152,9 +152,9 @@ async def a_fault(tmp_path: Path) -> None:
 async def a_prompt(tmp_path: Path) -> None:
     words = ("world-frame", *sets(BY_HAND), *WORDS)
     async with cell_and_screen(tmp_path, BY_HAND, words) as (cell, pilot):
-        await until(pilot, "sees nothing")
+        await until(pilot, "not visible")
         assert cell.ask(do="seat", place="F1")["ok"]
-        await until(pilot, "tracker sees it")
+        await until(pilot, "reflector visible")
         keep(app_of(pilot), "screen-prompt")
 
 

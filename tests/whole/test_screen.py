@@ -179,11 +179,11 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
         with screen(tmp_path, *words) as terminal:
             start(terminal, "\x1b[F")  # the last procedure: world-frame
             for nest in ("F1", "F2", "F3", "B1", "B2"):
-                terminal.shows(f"Seat the reflector in {nest}", "sees nothing")
+                terminal.shows(f"Seat the reflector in {nest}", "not visible")
                 terminal.press(ENTER)
-                terminal.shows("Enter works when the tracker sees")
+                terminal.shows("Enter works once the tracker measures")
                 assert cell.ask(do="seat", place=nest)["ok"]
-                terminal.shows("● tracker sees it")
+                terminal.shows("● reflector visible")
                 terminal.answer(ENTER)
             terminal.shows("● DONE")
         assert judged(folder_of(tmp_path)) == []

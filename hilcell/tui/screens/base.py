@@ -154,8 +154,8 @@ class Application(App[int]):
         elif self.live and self.open_runs.background is None:
             self.ask(
                 "A run is live.",
-                "It goes on while you look at another one; Esc still stops it, q goes back to it.",
-                "look at the other",
+                "It goes on in the background; Esc still stops it, q shows it again.",
+                "show the other run",
                 lambda: self.attach(folder),
             )
         else:
@@ -256,12 +256,12 @@ class Application(App[int]):
             from hilcell.tui.text.prompt import lost_devices
 
             lost = lost_devices(session.view)
-            waits = "the tracker sees the reflector in its place"
+            waits = "the tracker measures the reflector in its nest"
             if lost:
                 waits = f"no device is lost; now: {lost}"
-            self.show_notice(f"Enter works when {waits}", for_now=True)
+            self.show_notice(f"Enter works once {waits}", for_now=True)
         elif not self.key_is_deliberate:
-            self.show_notice("Enter in one burst with other keys is no answer: press it by itself")
+            self.show_notice("Enter was ignored, as part of a burst of keys: press it alone")
         else:
             self.start_task(self._ask_once_more(session))
 
@@ -285,7 +285,7 @@ class Application(App[int]):
         else:
             self.ask(
                 "Open this run again and re-measure the point?",
-                f"{point}: the devices are connected, the control points proved, the robot moves.",
+                f"{point}: devices are connected, control points verified; the robot moves.",
                 "re-measure",
                 lambda: self.resume_run("--retake", key),
             )
@@ -310,7 +310,7 @@ class Application(App[int]):
         self.start_task(watch())
 
     async def _ask_once_more(self, session: Session) -> None:
-        self.show_notice("the tracker looks once more ...")
+        self.show_notice("the tracker measures once more ...")
         await run_in_thread(session.ask, "answer")
         self.show_notice("")
 

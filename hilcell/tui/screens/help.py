@@ -30,14 +30,14 @@ LINES = (
     ("last rows", "the worst alarm, or the next step; acts; views; a grey key does nothing"),
     ("points", "all points; up and down choose, Enter opens one"),
     ("as sent", "before the correction; paper method: corrected as the paper does"),
-    ("corrected", "by the correction that is used; this alone is held against the tolerance"),
+    ("corrected", "by the correction that is used; this alone is compared with the tolerance"),
     ("point's state", "in, ok; OUT: over its limit; noisy: its readings scatter too much"),
     ("waits, again", "the point is to be re-measured; it was re-measured"),
 )
 STORY = f"""\
 A first calibration: choose {procedure_label("calibrate")}, type your name, then Enter twice.
 When it is DONE: look at the largest errors and find their cause, then write the report.
-After a FAULT: read the alarm, put it right, then resume. Measured points are kept."""
+After a FAULT: read the alarm, remedy its cause, then resume. Measured points are kept."""
 
 
 def help_lines(
@@ -59,7 +59,7 @@ def help_lines(
     for title, pairs in fixed.items():
         parts += [BLANK, (f"Keys of {title}", "bold")]
         parts.append(Grid((((key, "bold"), words) for key, words in pairs), Col(9), text))
-    parts += [BLANK, ("What the screen says", "bold")]
+    parts += [BLANK, ("What the screen shows", "bold")]
     parts.append(Grid((((name, "bold"), words) for name, words in LINES), Col(17), text))
     states = "  ".join(f"{glyphs.states[key]} {word}" for key, (word, _) in STATES.items())
     return Stack(*parts, BLANK, ("States", "bold"), states)

@@ -275,7 +275,7 @@ class PlotPage(Page):
         ("◄ ►", "other plot"),
         (f"1-{MOST_TABS}", "choose"),
         ("S", "station"),
-        ("g", "log or even scale"),
+        ("g", "log/linear scale"),
         ("v", "series on or off"),
         *Page.fixed,
     )
@@ -346,7 +346,7 @@ class PlotPage(Page):
             self._choice.turned[self._choice.tab] += 1
         else:
             why = "its values are not all above zero"
-            self.show_notice(f"this plot has an even scale only: {why}")
+            self.show_notice(f"this plot has a linear scale only: {why}")
         self._draw_again()
 
     def _draw_again(self) -> None:

@@ -44,8 +44,8 @@ from hilcell.tui.widgets import Choice, TextField, TextPanel
 
 FIELDS = (  # name, first entry, hint; the procedure stands after the cell
     ("cell", "paper", "a built-in cell, or a TOML file"),
-    ("operator", "", "kept in the journal"),
-    ("job", "", "kept in the journal"),
+    ("operator", "", "recorded in the journal"),
+    ("job", "", "recorded in the journal"),
     ("seed", "1", "of random targets"),
 )
 WATCHED = ("yes, I am here", "no, unattended")
@@ -288,7 +288,7 @@ class StartScreen(BaseScreen):
         if self.app.screen is not self:
             return  # left meanwhile
         if plan is None:
-            self.show_notice("nothing is started: the checks say why")
+            self.show_notice("not started: see the checks")
             return
         order = self.order(entries)
         self.app.push_screen(
@@ -333,7 +333,11 @@ class PlanSummary(Confirm):
     @staticmethod
     def text(order: Order, plan: process.DryRun) -> Content:
         unattended = order.attendance.unattended
-        who = "unattended: a question is a fault" if unattended else "somebody is here to be asked"
+        who = (
+            "unattended: a question is a fault"
+            if unattended
+            else "attended: an operator answers questions"
+        )
         notes = [
             f"{step_label(step.name, has_rail=plan.rail)}: {words}\n"
             for step in plan.steps
@@ -425,9 +429,9 @@ class Checked:
         """Return what has been checked, or every refusal with its reason."""
         if self.plan is None:
             return self._without_plan("checks", glyphs)
-        checks = ["cell file and options are sound"]
+        checks = ["cell file and options are valid"]
         checks += ["poses in reach, in limits, in sight"] if self.plan.points else []
-        checks += ["the slide's way is clear"] if self.has_rail else []
+        checks += ["the slide's path is clear"] if self.has_rail else []
         done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in checks]
         at = "" if self.at is None else f" at {self.at:%H:%M}"
         return Stack(section("checks", f"{len(checks)} of {len(checks)}{at}"), *done)
@@ -463,7 +467,7 @@ class Checked:
 
     def before_lines(self, *, attended: bool) -> Lines:
         """Return what to see to before the start."""
-        words = ["Nobody in the cell, guard closed, E-stop in reach."]
+        words = ["Cell empty, guard closed, E-stop in reach."]
         if self.cell is not None and self.cell.layout.by_hand:
             words.append("One reflector, clean: you are asked when to carry it, and where.")
         elif self.cell is not None:
@@ -475,7 +479,7 @@ class Checked:
             words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
         words.append("Tracker on for two hours at least; doors closed.")
         if not attended:
-            words.append("Unattended: nobody answers; a question waits, then ends the run.")
+            words.append("Unattended: a question waits for an answer, then ends the run.")
         rows = ((("•", "$label"), each) for each in words)
         return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
 

@@ -58,7 +58,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
             return "" if live or background else NOT_LIVE
         case "abort":
             if view is None or not live:
-                return "not the run behind: go back to it first" if background else NOT_LIVE
+                return "go back to the live run first" if background else NOT_LIVE
             return no_answer_reason(view)
         case "new":
             return ONE_AT_A_TIME if live or background else ""
@@ -66,7 +66,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
     if name not in (*acts, *pages, "plots", "bad", "sort"):
         return ""
     if view is None or view.log.plan is None:
-        return "there is no run here to act on"
+        return "no run is open"
     match name:
         case "retake":
             waits = no_answer_reason(view) if live else ONE_AT_A_TIME if background else ""
@@ -74,7 +74,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
         case "pause":
             return _pause_refusal(view, background=background)
         case "acknowledge":
-            return "" if unacknowledged else "no alarm waits for it"
+            return "" if unacknowledged else "every alarm is acknowledged"
     return ""
 
 

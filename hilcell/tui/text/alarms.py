@@ -53,7 +53,7 @@ class AlarmContext:
             return "This run keeps its points; it will most likely fault again."
         if latched.gone:
             return f"The cause is gone: {key} works."
-        return "Nothing moves before the devices say that the cause is gone."
+        return "Nothing moves until the devices report that the cause is gone."
 
     def _go_on(self, alarm: Alarm) -> Content:
         """Return the last step with its keys, grey while they do nothing."""
@@ -104,9 +104,9 @@ class AlarmContext:
         facts: list[tuple[Cell, Cell]] = [
             (("What", "$label"), alarm.means),
             (("Where", "$label"), location_text(alarm, self.log)),
-            (("Found", "$label"), (with_labels(alarm.found, self.log), "$label" if kept else "")),
+            (("Detail", "$label"), (with_labels(alarm.found, self.log), "$label" if kept else "")),
         ]
-        facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
+        facts += [(("Saved", "$label"), (kept, "$label"))] if kept else []
         return Stack(
             Grid([(since, self._cause(latched), state)], Col(grows=True), Col(), Col(), gap=3),
             Grid(facts, Col(6), Col(grows=True, wraps=True)),
@@ -114,13 +114,13 @@ class AlarmContext:
 
     def _cause(self, latched: Latched) -> Content:
         """Return whether an alarm's cause is gone, as far as it is known."""
-        glyphs, cause = self.glyphs, (f"{self.glyphs.stale} not watched", "bold $ask")
+        glyphs, cause = self.glyphs, (f"{self.glyphs.stale} not monitored", "bold $ask")
         if latched.gone:
             cause = f"{glyphs.gone} gone at {local_time_text(latched.gone)}", "bold $passed"
         elif latched.alarm.cause == "over" or latched.settled:
             cause = f"{glyphs.gone} over", "$label"
         elif latched.alarm.cause == "watched":
-            cause = f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill"
+            cause = f" {glyphs.locked} PRESENT ", "bold $on-fault on $fault-fill"
         return Content.assemble(("cause ", "$label"), cause)
 
     def steps(self, latched: Latched, *, in_box: bool = False, low: bool = False) -> Lines:
@@ -238,9 +238,9 @@ def saved_text(log: Log) -> str:
     }
     failed = sorted({name for names in problems.values() for name in names})
     if failed:
-        left = f"look at {' and '.join(failed)}: not stopped or closed as it should be"
+        left = f"check {' and '.join(failed)}: not stopped or closed properly"
     elif not log.was_connected:
-        left = f"{NOT_KNOWN}: look at the cell"
+        left = f"{NOT_KNOWN}: check the cell"
     elif "closed" not in problems:
         left = "how the devices were left is not recorded"
     else:

@@ -124,7 +124,7 @@ def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
 def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
     """Return that nothing may move, the longest words first."""
     if view.state == "gone":
-        gone = "the engine is gone: nobody watches the cell"
+        gone = "the run process has died: cell unsupervised"
         return [Content.styled(f"{glyphs.lost} {gone}", "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
     at = [f" at {time_text(end.t)}", f" at {local_time_text(end.t)}"] if end is not None else []
@@ -169,7 +169,7 @@ def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
     person = ""  # why one has to act before anything moves, unless the step goes on itself
     if view.prompt is not None or view.state in WAITING:
         is_paused = view.prompt is None and view.state != "suspended"
-        person = "paused" if is_paused else "waits for you"
+        person = "paused" if is_paused else "waits for the operator"
     return [Lock.of(each, person, glyphs) for each in view.status.interlocks]
 
 

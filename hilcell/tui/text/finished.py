@@ -339,7 +339,7 @@ class Finished:
         bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
         floor = f"   floor: {self.floor_mm:.3f} mm" if math.isfinite(self.floor_mm) else ""
         return [
-            _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
+            _whole((" true mean, 95 % confidence: ", "$label"), *bound, (floor, "$label")),
             *self.orientation,
             self._written(view, glyphs),
             _drift(view, glyphs, standing),
@@ -411,7 +411,7 @@ def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
     count = max(len(view.alarms), standing) - over
     text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
     text += f"; {over} that {'are' if over > 1 else 'is'} over: e" if over else ""
-    drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
+    drift = "" if moved is None else f"; floor nests within {moved:.3f} mm"
     tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
     head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))
     return _whole(head, (drift, "$label"))

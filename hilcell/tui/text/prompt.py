@@ -119,12 +119,12 @@ class PromptText:
             return [Content.styled(f"At {place}" if place else "", "bold"), at]
         take = self.view.log.seated
         lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
-        seat = Content.assemble(("Seat ", "$label"), (f"it in {place}", "bold"))
+        seat = Content.assemble(("Place ", "$label"), (f"it in {place}", "bold"))
         return [*lines, seat, at]
 
     @property
     def is_ready(self) -> bool:
-        """Whether Enter answers: the last look was good, or nothing is looked at."""
+        """Whether Enter answers: the last reading was good, or nothing is looked at."""
         prompt, view = self.prompt, self.view
         return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
 
@@ -151,17 +151,17 @@ class PromptText:
         lost = "" if view.stale else lost_devices(view)
         age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
         if lost:
-            look = [Content.styled(f"  last look {age} ago", "$label")] if age else []
+            look = [Content.styled(f"  last reading {age} ago", "$label")] if age else []
             return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *look]
         if not age:
-            return [Content.styled(f"{glyphs.stale} not looked yet", "$label")]
+            return [Content.styled(f"{glyphs.stale} no reading yet", "$label")]
         ago = Content.styled(f"  {age} ago", "$label")
         if view.stale:
-            return [Content.styled(f"{glyphs.stale} last look {age} ago", "$stale")]
+            return [Content.styled(f"{glyphs.stale} last reading {age} ago", "$stale")]
         if prompt.expected_mm is None:
-            words = "strip reads well" if prompt.ready else "strip reads badly"
+            words = "strip reading valid" if prompt.ready else "strip reading invalid"
         else:
-            words = "sees nothing" if prompt.seen_mm is None else "tracker sees it"
+            words = "not visible" if prompt.seen_mm is None else "reflector visible"
         if prompt.ready:
             return [Content.styled(f"{glyphs.fresh} {words}", "bold $passed"), ago]
         shape = glyphs.stale if prompt.seen_mm is None else glyphs.warned

@@ -66,13 +66,13 @@ from hilcell.tui.text.devices import NAMES, locks, short_age
 from hilcell.tui.text.points import Deviation, deviation_of
 
 STATES = {
-    "looking": ("LOOKING", "label"),
+    "looking": ("READING", "label"),
     "idle": ("NOT STARTED", "label"),
     "checking": ("CHECKING", "label"),
     "running": ("RUNNING", "live"),
     "pausing": ("PAUSING", "ask"),
     "paused": ("PAUSED", "ask"),
-    "suspended": ("ASKS YOU", "ask"),
+    "suspended": ("NEEDS OPERATOR", "ask"),
     "stopping": ("STOPPING", "fault"),
     "done": ("DONE", "passed"),
     "intolerant": ("OUT OF TOLERANCE", "fault"),
@@ -81,7 +81,7 @@ STATES = {
     "refused": ("REFUSED", "fault"),
     "silent": ("NO ANSWER", "fault"),
     "unreadable": ("UNREADABLE", "fault"),
-    "gone": ("ENGINE GONE", "fault"),
+    "gone": ("ENGINE LOST", "fault"),
 }
 LOUD = ("ask", "fault")  # roles whose states fill the first row
 NOT_E_STOP = "software stop, not the E-stop"
@@ -149,7 +149,11 @@ def _notices(view: RunView, background: RunView | None) -> tuple[str, ...]:
     if background is not None:
         word = state_of(background)[0]
         stop = "use the E-stop" if background.state == "silent" else "Esc stops"
-        return f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind"
+        return (
+            f"background: {word}; q shows it, {stop}",
+            f"background: {word}; {stop}",
+            "1 in background",
+        )
     if view.state == "silent":
         since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
         return f"silent{since}: use the E-stop", "use the E-stop"
@@ -159,7 +163,7 @@ def _notices(view: RunView, background: RunView | None) -> tuple[str, ...]:
 def end_text(view: RunView) -> str:
     worst = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
     why = f": {worst.code} {worst.title}" if worst is not None else ""
-    return f"the run behind, {view.run}, has ended: {state_of(view)[0]}{why}"
+    return f"the background run {view.run} has ended: {state_of(view)[0]}{why}"
 
 
 def identity(view: RunView) -> Lines:
@@ -232,7 +236,7 @@ def progress(view: RunView) -> Lines:
         ended = bool(view.records) and view.log.end is not None
         left = f"at {local_time_text(view.records[-1].t)}" if ended else ""
     elif view.state == "suspended":
-        left = "stands still"
+        left = "at rest"
     row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
     bar = Col(8, grows=True, most=43)
     return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
@@ -283,9 +287,9 @@ def resume_text(view: RunView | None) -> str:
         return "Its calibration file is written; nothing moves."
     what = moves(has_rail=view is None or view.has_rail)
     if view is not None and any(alarm.ended for alarm in view.alarms):
-        return f"{what}. Its fault wants a new run: resumed, it will most likely fault again."
+        return f"{what}. Its fault requires a new run: resumed, it will most likely fault again."
     return (
-        f"{what}: the devices are connected again, and the tracker's control points proved "
+        f"{what}: the devices are connected again, and the tracker's control points verified "
         "before anything counts."
     )
 
@@ -490,7 +494,7 @@ def event_text(view: RunView, record: Record, errors_mm: Mapping[str, float]) ->
                 for each in verdict.figures[:1]
                 if each.value is not None and each.limit is not None
             )
-            return f"{verdict_label(record.key)} {'holds' if holds else 'does not hold'}{figures}"
+            return f"{verdict_label(record.key)} {'passes' if holds else 'fails'}{figures}"
     return ""
 
 

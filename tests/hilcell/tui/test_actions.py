@@ -229,7 +229,7 @@ def test_a_notice_about_a_state_ends_with_it() -> None:
             await settle(pilot)
             if not ready:
                 await press(pilot, "enter")
-            assert ("Enter works when" in text_of(app)) is not ready
+            assert ("Enter works once" in text_of(app)) is not ready
 
     run_app(act, "suspended")
 
@@ -372,7 +372,7 @@ def test_looking_at_another_run_over_a_live_one_asks() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         home = app.screen
         await press(pilot, "h", "down", "enter")
-        assert "look at the other" in text_of(app)
+        assert "show the other run" in text_of(app)
         await press(pilot, "n")
         assert type(app.screen) is HistoryPage
         await press(pilot, "home", "enter")  # the run that is shown: back to it
@@ -401,7 +401,7 @@ def test_enter_answers_a_prompt_only_when_it_is_ready(update: RunUpdate, answere
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "enter")
         assert isinstance(app.screen, RunScreen)
-        assert ("Enter works when" in text_of(app)) is not answered
+        assert ("Enter works once" in text_of(app)) is not answered
 
     app = run_app(act, update=update, size=(80, 24))
     assert app.recorded.asked == ([("answer", {})] if answered else [])

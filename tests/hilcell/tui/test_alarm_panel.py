@@ -53,9 +53,9 @@ def panel(latched: Latched, refused: str = "") -> str:
 @pytest.mark.parametrize(
     ("latched", "words"),
     [
-        (THERE, "■ STILL THERE"),
+        (THERE, "■ PRESENT"),
         (GONE, "□ gone at 08:02:31 UTC"),
-        (UNWATCHED, "○ not watched"),
+        (UNWATCHED, "○ not monitored"),
         (replace(UNWATCHED, gone=GONE.gone), "gone at"),
         (NOTICE, "□ over"),
     ],
@@ -68,7 +68,7 @@ def test_the_panel_says_since_when_where_and_what() -> None:
     text = panel(THERE)
     for words in (
         "since 08:00:23 UTC (2:14 ago)",
-        "not acknowledged", "Where  Robot: move", "Found  $ALARM_STOP is FALSE", "Kept   kept",
+        "not acknowledged", "Where  Robot: move", "Detail $ALARM_STOP is FALSE", "Saved  kept",
         "step 1 of 3", "checked by", "space  then  Enter",
     ):  # fmt: skip
         assert words in text, words
@@ -193,13 +193,13 @@ def test_what_is_kept_is_what_the_journal_says() -> None:
     assert saved_text(log_of(*BEGUN)).endswith("how the devices were left is not recorded")
     assert saved_text(log_of(*BEGUN, stopped, closed)).endswith("nothing moves")
     failed = event("safe stop", problems={"robot": "no answer"})
-    assert "look at robot" in saved_text(log_of(*BEGUN, failed, closed))
+    assert "check robot" in saved_text(log_of(*BEGUN, failed, closed))
 
 
 def test_devices_that_were_not_connected_are_not_said_to_stand() -> None:
     """A robot that plays another program was left alone, and may move."""
     ended = (event("safe stop", problems={}), event("closed", problems={}))
-    assert saved_text(log_of(BEGUN[0], *ended)).endswith("not known: look at the cell")
+    assert saved_text(log_of(BEGUN[0], *ended)).endswith("not known: check the cell")
 
 
 def test_the_panel_is_of_runs_that_have_ended_by_a_fault() -> None:

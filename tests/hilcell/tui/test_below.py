@@ -166,14 +166,14 @@ def test_events_show_no_raw_keys() -> None:
     ("key", "verdict", "words"),
     [
         ("validation.S1100", replace(JUDGED, mean_mm=0.033, mean_tolerance_mm=0.12),
-         "validation at S1100 holds: mean 0.033 mm, limit 0.120 mm"),
+         "validation at S1100 passes: mean 0.033 mm, limit 0.120 mm"),
         ("validation.others", replace(JUDGED, mean_mm=0.033, mean_tolerance_mm=0.12),
-         "validation at the other stations holds: mean 0.033 mm, limit 0.120 mm"),
-        ("known-length", LENGTHS, "known length holds"),
+         "validation at the other stations passes: mean 0.033 mm, limit 0.120 mm"),
+        ("known-length", LENGTHS, "known length passes"),
         ("revisits.closing", replace(REVISITED, holds=False),
-         "revisited poses at the end does not hold"),
+         "revisited poses at the end fails"),
         ("backlash", BACKLASH,
-         "backlash of the rail holds: backlash 0.200 mm, limit 0.400 mm"),
+         "backlash of the rail passes: backlash 0.200 mm, limit 0.400 mm"),
     ],
 )  # fmt: skip
 def test_a_verdict_has_the_name_of_its_subject(key: str, verdict: Verdict, words: str) -> None:

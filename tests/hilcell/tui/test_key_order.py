@@ -84,7 +84,7 @@ def test_an_enter_in_a_burst_is_no_answer_to_a_prompt() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         type_ahead(app, "w", "enter")
         await settle(pilot)
-        assert "press it by itself" in text_of(app)
+        assert "press it alone" in text_of(app)
         assert app.recorded.asked == []
         await press(pilot, "enter")
 

@@ -166,7 +166,7 @@ def test_station_scale_and_series_of_a_plot_have_keys() -> None:
         assert "■ as sent" in text
         assert "■ paper" not in text
         await press(pilot, "4", "g")
-        assert "even scale only" in text_of(app)
+        assert "linear scale only" in text_of(app)
 
     run_app(act, "done", size=(120, 36))
 

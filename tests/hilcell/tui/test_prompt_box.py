@@ -40,8 +40,8 @@ def test_the_task_is_beside_the_plan() -> None:
     found = text(PROMPT, seating())
     for words in (
         "from above, to scale", "Take it out of F1",
-        "Seat it in P1", "at x 350 y -350 z 60 mm", "off its place, mm", "limit", "5.00",
-        "● tracker sees it", "0.3 s ago", "Enter  measure it here", "nothing moves", " tracker ",
+        "Place it in P1", "at x 350 y -350 z 60 mm", "off its place, mm", "limit", "5.00",
+        "● reflector visible", "0.3 s ago", "Enter  measure it here", "nothing moves", "tracker",
     ):  # fmt: skip
         assert words in found, words
 
@@ -59,7 +59,7 @@ def test_devices_that_are_lost_are_named_in_the_prompt() -> None:
         view.status = msgspec.structs.replace(view.status, devices=devices)
         found = text(but(ready=False, seen_mm=None, age_s=40.0), view)
         assert words in found
-        assert "last look 40 s ago" in found
+        assert "last reading 40 s ago" in found
         assert "sees" not in found
 
 
@@ -73,15 +73,15 @@ def test_a_failed_reading_is_told_in_the_driver_s_words() -> None:
 @pytest.mark.parametrize(
     ("prompt", "stale", "words", "bright"),
     [
-        (PROMPT, False, "● tracker sees it", True),
-        (PROMPT, True, "last look", False),
-        (but(ready=False, seen_mm=9.0), False, "▲ tracker sees it", False),
-        (but(ready=False, seen_mm=None), False, "○ sees nothing", False),
-        (but(ready=False, age_s=None, seen_mm=None), False, "○ not looked yet", False),
-        (but(ready=True, age_s=None, seen_mm=None), False, "○ not looked yet", False),
+        (PROMPT, False, "● reflector visible", True),
+        (PROMPT, True, "last reading", False),
+        (but(ready=False, seen_mm=9.0), False, "▲ reflector visible", False),
+        (but(ready=False, seen_mm=None), False, "○ not visible", False),
+        (but(ready=False, age_s=None, seen_mm=None), False, "○ no reading yet", False),
+        (but(ready=True, age_s=None, seen_mm=None), False, "○ no reading yet", False),
         (but(check=False, ready=False), False, "when it is done", True),
-        (but(expected_mm=None, place="S1100", ready=True), False, "● strip reads well", True),
-        (but(expected_mm=None, ready=False), False, "▲ strip reads badly", False),
+        (but(expected_mm=None, place="S1100", ready=True), False, "● strip reading valid", True),
+        (but(expected_mm=None, ready=False), False, "▲ strip reading invalid", False),
     ],
 )
 def test_enter_is_grey_until_it_answers(
@@ -109,7 +109,7 @@ def test_an_old_figure_is_dashes() -> None:
 def test_the_box_keeps_the_place_the_reading_and_enter(columns: int, rows: int) -> None:
     async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
         seen = text_of(app)
-        for words in ("? Seat the reflector in P1", "At P1", "tracker sees it", " Enter "):
+        for words in ("? Seat the reflector in P1", "At P1", "reflector visible", " Enter "):
             assert words in seen
 
     run_app(look, "suspended", size=(columns, rows))
@@ -118,4 +118,4 @@ def test_the_box_keeps_the_place_the_reading_and_enter(columns: int, rows: int) 
 def test_a_low_box_has_its_figure_in_a_line() -> None:
     found = text(PROMPT, seating(), low=True)
     assert "off 1.24 mm limit 5.00" in found
-    assert "Seat it in P1" in found
+    assert "Place it in P1" in found

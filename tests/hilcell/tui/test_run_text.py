@@ -167,7 +167,7 @@ def test_a_background_run_is_shown_in_every_state(name: str) -> None:
     view = view_of(name)
     for background in ("running", "silent"):
         line = drawn(run_text.banner(view, UNICODE, view_of(background)), 80)
-        assert f"behind: {run_text.STATES[background][0]}" in line
+        assert f"background: {run_text.STATES[background][0]}" in line
         assert ("use the E-stop" if background == "silent" else "Esc stops") in line
 
 
@@ -293,7 +293,7 @@ def test_interlocks_say_in_short_what_is_locked_and_why() -> None:
 
 
 def test_a_lock_that_needs_a_person_says_so_in_its_colour() -> None:
-    for name, why in (("paused", "paused"), ("suspended", "waits for you")):
+    for name, why in (("paused", "paused"), ("suspended", "waits for the operator")):
         line = devices.interlocks(view_of(name), UNICODE).lines(79)[0]
         assert f"■ Rail locked: {why}" in line.plain
         assert "■ Robot locked ○ Tracker waits" in line.plain

@@ -121,7 +121,7 @@ def test_a_refused_plan_has_its_reasons_and_starts_nothing(
         assert "Enter  does nothing: the plan is refused" in text_of(app)
         await press(pilot, "enter")
         assert isinstance(app.screen, StartScreen)
-        assert "nothing is started: the checks say why" in text_of(app)
+        assert "not started: see the checks" in text_of(app)
 
     assert run_app(act, size=SIZE).engines == []
 
@@ -159,7 +159,7 @@ def test_what_to_see_to_names_the_nests() -> None:
     cell = replace(load_cell("paper"), layout=by_hand)
     said = drawn(text.Checked(PLAN, "", cell, BEGAN).before_lines(attended=False))
     assert "One reflector" in said
-    assert "Unattended: nobody answers" in said
+    assert "Unattended: a question waits" in said
 
 
 def test_the_end_is_a_time_of_day_where_time_is_real() -> None:

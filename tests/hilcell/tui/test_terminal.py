@@ -164,7 +164,7 @@ def test_a_live_run_behind_another_is_stopped_and_left_and_its_end_is_reported(
         terminal.press(f"\x1b[B{ENTER}")
         terminal.shows("Esc still stops it")
         terminal.answer(ENTER)
-        terminal.shows("behind: RUNNING")
+        terminal.shows("background: RUNNING")
         stops = peer.commands.count("stop") + 2
         terminal.press(ESC)
         peer.until_stops(stops)
@@ -177,7 +177,7 @@ def test_a_live_run_behind_another_is_stopped_and_left_and_its_end_is_reported(
         assert "leave" not in peer.commands  # a lost screen would be reported
         (tmp_path / NAME / "engine.json").unlink()
         peer.hang_up()
-        terminal.shows("has ended: ENGINE GONE")
+        terminal.shows("has ended: ENGINE LOST")
 
 
 # -- leaving ---------------------------------------------------------------------------------------

@@ -109,7 +109,13 @@ def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
             return text_of(app)
 
     shown = asyncio.run(run_app())
-    for words in ("off its place, mm", "● tracker sees it", " Enter ", "? ASKS YOU", "Esc STOP"):
+    for words in (
+        "off its place, mm",
+        "● reflector visible",
+        " Enter ",
+        "? NEEDS OPERATOR",
+        "Esc STOP",
+    ):
         assert words in shown, shown
     box = [line for line in shown.splitlines() if line.startswith(("▌┌", "▌│", "▌└"))]
     assert [cell_len(line) for line in box] == [SIZE[0]] * len(box)
