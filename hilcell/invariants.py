@@ -290,7 +290,7 @@ def is_proof(key: str) -> bool:
     return key.partition("/")[0] in (*PROOFS, *CHECKS)
 
 
-def pose_of(key: str) -> str:
+def pose_characteristics(key: str) -> str:
     """Return a key without its reflector: all of a pose are measured where it stands."""
     pose, _, seat = key.rpartition("/")
     return pose if seat.startswith(SEAT) and seat.removeprefix(SEAT).isdecimal() else key
@@ -433,7 +433,7 @@ class Checker(RecordedRun):
         yield "I4", not missing, f"{record.key} lacks {', '.join(missing)}"
         if point.commanded_deg and point.group != "campaign":
             last = self.last_key or "none"
-            here = pose_of(last) == pose_of(record.key)
+            here = pose_characteristics(last) == pose_characteristics(record.key)
             yield "I4", here, f"{record.key}: the last motion: {last}"
 
     def _at_station(self, key: str, point: Point) -> Iterator[Check]:

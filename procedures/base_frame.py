@@ -8,7 +8,7 @@ import numpy as np
 
 from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.diagnosis import misplaced_base
-from hilcell.calibration.frames import axis_6_height_mm, circle_of, frame_of_sweeps, sweep_of
+from hilcell.calibration.frames import axis_6_height_mm, axis_circle, frame_of_sweeps, sweep_of
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
@@ -121,7 +121,7 @@ class BaseFrame:
         points = log.select("base", axis=axis)
         begin_deg, end_deg = sweep_of(log.cell, axis)[1]
         for arc in arcs(len(points)):
-            circle = circle_of(log.cell, log, axis, [points[n] for n in arc])
+            circle = axis_circle(log.cell, log, axis, [points[n] for n in arc])
             u = np.sqrt(np.diag(circle.covariance))
             yield Arc(
                 axis=axis,

@@ -13,8 +13,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_of, outlying_vertices
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_errors, outlying_vertices
+from hilcell.calibration.position_errors import position_errors
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
@@ -82,7 +82,7 @@ class Fit:
 
 def fitted(log: Log) -> Fitted:
     """Return the choice of the error model, by what was measured."""
-    measured = measured_of(log)
+    measured = measured_errors(log)
     choice = chosen(measured, reoriented=log.cell.plan.turns)
     model, orientation = choice.model, ""
     if log.cell.orients:
@@ -103,7 +103,7 @@ def fitted(log: Log) -> Fitted:
 
 def orients(log: Log) -> bool:
     """Whether the chosen correction turns the tool as well."""
-    return _orients(log.cell, log.method, measured_of(log))
+    return _orients(log.cell, log.method, measured_errors(log))
 
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:
@@ -168,7 +168,7 @@ class SignCheck:
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
-        model = MODELS[log.method].learn(measured_of(log))
+        model = MODELS[log.method].learn(measured_errors(log))
         return corrected(grid_of(log.cell), plan.poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> Result:
@@ -189,7 +189,7 @@ class SignCheck:
 
 def sign_errors(log: Log) -> SignErrors:
     points = [log.point(id) for id in SIGN_IDS.values()]
-    before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
+    before_mm, corrected_mm = position_errors(log, points).norms_mm.tolist()
     ratio = corrected_mm / before_mm
     return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
 

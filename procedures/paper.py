@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.calibration.frames import Frames, axis_6_height_mm, circle_of
+from hilcell.calibration.frames import Frames, axis_6_height_mm, axis_circle
 from hilcell.calibration.grid import grid_errors_mm, grid_of, grid_pairs
-from hilcell.calibration.position_errors import errors_of, targets
+from hilcell.calibration.position_errors import position_errors, targets
 from hilcell.calibration.position_errors import reduction as share_removed
 from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
@@ -197,7 +197,7 @@ class Compared:
             by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)
             off_mm = apply(by_bases, centre_mm[None]) - apply(by_slide, centre_mm[None])
             axis_1, axis_6 = (
-                circle_of(cell, log, axis, log.select("frames", station.name, axis=axis))
+                axis_circle(cell, log, axis, log.select("frames", station.name, axis=axis))
                 for axis in (1, 6)
             )
             covariance = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(cell))
@@ -293,7 +293,7 @@ class Compared:
         It is taken at twice the pitch, so the grid itself leaves less.
         """
         station = self.log.cell.grid.station
-        norms_mm = errors_of(self.log, targets(self.log, station, Sent.IDW)).norms_mm
+        norms_mm = position_errors(self.log, targets(self.log, station, Sent.IDW)).norms_mm
         share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
         return -math.inf, (1 + share) * self.result.fit.loocv[Idw.name]["mean"]
 
@@ -313,7 +313,7 @@ class Compared:
         variance_mm2 = max(tools_mm) ** 2
         for names in ([reference], others):
             points = [p for name in names for p in targets(log, name, Sent.BEFORE)]
-            variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
+            variance_mm2 += variance_of_mean(position_errors(log, points).norms_mm)
         mean_mm = self.mean("reference", Sent.BEFORE)
         return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
 

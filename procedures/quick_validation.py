@@ -24,7 +24,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.calibration.decision_rule import NO_GUARD, Guard, guard_of, limits_of, limits_within
+from hilcell.calibration.decision_rule import (
+    NO_GUARD,
+    Guard,
+    guard_band,
+    limits_within,
+    tolerance_limits,
+)
 from hilcell.calibration.position_errors import validation
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Bools
@@ -48,7 +54,7 @@ def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
 
     Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision_rule`.
     """
-    within = limits_within(limits_of(cell), guard)
+    within = limits_within(tolerance_limits(cell), guard)
     least_mm = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
     return SequentialRule(
         mean_limit_mm=max(within.mean_mm, least_mm),
@@ -102,7 +108,7 @@ def guard_at(log: Log, station: str) -> Guard:
     for decided in reversed(log.happened(StationDecided)):
         if decided.station == station:
             return Guard(decided.mean_U_mm, decided.max_U_mm)
-    return guard_of(log, len(validation(log, [station])[Sent.CHOSEN]))
+    return guard_band(log, len(validation(log, [station])[Sent.CHOSEN]))
 
 
 def record_guard(session: CellSession, station: str) -> None:
@@ -132,8 +138,8 @@ def judgement(log: Log, stations: list[str]) -> Decided:
     """
     decisions = [decision_at(log, station) for station in stations]
     counts, plan = [each.targets for each in decisions], log.cell.plan
-    chosen, limits = validation(log, stations)[Sent.CHOSEN], limits_of(log.cell)
-    guard, figures = guard_of(log, len(chosen)), chosen.figures
+    chosen, limits = validation(log, stations)[Sent.CHOSEN], tolerance_limits(log.cell)
+    guard, figures = guard_band(log, len(chosen)), chosen.figures
     by_station: list[Outcome] = [
         Outcome.ACCEPTED if each.outcome is Outcome.ACCEPTED else Outcome.UNDECIDED
         for each in decisions
@@ -160,7 +166,7 @@ def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
 
     ``enough``: more targets would not change it.
     """
-    plan, limits = cell.plan, limits_of(cell)
+    plan, limits = cell.plan, tolerance_limits(cell)
     within = limits_within(limits, guard)
     if outcome is Outcome.ACCEPTED:
         return (

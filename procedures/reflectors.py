@@ -12,7 +12,7 @@ from hilcell.decoding import typed
 from hilcell.journal.log import Log
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import REFLECTOR, PointId
-from hilcell.model.verdicts import ReflectorsCompared, ReflectorSeen
+from hilcell.model.verdicts import MeasuredReflector, ReflectorsCompared
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -76,7 +76,7 @@ def reflector_table(result: Result) -> Table:
             Column("limit", attrgetter("limit_mm"), "mm", ".4f"),
             Column("", lambda row: "" if row.holds else "differs"),
         ],
-        typed(result["reflectors"], list[ReflectorSeen]),
+        typed(result["reflectors"], list[MeasuredReflector]),
     )
 
 

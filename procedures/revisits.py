@@ -20,7 +20,7 @@ from hilcell.calibration.diagnosis import (
     established,
     overtaken,
     revisits,
-    suspicions_of,
+    suspected_causes,
 )
 from hilcell.calibration.grid import grid_of, vertex_ids
 from hilcell.calibration.lost_motion import REVERSAL, reversal
@@ -113,7 +113,7 @@ class Revisits:
     def result(self, log: Log) -> Result:
         """Return the lost motion, after the grid; at the end all that is suspected in the run."""
         if self._kind == CLOSING:
-            return {"suspicions": suspicions_of(log)}
+            return {"suspicions": suspected_causes(log)}
         lost_motion = reversal(log)
         if lost_motion is None:
             return {}

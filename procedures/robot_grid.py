@@ -20,7 +20,13 @@ from typing import Self
 
 import numpy as np
 
-from hilcell.calibration.grid import ORIENTED, grid_of, measured_of, outlying_vertices, vertex_ids
+from hilcell.calibration.grid import (
+    ORIENTED,
+    grid_of,
+    measured_errors,
+    outlying_vertices,
+    vertex_ids,
+)
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, matrix, to_rotvec
@@ -197,7 +203,7 @@ class ChosenPoses:
 
 def choice(log: Log, joints_rad: Array) -> Design:
     """Return which of the candidates (N, 6) to measure; raises `IdentificationError`."""
-    cell, measured = log.cell, measured_of(log)
+    cell, measured = log.cell, measured_errors(log)
     model = Kinematic.learn(measured)
     reading_mm2 = np.nanmean(measured.poses.covariance_mm2, axis=0)
     return design(

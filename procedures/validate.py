@@ -13,13 +13,13 @@ from hilcell.calibration.changes import compared
 from hilcell.calibration.decision_rule import (
     check_limits,
     class_warning,
-    guard_of,
+    guard_band,
     judged,
-    limits_of,
+    tolerance_limits,
 )
-from hilcell.calibration.diagnosis import suspicions_of
+from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.file import learnt_so_far
-from hilcell.calibration.grid import grid_of, measured_of
+from hilcell.calibration.grid import grid_of, measured_errors
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.orientation import (
     MOVED_MM,
@@ -100,7 +100,7 @@ class Validate:
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
-        cell, measured = session.cell, measured_of(session.log)
+        cell, measured = session.cell, measured_errors(session.log)
         paper = Idw.learn(measured)
         chosen = MODELS[session.log.method].learn(measured)
         models = {Sent.IDW: paper, Sent.CHOSEN: chosen}
@@ -151,7 +151,7 @@ class Validate:
             )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
-        limits = limits_of(session.cell)
+        limits = tolerance_limits(session.cell)
         for where, stations in judged_places(session.cell).items():
             place = self._place_of(session.log, where, stations)
             orientations = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
@@ -159,7 +159,7 @@ class Validate:
                 place.chosen.mean,
                 place.chosen.max,
                 limits,
-                guard_of(session.log, place.points),
+                guard_band(session.log, place.points),
                 orientation=largest_orientation_error(session.log, orientations),
                 also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
                 words="" if place.decision is None else place.decision.text,
@@ -274,7 +274,7 @@ def judge_suspicions(session: CellSession) -> None:
     What has changed since the current calibration is a verdict of its own: it is for a person to
     say which of both is right, and then nothing is against the other.
     """
-    found, before = suspicions_of(session.log), session.log.inputs.floor_before
+    found, before = suspected_causes(session.log), session.log.inputs.floor_before
     suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]
     session.judge("suspicions", Suspected(holds=not suspected, suspected=suspected))
     risen = any(each.cause is Cause.NEST_MOVED for each in found)

@@ -27,13 +27,19 @@ from hilcell.calibration.influence import (
     Influence,
     NoBound,
     Uncertainty,
-    bounds_of,
+    combined_bounds,
     motion,
     moved_frame,
     no_less_than_nought,
 )
 from hilcell.calibration.lost_motion import reversal
-from hilcell.calibration.position_errors import Errors, errors_of, targets, visit_scatter, visits_mm
+from hilcell.calibration.position_errors import (
+    Errors,
+    position_errors,
+    targets,
+    visit_scatter,
+    visits_mm,
+)
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix
@@ -51,7 +57,7 @@ TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
 
 
-def uncertainty_of(log: Log) -> Uncertainty:
+def target_uncertainty(log: Log) -> Uncertainty:
     """Return the lines that a run proves, and those that its cell states."""
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
@@ -406,7 +412,7 @@ def validated_bounds(
     points = validation_points(log, station)
     if not points:
         return None
-    found = errors_of(log, points)
+    found = position_errors(log, points)
     T_W_B = calibration.base(station)
     in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
     lines = lines_in_validation(calibration, log, station, points)
@@ -463,4 +469,4 @@ def _bounds(
     T_W_B = calibration.base(station)
     model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
     samples = calibration.budget.model_samples
-    return bounds_of(model_mm2, lines, T_W_B, poses, samples)
+    return combined_bounds(model_mm2, lines, T_W_B, poses, samples)

@@ -77,7 +77,7 @@ def _zero(J: Array, axis: int) -> Pattern:
     return Pattern(Cause.ZERO_LOST, columns, float(np.degrees(1.0)), f"deg of axis {axis + 1}")
 
 
-def weights_of(covariance_mm2: Array) -> Array:
+def inverse_covariance(covariance_mm2: Array) -> Array:
     """Return the weights (3N, 3N) of errors with a covariance: its inverse."""
     return np.array(np.linalg.inv(covariance_mm2), dtype=float)
 
@@ -197,7 +197,7 @@ def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained
 def _by_patterns(
     found: Differences, causes: Sequence[Pattern], noticed_by: str
 ) -> list[_Explained]:
-    explained, weights = [], weights_of(found.covariance_mm2)
+    explained, weights = [], inverse_covariance(found.covariance_mm2)
     for cause, all_columns, factor, unit in causes:
         for first in found.firsts:
             columns = all_columns.copy()

@@ -34,7 +34,7 @@ from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_vari
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import MeasuredBase
-from hilcell.model.plan import FloorBefore
+from hilcell.model.plan import PreviousReference
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import Parameter
 from hilcell.ports import Array
@@ -85,15 +85,17 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
         return []
     risk = RISK / (6 * len(known) + 1)
     factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
-    limits_of = _Limits(log)
-    found = limits_of.repeatability([np.array(cloud) for cloud in before.visits_mm], risk)
+    tolerance_limits = _Limits(log)
+    found = tolerance_limits.repeatability([np.array(cloud) for cloud in before.visits_mm], risk)
     bounded = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
     for key, then in known:
         both = log.frames[key].C + then.C
         noise = noise_covariance(log, key) + np.array(then.covariance)
         noise += (SPREAD - 1.0) * both if key == "base" else 0.0
         stated = (
-            limit_covariance(log, key) + limits_of.instrument(key) + limits_of.growth(key, before)
+            limit_covariance(log, key)
+            + tolerance_limits.instrument(key)
+            + tolerance_limits.growth(key, before)
         )
         limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), bounded**2 * np.diag(stated)]))
         found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
@@ -133,7 +135,7 @@ class _Limits:
         found[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
         return found
 
-    def growth(self, key: str, before: FloorBefore) -> Array:
+    def growth(self, key: str, before: PreviousReference) -> Array:
         """Return what the room's change of temperature gives the change of a frame."""
         found, now_c = np.zeros((6, 6)), self.log.temperatures_c()
         then_c = before.temperature_c if before.frames_c is None else before.frames_c

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from hilcell.calibration.measurement_budget import budget_of, expanded_mm
+from hilcell.calibration.measurement_budget import expanded_mm, measurement_budget
 from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
@@ -38,7 +38,7 @@ UNKNOWN_ORIENTATION = OrientationError(math.nan, math.nan)  # accepts nothing
 NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
 
 
-def limits_of(cell: Cell) -> Limits:
+def tolerance_limits(cell: Cell) -> Limits:
     stated = cell.validation
     return Limits(stated.mean_tolerance_mm, stated.max_tolerance_mm, stated.max_tolerance_deg)
 
@@ -87,9 +87,9 @@ def class_warning(cell: Cell, range_mm: float) -> str:
     )
 
 
-def guard_of(log: Log, count: int) -> Guard:
+def guard_band(log: Log, count: int) -> Guard:
     """Return U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
-    budget = budget_of(log)
+    budget = measurement_budget(log)
     if budget is None:
         raise HilcellError("no error is judged: no position was measured in {W}", code="HC-C21")
     return Guard(budget.of_mean_of(count), budget.U_mm)
@@ -158,4 +158,6 @@ def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
 def judged_errors(log: Log, errors_mm: Array) -> Judged:
     """Return the decision on 3D errors (N, 3) that a run measured, by its cell's limits."""
     found = figures_of(lengths_mm(errors_mm))
-    return judged(found.mean, found.max, limits_of(log.cell), guard_of(log, len(errors_mm)))
+    return judged(
+        found.mean, found.max, tolerance_limits(log.cell), guard_band(log, len(errors_mm))
+    )

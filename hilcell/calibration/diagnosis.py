@@ -33,7 +33,7 @@ from hilcell.calibration.drift import robot_drift, tracker_drift
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import (
     axis_6_height_mm,
-    circle_of,
+    axis_circle,
     hold_covariance,
     world_covariance,
 )
@@ -42,8 +42,8 @@ from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.lost_motion import lost_too_much
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.calibration.position_errors import (
-    errors_of,
-    of_differences,
+    block_diagonal,
+    position_errors,
     visit_noise,
     visit_scatter,
 )
@@ -164,7 +164,7 @@ def mount_offset(log: Log) -> Suspicion | None:
     if not points:
         return None
     R = log.matrix("base")[:3, :3] @ forward(arm, commanded_rad(points))[:, :3, :3]
-    errors = errors_of(log, points)
+    errors = position_errors(log, points)
     off = np.einsum("nji,nj->ni", R, errors.error_mm).mean(axis=0)
     levers = motion_levers(errors.nominal_mm - log.matrix("base")[:3, 3])[:, :, :6]
     J = (np.swapaxes(R, 1, 2) @ levers).mean(axis=0)
@@ -182,7 +182,7 @@ def _by_circles(log: Log) -> tuple[Array, float]:
     circles, covariances = [], []
     for axis in (1, 6):
         points = log.select("base", axis=axis)
-        circle = circle_of(log.cell, log, axis, points)
+        circle = axis_circle(log.cell, log, axis, points)
         at_mm = apply(log.matrix("world"), positions_mm(points))
         limits = systematic_mm2(log.cell.uncertainty, positions_mm(points))
         noise = covariances_mm2(points, log.matrix("world")[:3, :3])
@@ -258,7 +258,7 @@ def _differences(log: Log, kind: str) -> Differences:
     if kind == CLOSING:  # the slide has left the station, and come back
         common += np.array(motion(R @ hold_covariance(log.cell) @ R.T))
     J = motion_levers(at_mm).reshape(-1, SIZE)
-    covariance_mm2 = of_differences(np.sum(visits_mm2, axis=0)) + J @ common @ J.T
+    covariance_mm2 = block_diagonal(np.sum(visits_mm2, axis=0)) + J @ common @ J.T
     elsewhere = np.repeat([p.set_up != q.set_up for p, q in zip(before, now, strict=True)], 3)
     if elsewhere.any():
         framed = J * elsewhere[:, None]
@@ -321,7 +321,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
         R = calibration.base(name)[:3, :3]
         sigmas_mm = np.repeat(coverage.bounds_mm / bounds95_mm(np.eye(3)[None])[0], 3)
         differences = Differences(
-            errors_of(log, points).error_mm @ R,
+            position_errors(log, points).error_mm @ R,
             np.diag(np.square(sigmas_mm)),
             commanded_rad(points),
             float(len(points)),
@@ -349,7 +349,7 @@ class Deviations(NamedTuple):
 
 def scattered(log: Log) -> Suspicion | None:
     """Return a repeatability worse than the run's own, where the corrected targets show it."""
-    found = log.once_measured(deviations_of)
+    found = log.once_measured(target_deviations)
     return None if found is None else worst_scatter(found)
 
 
@@ -375,7 +375,7 @@ def worse_than_stated(log: Log) -> Suspicion | None:
     return Suspicion(Cause.REPEATABILITY, size_mm, "mm", noticed_by)
 
 
-def deviations_of(log: Log) -> Deviations | None:
+def target_deviations(log: Log) -> Deviations | None:
     """Return the corrected targets' deviations; None where none or no bound is known."""
     calibration = learnt_so_far(log)
     if calibration is None:
@@ -440,7 +440,7 @@ def _targets(log: Log) -> list[Suspicion]:
     return [] if fit is None else log.once_measured(_of_targets, fit.seq)
 
 
-def suspicions_of(log: Log) -> list[Suspicion]:
+def suspected_causes(log: Log) -> list[Suspicion]:
     """Return what a run's journal lets suspect; nothing where all is as predicted.
 
     A correction that was learnt from a robot which changed names no cause of its own. Slow and

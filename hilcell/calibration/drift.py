@@ -146,11 +146,11 @@ class Series:
 @of_measured
 def robot_drift(log: Log) -> Suspicion | None:
     """Return the cause that changes the robot slowly, if one does."""
-    series = series_of(log)
-    return None if series is None else slope_of(series, log.cell.robot.arm())
+    series = pose_series(log)
+    return None if series is None else drift_cause(series, log.cell.robot.arm())
 
 
-def slope_of(series: Series, arm: Arm) -> Suspicion | None:
+def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
     """Return the cause whose slope explains most, if chance does not and it matters."""
     causes = patterns(arm, series.joints_rad)
     whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(series.covariance_mm2)), dtype=float)
@@ -201,7 +201,7 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
     return np.asarray(model_mm * found / sizes)
 
 
-def series_of(log: Log) -> Series | None:
+def pose_series(log: Log) -> Series | None:
     """Return the poses of a run; None where no model was fitted, or too few were measured."""
     calibration = learnt_so_far(log)
     if calibration is None or calibration.uncertainty.missing:

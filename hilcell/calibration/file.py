@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 
 from hilcell import __version__
 from hilcell.atomic_files import write_whole
-from hilcell.calibration.budget import uncertainty_of
+from hilcell.calibration.budget import target_uncertainty
 from hilcell.calibration.decision_rule import judged_again
 from hilcell.calibration.form import Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
-from hilcell.calibration.grid import measured_of
+from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
@@ -54,9 +54,9 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 NAMED = 5  # targets that one message names
 
 
-def calibration_of(log: Log, run: str) -> Calibration:
+def calibration_from_log(log: Log, run: str) -> Calibration:
     """Compute the calibration from the log of a run that reached the fit."""
-    cell, frames, measured = log.cell, Frames(log.cell, log), measured_of(log)
+    cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
     grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
     if fit is None:
         raise LookupError("the run has not reached the fit")
@@ -94,15 +94,15 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "pitch_mm": grid.pitch_mm,
         "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
-        "uncertainty": uncertainty_of(log),
+        "uncertainty": target_uncertainty(log),
         "lost_motion": lost_motion(log),
-        "verdicts": verdicts_of(log),
-        "failed": failed_of(log),
+        "verdicts": validation_verdicts(log),
+        "failed": other_failed_verdicts(log),
     }  # fmt: skip
     return typed(msgspec.to_builtins(values), Calibration)
 
 
-def verdicts_of(log: Log) -> dict[str, Judged]:
+def validation_verdicts(log: Log) -> dict[str, Judged]:
     """Return the verdicts of a run's validation by place; none where it was not made."""
     return {
         key.removeprefix(VALIDATION): verdict
@@ -111,7 +111,7 @@ def verdicts_of(log: Log) -> dict[str, Judged]:
     }
 
 
-def failed_of(log: Log) -> dict[str, str]:
+def other_failed_verdicts(log: Log) -> dict[str, str]:
     """Return the verdicts besides the validation's that do not hold, in words."""
     return {
         key: verdict.why
@@ -128,7 +128,7 @@ def orientation_tolerance_deg(cell: Cell, method: str) -> float:
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
     """Return the calibration of a log that has reached the fit, nothing before."""
-    return log.once(calibration_of, run) if _fitted(log) else None
+    return log.once(calibration_from_log, run) if _fitted(log) else None
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
@@ -139,7 +139,7 @@ def learnt_so_far(log: Log) -> Calibration | None:
 
 
 def _learnt(log: Log, fit: int) -> Calibration:
-    return calibration_of(log, "")
+    return calibration_from_log(log, "")
 
 
 def _fitted(log: Log) -> bool:
@@ -173,7 +173,7 @@ def read_calibration(path: Path) -> Calibration:
         calibration = typed(content, Calibration)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         raise SettingsError(str(path), [f"not a calibration file: {error}"]) from error
-    problems += problems_of(calibration)
+    problems += file_problems(calibration)
     if problems:
         raise SettingsError(str(path), problems)
     return calibration
@@ -262,7 +262,7 @@ def _refuse_orientations(calibration: Calibration, poses: Array, names: list[str
 MOST_MM = 1e6
 
 
-def problems_of(calibration: Calibration) -> list[str]:
+def file_problems(calibration: Calibration) -> list[str]:
     """Return in words everything that is wrong, each with the name of its field."""
     checks = _Checks(calibration)
     found = [

@@ -16,7 +16,7 @@ from hilcell.calibration.influence import NoBound, Uncertainty
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.model_choice import MODELS
-from hilcell.compensation.residual import Pass, Remainder, WithRemainder
+from hilcell.compensation.residual import Pass, TargetResiduals, WithTargetResiduals
 from hilcell.decoding import Json
 from hilcell.geometry.frames import matrix, poses_from_zyx, turned_deg
 from hilcell.geometry.kinematics import Bools
@@ -112,8 +112,8 @@ class Targets(msgspec.Struct, frozen=True):
     variance_mm2: float
     passes: list[TargetPass]
 
-    def remainder(self) -> Remainder:
-        return Remainder([each.measured() for each in self.passes], self.variance_mm2)
+    def remainder(self) -> TargetResiduals:
+        return TargetResiduals([each.measured() for each in self.passes], self.variance_mm2)
 
 
 class Calibration(msgspec.Struct, frozen=True, dict=True):
@@ -170,7 +170,9 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms
         model = self.learnt_model()
-        return model if self.targets is None else WithRemainder(model, self.targets.remainder())
+        return (
+            model if self.targets is None else WithTargetResiduals(model, self.targets.remainder())
+        )
 
     def learnt_model(self) -> ErrorModel:
         errors_mm = np.array(self.grid_errors_mm)

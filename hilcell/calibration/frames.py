@@ -127,11 +127,11 @@ def frame_of_sweeps(
     cell: Cell, log: Log, swept_1: list[Point], swept_6: list[Point]
 ) -> tuple[Array, Circle, Circle]:
     """Return T_W_B (4, 4) and the circles of axes 1 and 6 from the points of both sweeps."""
-    axis_1, axis_6 = circle_of(cell, log, 1, swept_1), circle_of(cell, log, 6, swept_6)
+    axis_1, axis_6 = axis_circle(cell, log, 1, swept_1), axis_circle(cell, log, 6, swept_6)
     return base_frame(axis_1, axis_6, axis_6_height_mm(cell)), axis_1, axis_6
 
 
-def circle_of(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
+def axis_circle(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
     """Return the circle in {W} through the points of one sweep, or of a part of it."""
     begin_deg, end_deg = sweep_of(cell, axis)[1]
     turn = cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)

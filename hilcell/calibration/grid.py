@@ -25,7 +25,7 @@ from hilcell.compensation.model import Measured, MeasuredArm, StaticPoses
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.measured_poses import Readings
-from hilcell.identification.sweeps import curve_of
+from hilcell.identification.sweeps import transmission_curve
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId
 
@@ -67,14 +67,14 @@ def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
     return apply(T_B_W, nominal_mm), actual_mm, covariances_mm2(points, T_B_L[:3, :3])
 
 
-def measured_of(log: Log) -> Measured:
+def measured_errors(log: Log) -> Measured:
     """Return everything that the models learn from: poses as commanded, grid and free ones."""
     points = [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
     robot, joints_rad = log.cell.robot.nominal(), commanded_rad(points)
     nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
     nominal = matrix(forward(robot.arm, joints_rad)[:, :3, :3], nominal_mm)
     poses = StaticPoses.of(joints_rad, nominal, actual_mm - nominal_mm, covariance_mm2)
-    curves = tuple(curve_of(record) for record in log.curves.values() if record.holds)
+    curves = tuple(transmission_curve(record) for record in log.curves.values() if record.holds)
     seats_mm = log.cell.robot.seats_mm
     xyz_mm: Array = np.full((len(points), len(seats_mm), 3), np.nan)
     own_mm2: Array = np.full((*xyz_mm.shape, 3), np.nan)

@@ -155,7 +155,7 @@ class Bounds:
         return bounds95_mm(self.covariance_mm2, freedom)
 
 
-def bounds_of(
+def combined_bounds(
     model_mm2: Array,
     influences: Sequence[Influence],
     T_W_B: Array,

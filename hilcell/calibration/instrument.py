@@ -37,7 +37,13 @@ from hilcell.journal.log import (
 from hilcell.model.events import URAD
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
 from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import Faces, FacesCompared, LengthFound, LengthsChecked, ReflectorSeen
+from hilcell.model.verdicts import (
+    Faces,
+    FacesCompared,
+    LengthsChecked,
+    MeasuredLength,
+    MeasuredReflector,
+)
 from hilcell.ports import Array
 
 SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and centring
@@ -45,12 +51,12 @@ SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and 
 # -- scale: certified lengths ----------------------------------------------------------------------
 
 
-def known_lengths(cell: Cell, log: Log) -> list[LengthFound]:
+def known_lengths(cell: Cell, log: Log) -> list[MeasuredLength]:
     """Return the cell's certified lengths as a run has measured them."""
     return [_found(cell, log, each) for each in cell.layout.length]
 
 
-def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
+def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
     """Return a length with the uncertainty that certificate, tracker and centring leave."""
     of_floor = {each.name for each in cell.layout.floor}
     ends = [  # on the floor or on a bar, of the first framing of {W}
@@ -72,7 +78,7 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
     warm_k = float(np.mean(celsius)) - CERTIFIED_C if celsius else 0.0
     wanted_mm = known.length_mm * (1.0 + known.expansion_um_m_k * 1e-6 * warm_k)
     coverage = 2.0  # k: about 95 %
-    return LengthFound(known.nests, wanted_mm, found_mm, coverage * math.sqrt(variance_mm2))
+    return MeasuredLength(known.nests, wanted_mm, found_mm, coverage * math.sqrt(variance_mm2))
 
 
 def scale(log: Log) -> Suspicion | None:
@@ -192,7 +198,7 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
 # -- reflectors: each in the same nest -------------------------------------------------------------
 
 
-def compared_reflectors(log: Log) -> list[ReflectorSeen]:
+def compared_reflectors(log: Log) -> list[MeasuredReflector]:
     """Return each reflector against the others; nothing where too few were measured."""
     points = list(log.measured(REFLECTOR))
     fewest_reflectors = 3  # of two nobody can say which is off
@@ -204,10 +210,10 @@ def compared_reflectors(log: Log) -> list[ReflectorSeen]:
     limits_mm = 2.0 * log.cell.uncertainty.smr_centring_limit_mm + sigmas * np.sqrt(
         np.trace(noise_mm2, axis1=1, axis2=2) * (1.0 + 1.0 / len(points))
     )
-    return compared_places([point.id.nest for point in points], positions_mm(points), limits_mm)
+    return compared_positions([point.id.nest for point in points], positions_mm(points), limits_mm)
 
 
-def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[ReflectorSeen]:
+def compared_positions(names: list[str], at_mm: Array, limits_mm: Array) -> list[MeasuredReflector]:
     """Return places (N, 3), tracker's frame, each against the median of all others."""
     found = []
     for row, (name, limit_mm) in enumerate(zip(names, limits_mm.tolist(), strict=True)):
@@ -216,5 +222,5 @@ def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[Re
         off_mm = at_mm[row] - others_mm
         along_mm = float(off_mm @ beam)
         across_mm = float(np.linalg.norm(off_mm - along_mm * beam))
-        found.append(ReflectorSeen(name, along_mm, across_mm, limit_mm))
+        found.append(MeasuredReflector(name, along_mm, across_mm, limit_mm))
     return found

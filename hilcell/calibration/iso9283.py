@@ -23,9 +23,15 @@ import numpy as np
 from msgspec.structs import replace
 
 from hilcell.calibration.lookup import calibration_in
-from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm, expanded_mm
+from hilcell.calibration.measurement_budget import (
+    NOISE,
+    WORLD,
+    combined_mm,
+    expanded_mm,
+    measurement_budget,
+)
 from hilcell.calibration.orientation import last_orientation_errors, orientation_covariances_rad2
-from hilcell.calibration.position_errors import Errors, errors_of
+from hilcell.calibration.position_errors import Errors, position_errors
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
@@ -227,7 +233,7 @@ CYCLE = ("P5", "P4", "P3", "P2", "P1")  # from P1 (table 7)
 ENDS = ("P2", "P4")  # of the distance: on one diagonal
 
 
-def cube_of(cell: Cell) -> Cube:
+def largest_cube(cell: Cell) -> Cube:
     """Return the largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
     centre_mm = cell.grid.centre.matrix()[:3, 3].tolist()
     return Cube(min(cell.grid.size_mm), centre_mm, "-".join(PLANE))
@@ -235,7 +241,7 @@ def cube_of(cell: Cell) -> Cube:
 
 def commanded_mm(cell: Cell) -> dict[str, Array]:
     """Return P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
-    cube = cube_of(cell)
+    cube = largest_cube(cell)
     share_of_diagonal = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
     reach_mm = (1.0 - 2.0 * share_of_diagonal) * cube.side_mm / 2.0
     centre_mm = np.array(cube.centre_mm)
@@ -254,7 +260,9 @@ def velocity_percent(cell: Cell) -> float:
 # -- the characteristics (7.2, 7.3) ----------------------------------------------------------------
 
 
-def pose_of(at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float) -> Pose:
+def pose_characteristics(
+    at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float
+) -> Pose:
     """Return AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
 
     All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2`` is the measurement's,
@@ -287,7 +295,7 @@ def pose_of(at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float
     )
 
 
-def distance_of(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
+def distance_characteristics(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
     """Return AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm`` is u besides the scatter."""
     one, other = ends
     ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
@@ -309,7 +317,7 @@ def distance_of(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
     )
 
 
-def angles_of(turns_rad: Array, shared_rad2: Array | None) -> Angles:
+def angle_characteristics(turns_rad: Array, shared_rad2: Array | None) -> Angles:
     """Return AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
 
     Of errors as small as a robot's the angles are the vector's coordinates. ``shared_rad2`` (3, 3)
@@ -336,7 +344,9 @@ def attained(log: Log) -> dict[str, Errors]:
     """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
     T_B_W = inverse(log.matrix("base"))
     found = {
-        name: errors_of(log, points) for name, points in _Evaluation(log).visits().items() if points
+        name: position_errors(log, points)
+        for name, points in _Evaluation(log).visits().items()
+        if points
     }
     return {
         name: Errors(apply(T_B_W, each.nominal_mm), each.error_mm @ T_B_W[:3, :3].T)
@@ -368,7 +378,7 @@ class _Evaluation:
 
     def system_mm(self, *, framed: bool) -> float:
         """Return u of one coordinate besides the readings' noise; that of {W} if ``framed``."""
-        budget = budget_of(self.log)
+        budget = measurement_budget(self.log)
         without = (NOISE,) if framed else (NOISE, WORLD)
         lines = (
             [] if budget is None else [each for each in budget.lines if each.name not in without]
@@ -397,7 +407,7 @@ class _Evaluation:
                     if known
                     else None
                 )
-                found[name] = angles_of(
+                found[name] = angle_characteristics(
                     turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R
                 )
         return found
@@ -408,7 +418,7 @@ def evaluated(log: Log) -> PoseTest:
     table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
     own = _Evaluation(log)
     poses = {
-        name: pose_of(
+        name: pose_characteristics(
             at,
             commanded_mm(cell)[name],
             own.shared_mm2(commanded_mm(cell)[name], corrected=bool(corrected_by)),
@@ -430,9 +440,9 @@ def evaluated(log: Log) -> PoseTest:
         temperature_c=(min(celsius), max(celsius)) if celsius else None,
         tracker_noise_mm=rms([point.std_mm for point in log.select(ISO)]),
         corrected_by=corrected_by,
-        cube=cube_of(cell),
+        cube=largest_cube(cell),
         poses=poses,
-        distance=distance_of(
+        distance=distance_characteristics(
             (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * own.system_mm(framed=False)
         ),
         worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),

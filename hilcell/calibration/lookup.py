@@ -25,10 +25,10 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.budget import temperature
-from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.validity import Unfit, check_fitness
+from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, typed
@@ -149,7 +149,8 @@ def with_calibration(
     """Return the cell with the path of a usable calibration file in ``table``, if it has that.
 
     The table names a run or a file; "" is the current calibration of this cell, and of the
-    simulated ``machine``, in ``runs``. Raises `NoCalibration`, `Unfit`, `SettingsError`.
+    simulated ``machine``, in ``runs``. Raises `NoCalibration`, `CalibrationRefused`,
+    `SettingsError`.
     """
     chosen = getattr(cell, table)
     if chosen is None:
@@ -158,12 +159,12 @@ def with_calibration(
     used = CalibrationFile.named(named, runs)
     calibration, status = used.calibration, used.status
     if reasons := list(_foreign(used, cell)):  # first: nothing accepts that of another cell
-        raise Unfit(calibration, reasons)
-    accepted = check_fitness(
+        raise CalibrationRefused(calibration, reasons)
+    accepted = check_usable(
         calibration,
         datetime.now(UTC),
         max_age_days=math.inf,  # its age and the temperature are why it is checked
-        limits=limits_of(cell),
+        limits=tolerance_limits(cell),
         accept_out_of_tolerance=accept_out_of_tolerance,
         status=status,
         accept_not_current=accept_not_current,

@@ -20,7 +20,7 @@ import numpy as np
 
 from hilcell.calibration.causes import zero_columns
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.position_errors import of_differences, visit_noise
+from hilcell.calibration.position_errors import block_diagonal, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
@@ -65,7 +65,7 @@ def reversal(log: Log) -> LostMotionJudged | None:
     visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (above, below)]
     wrist = J[:, LARGE:] * WRIST_RAD
     shared = np.ones((count, count)) * drift_mm2
-    C = of_differences(np.sum(visits_mm2, axis=0)) + np.kron(shared, np.eye(3)) + wrist @ wrist.T
+    C = block_diagonal(np.sum(visits_mm2, axis=0)) + np.kron(shared, np.eye(3)) + wrist @ wrist.T
     weighted = np.linalg.solve(C, J[:, :LARGE])
     covariance = np.linalg.inv(J[:, :LARGE].T @ weighted)
     lost = URAD * covariance @ weighted.T @ off_mm.reshape(-1)
@@ -106,7 +106,7 @@ TAKE_UP_RAD = 3e-4  # an axis that turns down by less has taken up a part of its
 
 
 @dataclass(frozen=True, eq=False)
-class StraightWay:
+class StraightPath:
     """By how far N tips are off their place from below: (N, 3) in {W}; covariances (N, 3, 3)."""
 
     shift_mm: Array
@@ -123,7 +123,7 @@ class StraightWay:
         )
 
 
-def straight_way(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightWay:
+def straight_path(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightPath:
     """Return what straight ways by joints (N, K, 6) of an arm at ``T_W_B`` cost at their ends."""
     end_rad = straight_rad[:, -1]
     fall_rad = straight_rad.max(axis=1) - end_rad
@@ -134,4 +134,4 @@ def straight_way(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) 
     shift_mm = -np.einsum("nij,nj->ni", J, share * lost_rad)
     partly = share * (1.0 - share) * np.abs(lost_rad)
     spread = J * np.hypot(share * u_rad, partly)[:, None]
-    return StraightWay(shift_mm, spread @ np.swapaxes(spread, 1, 2))
+    return StraightPath(shift_mm, spread @ np.swapaxes(spread, 1, 2))

@@ -103,7 +103,7 @@ class Budget:
 
 
 @of_measured
-def budget_of(log: Log) -> Budget | None:
+def measurement_budget(log: Log) -> Budget | None:
     """Return the budget, or nothing where the run has framed no world and measured no points."""
     if "world" not in log.frames or not log.points:
         return None

@@ -21,7 +21,7 @@ from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_vali
 from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION, stated_mm2
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frames import world_as_framed
-from hilcell.calibration.grid import measured_of
+from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.influence import Influence, NoBound
 from hilcell.calibration.measurement_budget import expanded_mm
 from hilcell.cell.file import Cell
@@ -89,7 +89,7 @@ def seats_of(log: Log) -> Array | None:
     if not (log.cell.robot.more_smr_mm and framed and log.select("grid")):
         return None
     try:
-        return seats_mm(measured_of(log))
+        return seats_mm(measured_errors(log))
     except IdentificationError:
         return None
 

@@ -44,7 +44,7 @@ class Errors:
         return figures_of(self.norms_mm)
 
 
-def errors_of(log: Log, points: list[Point]) -> Errors:
+def position_errors(log: Log, points: list[Point]) -> Errors:
     """Return the errors of points that have a nominal target."""
     known = [point for point in points if point.nominal_mm is not None]
     nominal_mm = np.array([point.nominal_mm for point in known], dtype=float).reshape(-1, 3)
@@ -69,7 +69,7 @@ def counting(log: Log, point: Point) -> Point:
     if point.key not in log.repeated:
         return point
     measured = [*log.repeated[point.key], point]
-    return measured[int(np.argmax(errors_of(log, measured).norms_mm))]
+    return measured[int(np.argmax(position_errors(log, measured).norms_mm))]
 
 
 def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
@@ -81,7 +81,7 @@ def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
     for how in Sent:
         points = [p for name in stations for p in sent.get((name, how), ())]
         if known := _counting(log, points):
-            series[how] = errors_of(log, known)
+            series[how] = position_errors(log, known)
     return series
 
 
@@ -102,7 +102,7 @@ def places(cell: Cell) -> dict[str, list[str]]:
 def grid_errors(log: Log) -> Errors | None:
     """Return the errors at the grid's vertices, or nothing where none was measured."""
     points = log.select("grid")
-    return errors_of(log, points) if points and "world" in log.frames else None
+    return position_errors(log, points) if points and "world" in log.frames else None
 
 
 def reduction(before_mm: float, after_mm: float) -> float:
@@ -173,7 +173,7 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
     return found
 
 
-def of_differences(blocks: Array) -> Array:
+def block_diagonal(blocks: Array) -> Array:
     """Return the covariance (3N, 3N) of N independent differences, of their own (N, 3, 3)."""
     count = len(blocks)
     found = np.zeros((count, 3, count, 3))

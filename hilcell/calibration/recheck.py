@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.budget import driven_poses
-from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weights_of
+from hilcell.calibration.causes import axis_6_pattern, inverse_covariance, left_by, patterns
 from hilcell.calibration.decision_rule import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.lookup import used, visited
@@ -167,7 +167,9 @@ def judged(found: Rechecked) -> Judgement:
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
     at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
     drift_mm, drift_u_mm = found.drift()
-    slipped, slip_mm = left_by(found.errors_mm, weights_of(C), found.orientations.reshape(-1, SLIP))
+    slipped, slip_mm = left_by(
+        found.errors_mm, inverse_covariance(C), found.orientations.reshape(-1, SLIP)
+    )
     return Judgement(
         _test(explained, MOTION),
         _test(rest, 3 * count - MOTION),
@@ -200,7 +202,7 @@ def suspicions(
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []
-    moved, weights = motion_columns(found.targets_mm), weights_of(found.covariance_mm2)
+    moved, weights = motion_columns(found.targets_mm), inverse_covariance(found.covariance_mm2)
     causes = [*patterns(arm, joints_rad), *axis_6_pattern(arm, joints_rad)]
     for cause, columns, factor, unit in causes:
         chi2, size = left_by(found.errors_mm, weights, columns, besides=moved)

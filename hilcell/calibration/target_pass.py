@@ -14,13 +14,13 @@ import numpy as np
 
 from hilcell.calibration.budget import target_bounds, touched
 from hilcell.calibration.decision_rule import judged_errors
-from hilcell.calibration.file import calibration_of
+from hilcell.calibration.file import calibration_from_log
 from hilcell.calibration.form import Calibration, TargetPass, Targets, written_now
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.lookup import used, visited
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged, rechecked_run
 from hilcell.compensation.model import Prediction
-from hilcell.compensation.residual import Remainder
+from hilcell.compensation.residual import TargetResiduals
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm
@@ -53,7 +53,7 @@ def target_points(log: Log) -> list[Point]:
 def gross_targets(log: Log) -> list[str]:
     """Return the targets that stand out from all others."""
     points, (this, poses) = target_points(log), _pass(log)
-    remainder = Remainder.learn([this.measured()], _stated_mm2(used(log), poses))
+    remainder = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
     sigmas = remainder.sigmas()
     gross = 5.0
     return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= gross]
@@ -68,7 +68,7 @@ def folded(log: Log, run: str) -> Calibration:
     if not passes:
         return calibration
     measured = [each.measured() for each in passes]
-    remainder = Remainder.learn(measured, _stated_mm2(calibration, poses))
+    remainder = TargetResiduals.learn(measured, _stated_mm2(calibration, poses))
     return msgspec.structs.replace(calibration, targets=Targets(remainder.variance_mm2, passes))
 
 
@@ -221,7 +221,7 @@ def _stated_mm2(calibration: Calibration, poses: Array) -> float:
 def calibration_after(log: Log, run: str) -> Calibration:
     """Return the calibration of a log for which `Log.calibrates` holds."""
     if log.verdict(Fitted) is not None:
-        return calibration_of(log, run)
+        return calibration_from_log(log, run)
     if (touched := log.verdict(Touched)) is not None:
         return _touched(used(log), log, run, touched.station)
     if log.verdict(Judged, "targets") is not None:

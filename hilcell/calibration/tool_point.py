@@ -95,7 +95,7 @@ class Tip:
 AT_REFLECTOR = Tip(REFLECTOR, np.eye(4), np.eye(4))  # of a cell that is not known
 
 
-def tips_of(cell: Cell, number: int | None = None) -> list[Tip]:
+def tool_tips(cell: Cell, number: int | None = None) -> list[Tip]:
     """Return reflector and tools; raises `SettingsError` for a tool with the reflector's number."""
     T_F_T = cell.robot.arm().tool
     found = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
@@ -116,7 +116,7 @@ def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:
         if name not in ("", REFLECTOR):
             raise SettingsError("--tool", [f"{name!r} is a tool of a cell: name it with --cell"])
         return AT_REFLECTOR
-    known = tips_of(cell, number)
+    known = tool_tips(cell, number)
     if not name:
         if len(known) > 2:
             problem = f"the cell has {_listed(known[1:])}: name one, or {REFLECTOR}"
@@ -132,7 +132,7 @@ def tip_of_program(
     cell: Cell, name: str, stated: StatedTool, number: int | None, source: str
 ) -> Tip:
     """Return the tip that a program states; raises `SettingsError` for another one, or unknown."""
-    known = tips_of(cell, number)
+    known = tool_tips(cell, number)
     found = next((tip for tip in known if tip.is_stated(stated)), None)
     if found is None:
         problem = (

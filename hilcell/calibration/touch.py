@@ -22,7 +22,7 @@ from hilcell.calibration.causes import Differences, likeliest
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lookup import calibration_in
-from hilcell.calibration.position_errors import of_differences, visits_mm
+from hilcell.calibration.position_errors import block_diagonal, visits_mm
 from hilcell.cell.devices import sights_apart_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import (
@@ -122,7 +122,7 @@ def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: A
     noise_mm2 = covariance_mm2 + R.T @ _visit_noise_mm2(log, points) @ R
     differences = Differences(
         at_mm - nominal_mm,
-        flat @ visit_covariance(log, station, points) @ flat.T + of_differences(noise_mm2),
+        flat @ visit_covariance(log, station, points) @ flat.T + block_diagonal(noise_mm2),
         commanded_rad(points),
         3.0 * len(points),
         R.T @ np.array(log.cell.layout.rail_direction),

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
@@ -27,7 +27,7 @@ MAX_AGE_DAYS = 180.0
 CLOCK_ERROR = timedelta(hours=1)
 
 
-class Unfit(HilcellError):
+class CalibrationRefused(HilcellError):
     """A calibration that must not be used for this, with every reason."""
 
     def __init__(self, calibration: Calibration, reasons: Sequence[str]) -> None:
@@ -35,7 +35,7 @@ class Unfit(HilcellError):
         super().__init__(f"calibration of {calibration.provenance.named} refused\n{lines}")
 
 
-def check_fitness(
+def check_usable(
     calibration: Calibration,
     now: datetime,
     *,
@@ -48,14 +48,14 @@ def check_fitness(
     status: CalibrationStatus | None = None,
     accept_not_current: bool = False,
 ) -> list[str]:
-    """Return why a calibration is out of tolerance; raises `Unfit` for what is not accepted.
+    """Return why a calibration is out of tolerance; raises `CalibrationRefused`.
 
     ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are those of
     a cell that is not given; None leaves each unchecked.
     """
     use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
     settled = ChangedSince.keys if status is not None and status.state == "current" else ()
-    limits = limits_of(cell) if cell is not None else limits
+    limits = tolerance_limits(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
     acceptable = {
         "--accept-not-current": [] if accept_not_current else [*_not_current(status)],
@@ -67,7 +67,7 @@ def check_fitness(
     if flags:
         found.append(f"to use it all the same, add {' '.join(flags)}; the output says so")
     if found:
-        raise Unfit(calibration, found)
+        raise CalibrationRefused(calibration, found)
     return intolerant
 
 

@@ -19,7 +19,7 @@ from hilcell.decoding import Json
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.measured_poses import IdentificationError, Readings, folds_of
+from hilcell.identification.measured_poses import IdentificationError, Readings, pose_folds
 from hilcell.ports import HilcellError
 
 
@@ -48,7 +48,7 @@ class StaticPoses:
     @classmethod
     def of(cls, joints_rad: Array, nominal: Array, error_mm: Array, covariance_mm2: Array) -> Self:
         """Return the poses with folds that leave each out as a whole."""
-        return cls(joints_rad, nominal, error_mm, covariance_mm2, folds_of(joints_rad))
+        return cls(joints_rad, nominal, error_mm, covariance_mm2, pose_folds(joints_rad))
 
     def __len__(self) -> int:
         return len(self.joints_rad)

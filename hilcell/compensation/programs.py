@@ -156,7 +156,7 @@ def suffixes() -> list[str]:
     return sorted(f".{name}" for name in entry_points(group="hilcell.programs").names)
 
 
-def notes_of(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
+def program_notes(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
     """Return a program's notes, the base that it needs, and what is wrong with its files' names."""
     base = "" if program.in_root else f", its base must be {frame}"
     stems = dict.fromkeys(path.stem for path in (source, *written))
@@ -236,7 +236,7 @@ class StationProgram:
 Writer = Callable[[StationProgram, Stamp], Mapping[str, bytes]]
 
 
-def writer_of(driver: str) -> Writer | None:
+def program_writer(driver: str) -> Writer | None:
     """Return the writer for a robot's driver, None where none is installed."""
     group = "program_writers"
     if driver not in entry_points(group=f"hilcell.{group}").names:

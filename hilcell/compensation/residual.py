@@ -45,7 +45,7 @@ class Pass:
         return Pass(self.poses[some], self.remainders_mm[some], self.own_mm2[some], self.common)
 
 
-class Remainder:
+class TargetResiduals:
     """The model's error as passes over targets know it; ``variance_mm2`` of one coordinate."""
 
     def __init__(self, passes: Sequence[Pass], variance_mm2: float) -> None:
@@ -54,7 +54,7 @@ class Remainder:
         self._pull, self._inverses, _ = self._known.solved(variance_mm2)
 
     @classmethod
-    def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> Remainder:
+    def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> TargetResiduals:
         """Return it by its most probable variance; ``stated_mm2`` is that of the model."""
         factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
         if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
@@ -101,11 +101,11 @@ class Remainder:
 
 
 @dataclass(frozen=True, eq=False)
-class WithRemainder:
+class WithTargetResiduals:
     """A model with what was measured of its error folded in; its covariance shrinks with it."""
 
     model: ErrorModel
-    remainder: Remainder
+    remainder: TargetResiduals
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at poses (N, 4, 4) in {B}; raises as the model does."""

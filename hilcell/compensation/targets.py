@@ -220,7 +220,7 @@ def read_named_rows(
     """
     text = CsvText.read(path, content, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
-    header = header_of(path, text, headers)
+    header = matched_header(path, text, headers)
     rows, known, problems = NamedRows(header), set[str](), list[str]()
     for line, cells in text.rows[1:]:
         if cells:
@@ -233,7 +233,7 @@ def read_named_rows(
     return rows
 
 
-def header_of(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[str]:
+def matched_header(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[str]:
     """Return which of ``headers`` a file has; raises `SettingsError` naming other columns."""
     columns = [column for each in headers for column in each]
     header = [column_of(cell, columns) for cell in text.header]
@@ -318,10 +318,10 @@ def write_rows(
     inputs: Iterable[Path] = (),
 ) -> None:
     """Write a CSV; raises `NotWritten` as `write_whole` does."""
-    write_whole(path, csv_of(header, rows, stamp), inputs=inputs)
+    write_whole(path, csv_content(header, rows, stamp), inputs=inputs)
 
 
-def csv_of(header: list[str], rows: Iterable[list[str]], stamp: Stamp | None = None) -> bytes:
+def csv_content(header: list[str], rows: Iterable[list[str]], stamp: Stamp | None = None) -> bytes:
     """Return a CSV; a stamp is a column of its own."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")

@@ -51,9 +51,9 @@ from hilcell.identification.measured_poses import (
     ManyContradict,
     Readings,
     count_poses,
-    folds_of,
     places_of,
-    poses_of,
+    pose_folds,
+    pose_numbers,
 )
 from hilcell.present.table import Column, Table
 from hilcell.sanitize import counted
@@ -84,7 +84,7 @@ class Coverage(TypedDict):
     bound_mm: float
 
 
-class ModelFound(TypedDict):
+class IdentifiedModel(TypedDict):
     """The identified robot: by parameter its value, standard deviation, and this over the prior's;
     noise; how many directions of the parameters the poses determine, and their condition number.
     """
@@ -117,7 +117,7 @@ class FitResult(TypedDict):
     outliers: list[Outlier]
     coverage: dict[str, Coverage]
     coverage95: float | None
-    model: ModelFound | None
+    model: IdentifiedModel | None
     train: int
     test: int
     seconds: float
@@ -274,10 +274,10 @@ class FittedArm:
         folds = [np.flatnonzero(of_pose == each).astype(np.int_) for each in np.unique(fold)]
         return self.poses.by_row(self._found.left_out_mm(folds))
 
-    def found(self, name: str) -> ModelFound:
+    def found(self, name: str) -> IdentifiedModel:
         estimate, known = self.estimate, observability(self.estimate.system)
         kinematics, noise = estimate.kinematics, estimate.noise
-        return ModelFound(
+        return IdentifiedModel(
             method=name,
             names=kinematics.names,
             values=kinematics.flat(estimate.state).tolist(),
@@ -407,7 +407,7 @@ def scattered() -> dict[str, type[LearntModel]]:
 
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
     """Return measured minus predicted (N, 3) by each of `scattered`, a fifth of poses left out."""
-    fold = folds_of(rows.joints_rad)
+    fold = pose_folds(rows.joints_rad)
     miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
@@ -425,7 +425,7 @@ def _arms(
     """Return the identified robots by method, and measured minus predicted (N, 3) of the same
     folds; those that are not found go to ``refused``.
     """
-    fold, arms = folds_of(rows.joints_rad), {}
+    fold, arms = pose_folds(rows.joints_rad), {}
     for name in TERMS:
         try:
             arms[name] = FittedArm.learn(placement, rows, name)
@@ -579,7 +579,7 @@ def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
 
 def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
     """Refuse targets of too few poses to leave a fifth out; ``left_out``: outliers."""
-    pose, fold = poses_of(rows.joints_rad), folds_of(rows.joints_rad)
+    pose, fold = pose_numbers(rows.joints_rad), pose_folds(rows.joints_rad)
     for target, _ in reversed(Counter(rows.target).most_common()):
         own = rows.of(target)
         count = len(np.unique(pose[own]))

@@ -152,7 +152,7 @@ class Motion:
     lost: int  # samples that never came, or were spikes
 
 
-def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
+def axis_motion(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     """Return the motion of ``axis`` (0 to 5); raises `BadStream`."""
     stream.check_numbers()
     angle_rad = stream.turned_rad(arm, axis)

@@ -16,7 +16,7 @@ import numpy as np
 from hilcell.geometry.kinematics import Array, Ints
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import State
-from hilcell.identification.measured_poses import Noise, folds_of
+from hilcell.identification.measured_poses import Noise, pose_folds
 
 ROWS = 300  # of evenly chosen poses, from which the scales are found
 
@@ -103,7 +103,7 @@ class Rows:
     def doubt(self, solved: _Solved) -> float:
         """Return the mean square of poses left out over their predicted variance, at least 1."""
         total = 0.0
-        fold = folds_of(self.joints_rad)[self.pose]
+        fold = pose_folds(self.joints_rad)[self.pose]
         for left_out in np.unique(fold):
             own = fold == left_out
             left = solved.weighted[own]

@@ -68,7 +68,7 @@ FOLDS = 5
 SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same errors
 
 
-def poses_of(joints_rad: Array) -> Ints:
+def pose_numbers(joints_rad: Array) -> Ints:
     """Return the number (N,) of each row's pose, counted from 0.
 
     All joints (N, 6) of a pose are within `SAME_RAD` of its first in ascending order. So poses
@@ -88,7 +88,7 @@ def poses_of(joints_rad: Array) -> Ints:
 
 def count_poses(joints_rad: Array) -> int:
     """Return how many different poses the rows show."""
-    return len(np.unique(poses_of(joints_rad)))
+    return len(np.unique(pose_numbers(joints_rad)))
 
 
 def places_of(joints_rad: Array) -> Array:
@@ -97,10 +97,10 @@ def places_of(joints_rad: Array) -> Array:
     One part of the order holds poses of the whole space.
     """
     golden = (5.0**0.5 - 1.0) / 2.0  # its multiples scatter evenly, in step with no lattice
-    return np.asarray(poses_of(joints_rad) * golden % 1.0, dtype=float)
+    return np.asarray(pose_numbers(joints_rad) * golden % 1.0, dtype=float)
 
 
-def folds_of(joints_rad: Array) -> Ints:
+def pose_folds(joints_rad: Array) -> Ints:
     """Return the fold (N,) in which each row is left out, one for all rows of a pose."""
     return (FOLDS * places_of(joints_rad)).astype(np.int_)
 

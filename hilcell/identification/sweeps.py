@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
-from hilcell.identification.axis_motion import BadStream, Motion, SweepStream, motion_of
+from hilcell.identification.axis_motion import BadStream, Motion, SweepStream, axis_motion
 from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.model.events import URAD, CurveMeasured
 
@@ -35,14 +35,14 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Curve
     motions = []
     for name, stream in (("upwards", up), ("downwards", down)):
         try:
-            motions.append(motion_of(stream, arm, axis))
+            motions.append(axis_motion(stream, arm, axis))
         except BadStream as error:
             return without_curve(axis, f"{name}: {error}")
     rising, falling = motions
     if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
         return without_curve(axis, "both sweeps turned the same way, expected one up and one down")
     try:
-        records, speed_rad_s = records_of(rising, falling), _speed(rising, falling)
+        records, speed_rad_s = sweep_records(rising, falling), _speed(rising, falling)
     except BadStream as error:
         return without_curve(axis, str(error))
     shift_rad = _offset(records)
@@ -59,7 +59,7 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Curve
     return _judged(axis, found, rising, falling)
 
 
-def records_of(rising: Motion, falling: Motion) -> Records:
+def sweep_records(rising: Motion, falling: Motion) -> Records:
     """Return both directions where both were swept; raises `BadStream`."""
     both = (rising, falling)
     low = max(float(motion.joint_rad.min()) for motion in both)
@@ -153,7 +153,7 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     )
 
 
-def curve_of(measured: CurveMeasured) -> TransmissionCurve:
+def transmission_curve(measured: CurveMeasured) -> TransmissionCurve:
     """Return the curve of an event, to be used where it holds."""
     count = len(measured.cycles)
     return TransmissionCurve(
@@ -477,7 +477,7 @@ class Trial:
 
     def difference(self, opposite: Explained) -> tuple[Noise, float]:
         """Return the noise by what the directions differ, and the largest line in that."""
-        noise = noise_of(opposite.powers_rad2[self.apart], self.cycles[self.apart])
+        noise = spectral_noise(opposite.powers_rad2[self.apart], self.cycles[self.apart])
         score = opposite.powers_rad2 / noise.variance_rad2(self.cycles)
         best = int(np.argmax(score))
         is_line = noise.is_line(score, self.cycles)
@@ -552,7 +552,7 @@ def search(records: Records, shift: Shift) -> Found:
         for cycles in tried:
             score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
         best = int(np.argmax(score))
-        rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
+        rest = spectral_noise(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
         found = Found(records, lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
         if len(tried) == most_lines or not noise.is_line(score, trial.cycles):
             return found
@@ -576,7 +576,7 @@ def without_lines(records: Records, shift: Shift) -> Lines:
     return records.refined(Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
 
 
-def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
+def spectral_noise(powers_rad2: Array, cycles: Array) -> Noise:
     """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
 
     They are exponentially distributed; maximum likelihood by Fisher's scoring, in which single

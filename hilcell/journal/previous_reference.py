@@ -17,13 +17,13 @@ from hilcell.journal.log import Log, repeated_visits
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.calibration import Provenance, StationEntry
 from hilcell.model.frame import Frame, MeasuredBase
-from hilcell.model.plan import FloorBefore
+from hilcell.model.plan import PreviousReference
 from hilcell.ports import DeviceError
 
 FLOOR_NESTS = 3  # that span {W}, the first ones
 
 
-def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefore | None:
+def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> PreviousReference | None:
     """Return them; None without such a run, or where the cell file has moved the floor nests.
 
     ``machine_seed`` is a simulated machine's, where it is known.
@@ -48,7 +48,9 @@ class _Calibration(msgspec.Struct):
     stations: dict[str, StationEntry]
 
 
-def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: Cell) -> FloorBefore:
+def _with_frames(
+    found: PreviousReference, origin: PreviousReference, updated: Path, cell: Cell
+) -> PreviousReference:
     """Return floor nests with the frames of the run that measured them, and the base as the
     calibration file ``updated`` has it; without a base where that cannot be read.
     """
@@ -79,7 +81,7 @@ class _Measured:
     log: Log
     cell: Cell
 
-    def floor(self, name: str) -> FloorBefore | None:
+    def floor(self, name: str) -> PreviousReference | None:
         """Return what the run ``name`` measured, as far as the cell still has it."""
         log, then = self.log, self.log.cell
         nests = {point.id.nest: point for point in log.select("world") if point.id.number is None}
@@ -88,7 +90,7 @@ class _Measured:
         kept = self._same_robot() and then.grid == self.cell.grid
         clouds = repeated_visits(log) if kept else []  # of places that the cell still has
         air_c = [each.temperature_c for each in nests.values() if each.temperature_c is not None]
-        return FloorBefore(
+        return PreviousReference(
             name,
             {nest: point.xyz_mm for nest, point in nests.items()},
             sum(air_c) / len(air_c) if air_c else None,

@@ -85,6 +85,6 @@ def frame_type(key: str) -> type[Frame]:
     return kinds.get(key.partition(".")[0], Frame)
 
 
-def frame_of(key: str, body: Json) -> Frame:
+def decode_frame(key: str, body: Json) -> Frame:
     """Return a frame of its plain body; raises `msgspec.ValidationError`."""
     return typed(body, Frame if "calibration" in body else frame_type(key))

@@ -43,7 +43,7 @@ class PlannedStep:
         return cls(name, points, sum(span.duration_s for span in spans), tuple(spans))
 
 
-class FloorBefore(msgspec.Struct, frozen=True):
+class PreviousReference(msgspec.Struct, frozen=True):
     """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
     base at the grid's station, None where that is another one, and its slide at stations.
 
@@ -96,7 +96,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     driven_by: list[str] = []  # runs finished before, newest first: the poses they drove are known
     accepted: list[str] = []  # why the calibration that it uses should not be used
     order: FolderOrder = FolderOrder()
-    floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
+    floor_before: PreviousReference | None = None  # by the cell's current calibration
     replayed: bool = False  # it only repeats a recorded run, and measures nothing
     utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
 

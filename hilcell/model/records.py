@@ -14,10 +14,10 @@ from msgspec import field
 from hilcell.decoding import Json, typed
 from hilcell.model import events
 from hilcell.model.events import Event, OtherEvent
-from hilcell.model.frame import Frame, frame_of
+from hilcell.model.frame import Frame, decode_frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
-from hilcell.model.verdicts import Verdict, verdict_of
+from hilcell.model.verdicts import Verdict, decode_verdict
 
 Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
@@ -107,7 +107,7 @@ def fact_of(kind: Kind, key: str, body: Json) -> Fact:
     """Return a record's content as its type; raises `msgspec.ValidationError`."""
     match kind:
         case "event":
-            return event_of(body)
+            return decode_event(body)
         case "point":
             return typed(body | {"key": key}, Point)
         case "state":
@@ -115,16 +115,16 @@ def fact_of(kind: Kind, key: str, body: Json) -> Fact:
         case "intent":
             return typed(body, Intended)
         case "frame":
-            return frame_of(key, body)
+            return decode_frame(key, body)
         case "verdict":
-            return verdict_of(key, body)
+            return decode_verdict(key, body)
         case "end":
             return typed(body, Ended)
         case "plan":
             return typed(body, PlanRecord)
 
 
-def event_of(body: Json) -> Event | OtherEvent:
+def decode_event(body: Json) -> Event | OtherEvent:
     """Return an event of its plain fields; raises `msgspec.ValidationError`."""
     what = str(body["what"])
     if what in EVENTS:

@@ -450,7 +450,7 @@ class ChangedSince(Verdict, frozen=True, kw_only=True):
 # -- the instrument --------------------------------------------------------------------------------
 
 
-class LengthFound(msgspec.Struct, frozen=True):
+class MeasuredLength(msgspec.Struct, frozen=True):
     """A certified length at the air's temperature, as measured, and U (k = 2) of the difference."""
 
     nests: tuple[str, str]
@@ -485,7 +485,7 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
     """Certified lengths against the tracker's scale; ``wrong`` are those that differ, in words."""
 
     keys: ClassVar[tuple[str, ...]] = ("known-length",)
-    lengths: list[LengthFound]
+    lengths: list[MeasuredLength]
     wrong: list[str]
 
     def _words(self) -> str:
@@ -523,7 +523,7 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
         return self.found
 
 
-class ReflectorSeen(msgspec.Struct, frozen=True):
+class MeasuredReflector(msgspec.Struct, frozen=True):
     """The reflector of a place: how far from the median of the others, along the beam and across
     it, and its limit.
     """
@@ -550,7 +550,7 @@ class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
     """Each reflector in one nest against the others; ``wrong`` are those that differ, in words."""
 
     keys: ClassVar[tuple[str, ...]] = ("reflectors",)
-    reflectors: list[ReflectorSeen]
+    reflectors: list[MeasuredReflector]
     wrong: list[str]
 
     def _words(self) -> str:
@@ -616,7 +616,7 @@ def verdict_type(key: str) -> type[Verdict] | None:
     return None
 
 
-def verdict_of(key: str, body: Json) -> Verdict:
+def decode_verdict(key: str, body: Json) -> Verdict:
     """Return a verdict of its plain body; raises `msgspec.ValidationError`."""
     kind = verdict_type(key)
     if kind is not None:

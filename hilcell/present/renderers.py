@@ -98,7 +98,7 @@ def environment(*packages: str) -> Environment:
 # Spreadsheets run text that begins like a formula, so such text is quoted.
 
 
-def csv_of(table: Table) -> bytes:
+def csv_content(table: Table) -> bytes:
     """Return a table as CSV in UTF-8."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

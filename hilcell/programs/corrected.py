@@ -29,10 +29,10 @@ from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.lookup import CalibrationFile
 from hilcell.calibration.orientation import orientation_bounds_deg
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
-from hilcell.calibration.validity import check_fitness
+from hilcell.calibration.validity import check_usable
 from hilcell.cell.file import Cell
 from hilcell.compensation.provenance import CorrectedBefore, Stamp
-from hilcell.compensation.targets import BOUND, csv_of
+from hilcell.compensation.targets import BOUND, csv_content
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools
@@ -96,7 +96,7 @@ class Corrected:
                 named.append(name)
                 for row, value in zip(listed, values, strict=True):
                     row.append(f"{value:.{decimals}f}")
-        return csv_of(named, listed, self.stamp)
+        return csv_content(named, listed, self.stamp)
 
     def list_of_bounds(self) -> bytes:
         """Return targets' bounds, u of coordinates in {W}, bounds of turns; raises `NoBound`."""
@@ -109,9 +109,11 @@ class Corrected:
             for name, row in zip(self.names, numbers, strict=True)
         ]
         if self.bounds_deg is None:
-            return csv_of(BOUNDS, rows)
+            return csv_content(BOUNDS, rows)
         turned = zip(rows, self.bounds_deg.tolist(), strict=True)
-        return csv_of([*BOUNDS, ORIENTATION_BOUND], ([*row, f"{deg:.5f}"] for row, deg in turned))
+        return csv_content(
+            [*BOUNDS, ORIENTATION_BOUND], ([*row, f"{deg:.5f}"] for row, deg in turned)
+        )
 
 
 @dataclass(frozen=True)
@@ -136,9 +138,9 @@ class UsableCalibration:
 
     @classmethod
     def named(cls, name: str, release: Release, cell: Cell | None) -> Self:
-        """Return that of a run or a file; raises `Unfit`, `NoCalibration`, `SettingsError`."""
+        """Return that of a run or a file; raises `HilcellError`."""
         used = CalibrationFile.named(name, release.runs)
-        accepted = check_fitness(
+        accepted = check_usable(
             used.calibration,
             datetime.now(UTC),
             max_age_days=release.max_age,

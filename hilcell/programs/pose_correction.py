@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.calibration.influence import Bounds, bounds_of
+from hilcell.calibration.influence import Bounds, combined_bounds
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.model_choice import NOMINAL
 from hilcell.fit.methods import UNDETERMINED_MM, Method, RobotFit
@@ -111,7 +111,7 @@ class PoseCorrection:
         errors = self.controller.errors(self.method, joints_rad)
         command = poses.copy()
         command[:, :3, 3] -= errors.error_mm
-        bounds = bounds_of(errors.covariance_mm2, [], np.eye(4), poses)
+        bounds = combined_bounds(errors.covariance_mm2, [], np.eye(4), poses)
         refuse(
             ~(bounds.radii_mm <= UNDETERMINED_MM),
             names,

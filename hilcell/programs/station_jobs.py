@@ -23,13 +23,13 @@ from hilcell import __version__
 from hilcell.arguments import STROKE_MM
 from hilcell.atomic_files import KNOWN, NotWritten, write_together
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.lost_motion import straight_way
+from hilcell.calibration.lost_motion import straight_path
 from hilcell.calibration.tool_point import Tip, tip_named
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.programs import Stroke, writer_of
+from hilcell.compensation.programs import Stroke, program_writer
 from hilcell.compensation.targets import HEADER, as_listed, target_rows
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
@@ -208,13 +208,13 @@ class StationJobs:
         exact = self.released.corrected(name, plan.holes, nominal, self.tip, cell)
         targets = replace(exact, command=as_listed(exact.command))
         stroke = self._stroke(targets)
-        writer = writer_of(cell.robot.driver)
+        writer = program_writer(cell.robot.driver)
         if writer is None:
             return StationJob(plan, targets, stroke, self.standoff_mm, {}, [])
         T_W_B = calibration.base(name)
         drilling = Drilling(cell, T_W_B, self.tip, self.standoff_mm)
         straight_rad = drilling.straight_rad(plan.holes, targets.command)
-        lost = straight_way(calibration.lost_motion, drilling.arm, T_W_B, straight_rad)
+        lost = straight_path(calibration.lost_motion, drilling.arm, T_W_B, straight_rad)
         sent = as_listed(targets.command - np.pad(lost.shift_mm, ((0, 0), (0, 3))))
         count = len(plan.holes)
         place = f"{counted(count, 'hole')} at station {name}"

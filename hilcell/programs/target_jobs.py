@@ -25,11 +25,11 @@ from hilcell.compensation.programs import (
     StatedBase,
     Stroke,
     load_program,
-    notes_of,
+    program_notes,
     suffixes,
     write_program,
 )
-from hilcell.compensation.targets import HEADER, csv_of, read_targets, target_rows, unit_hint
+from hilcell.compensation.targets import HEADER, csv_content, read_targets, target_rows, unit_hint
 from hilcell.errors import indented
 from hilcell.geometry.frames import (
     apply,
@@ -79,10 +79,10 @@ class TargetFiles:
             write_whole(bounds, content, inputs=read)
             read.append(bounds)
         if program is None:
-            write_whole(out, csv_of(self.header, self.rows, stamp), inputs=read)
+            write_whole(out, csv_content(self.header, self.rows, stamp), inputs=read)
             return str(out), []
         written = write_program(program, self.positions, self.source, out, stamp=stamp, inputs=read)
-        notes = notes_of(program, self.frame, self.source, written)
+        notes = program_notes(program, self.frame, self.source, written)
         return " and ".join(map(str, written)), [f"{self.source.name}: {note}" for note in notes]
 
 

@@ -24,7 +24,7 @@ from hilcell.calibration.frames import (
     world_covariance,
 )
 from hilcell.calibration.grid import grid_errors_mm, grid_of, vertex_ids
-from hilcell.calibration.measurement_budget import budget_of, expanded_mm
+from hilcell.calibration.measurement_budget import expanded_mm, measurement_budget
 from hilcell.calibration.position_errors import Errors, places, validation, visits_mm
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.errors import HilcellError
@@ -191,7 +191,7 @@ class _Side:
 
     @cached_property
     def u_mm(self) -> float | None:
-        budget = budget_of(self.log)
+        budget = measurement_budget(self.log)
         return None if budget is None else budget.u_mm
 
     def frame_covariance(self, key: str) -> Array | None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.atomic_files import NotWritten
-from hilcell.calibration.decision_rule import guard_of
+from hilcell.calibration.decision_rule import guard_band
 from hilcell.identity import Identity
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
@@ -201,7 +201,7 @@ class _Certificate:
         |e| of a target changes by no more than its position, so U of the largest is that of the
         95 % quantile, too.
         """
-        figures, guard = row.errors.figures, guard_of(self.facts.log, len(row.errors))
+        figures, guard = row.errors.figures, guard_band(self.facts.log, len(row.errors))
         return [
             quantity("targets", len(row.errors), ONE, "hilcell_targets"),
             quantity("mean", figures.mean, MM, "hilcell_mean", guard.mean_mm, mean),

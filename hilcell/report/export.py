@@ -16,7 +16,7 @@ from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.point import Point
 from hilcell.ports import Array
-from hilcell.present.renderers import csv_of, xlsx_of
+from hilcell.present.renderers import csv_content, xlsx_of
 from hilcell.present.table import Column, Table, Value, listed, vector
 from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
@@ -180,7 +180,7 @@ def run_table(facts: Facts) -> Table:
 def csv_bytes(facts: Facts) -> bytes:
     """Return the points as CSV in UTF-8."""
     simulated = Column[Measured]("simulated", lambda row: _yes(facts.inputs.simulated))
-    return csv_of(Table((*POINTS, simulated), points(facts)))
+    return csv_content(Table((*POINTS, simulated), points(facts)))
 
 
 def _yes(holds: bool) -> str:

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.file import calibration_so_far, verdicts_of
+from hilcell.calibration.file import calibration_so_far, validation_verdicts
 from hilcell.calibration.grid import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.orientation import validated_orientation_errors
@@ -557,7 +557,7 @@ def conformity_words(facts: Facts) -> str:
     if tests_poses(facts):
         return PoseReport(facts).conformity_words()
     limits, plan = facts.cell.validation, facts.cell.plan
-    judged = verdicts_of(facts.log)
+    judged = validation_verdicts(facts.log)
     rule = RULE
     if facts.log.verdict(Rechecked) is not None:
         return "chi-square tests of the errors against those that the calibration predicts"

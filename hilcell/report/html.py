@@ -12,7 +12,7 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration.instrument import TWO_FACES
-from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.calibration.measurement_budget import Budget, measurement_budget
 from hilcell.calibration.position_errors import places, validation
 from hilcell.cell.file import Cell
 from hilcell.cell.undetectable_errors import undetectable_errors
@@ -175,7 +175,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
 
     ``pages`` says on which page each part begins, where that is known: on paper.
     """
-    budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
+    budget, targets = measurement_budget(facts.log), target_budget(facts.log, facts.run)
     tables = Tables(facts)
     measured_here = tests_poses(facts) or any(
         validation(facts.log, stations) for stations in places(facts.cell).values()

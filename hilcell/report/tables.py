@@ -19,8 +19,8 @@ from hilcell.calibration.orientation import (
 from hilcell.calibration.position_errors import (
     Errors,
     counting,
-    errors_of,
     places,
+    position_errors,
     reduction,
     targets,
     validation,
@@ -317,7 +317,7 @@ class Tables:
     def _error_mm(self, point: Point) -> float | None:
         if point.nominal_mm is None or "world" not in self.facts.log.frames:
             return None
-        return float(errors_of(self.facts.log, [point]).norms_mm[0])
+        return float(position_errors(self.facts.log, [point]).norms_mm[0])
 
     def oriented(self) -> Iterator[tuple[str, Sent, OrientationErrors]]:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
@@ -409,15 +409,15 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
         return Table((), ())
     stations, most = [station.name for station in log.cell.station], 10
     points = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
-    order = np.argsort(-errors_of(log, points).norms_mm, kind="stable")[:most]
+    order = np.argsort(-position_errors(log, points).norms_mm, kind="stable")[:most]
     before = {
-        (point.station, point.id.number): float(errors_of(log, [point]).norms_mm[0])
+        (point.station, point.id.number): float(position_errors(log, [point]).norms_mm[0])
         for name in stations
         for point in targets(log, name, Sent.BEFORE)
     }
     rows = list[tuple[Value, ...]]()
     for rank, n in enumerate(order, start=1):
-        point, errors = points[n], errors_of(log, [points[n]])
+        point, errors = points[n], position_errors(log, [points[n]])
         norm_mm, bound_mm = float(errors.norms_mm[0]), budget.points_mm.get(point.key)
         others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
                   if p.xyz_mm != point.xyz_mm]  # fmt: skip
@@ -428,7 +428,7 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
             before.get((point.station, point.id.number)),
             *errors.error_mm[0].tolist(),
             norm_mm,
-            float(errors_of(log, others).norms_mm.max()) if others else None,
+            float(position_errors(log, others).norms_mm.max()) if others else None,
             bound_mm,
             None if bound_mm is None else norm_mm / bound_mm,
         ))  # fmt: skip

@@ -22,15 +22,15 @@ from hilcell.model.verdicts import (
     FacesCompared,
     Fitted,
     Judged,
-    LengthFound,
     LengthsChecked,
     LostMotionJudged,
+    MeasuredLength,
+    MeasuredReflector,
     Oriented,
     Parameter,
     PoseTested,
     Rechecked,
     ReflectorsCompared,
-    ReflectorSeen,
     Revisited,
     SignChecked,
     StripRepeats,
@@ -93,13 +93,13 @@ LOST_MOTION = LostMotionJudged(
     limit_urad=60.0,
 )
 LENGTHS = LengthsChecked(
-    holds=True, lengths=[LengthFound(("N1", "N2"), 1000.0, 1000.01, 0.05)], wrong=[]
+    holds=True, lengths=[MeasuredLength(("N1", "N2"), 1000.0, 1000.01, 0.05)], wrong=[]
 )
 FACES = FacesCompared(
     holds=True, nests=[Faces("N1", 0.01, -0.02, 0.1)], found="N1 differs most", wrong=[]
 )
 REFLECTORS = ReflectorsCompared(
-    holds=True, reflectors=[ReflectorSeen("cube", 0.01, 0.02, 0.1)], wrong=[]
+    holds=True, reflectors=[MeasuredReflector("cube", 0.01, 0.02, 0.1)], wrong=[]
 )
 ORIENTED = Oriented(holds=True, before_mean_deg=0.05, mean_deg=0.01, reflectors_moved_mm=0.003)
 CONFORMS = DriverConforms(holds=True, driver="lines", broken=[])

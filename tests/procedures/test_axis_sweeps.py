@@ -16,7 +16,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.identification.axis_motion import SweepStream
-from hilcell.identification.sweeps import curve_of
+from hilcell.identification.sweeps import transmission_curve
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import mover
 from procedures import axis_sweeps
@@ -136,7 +136,7 @@ def test_a_curve_is_journalled_as_data_and_never_swept_for_again(bed: Bed) -> No
     log = bed.log()
     assert log.curves[1].holds, log.curves[1].reason
     assert set(log.streams) == {"sweep/A1/up", "sweep/A1/down"}
-    curve = curve_of(log.curves[1])
+    curve = transmission_curve(log.curves[1])
     q = np.linspace(curve.low_rad, curve.high_rad, 400)
     assert np.std(curve.evaluate(q) - AXIS.ripple(q)) < 2e-6
     (figures,) = result_of(AxisSweeps(), log)["sweeps"]["axes"]

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, judged, limits_of
+from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
 from hilcell.calibration.grid import grid_of
 from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
@@ -78,7 +78,7 @@ def test_a_station_stays_decided_by_the_uncertainty_of_then(
     )
     monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
     now = Guard(0.03, 0.03)
-    monkeypatch.setattr(quick_validation, "guard_of", lambda log, count: now)
+    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: now)
     assert quick_validation.decision_at(log, "S300").outcome == Outcome.ACCEPTED
     quick_validation.record_guard(session, "S300")
     now = Guard(0.065, 0.065)
@@ -102,7 +102,7 @@ def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault
     found = Errors(np.zeros((96, 3)), np.tile([0.002, 0.0, 0.0], (96, 1)))
     log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
     monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
-    monkeypatch.setattr(quick_validation, "guard_of", lambda log, count: Guard(0.0225, 0.0225))
+    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: Guard(0.0225, 0.0225))
     assert quick_validation.decision_at(log, "S300") == Decision(Outcome.UNDECIDED, 96)
     assert "most_targets" in quick_validation.judgement(log, ["S300"]).text
 
@@ -131,12 +131,12 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
         Guard(0.06, 0.06),
     )
     monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
-    monkeypatch.setattr(quick_validation, "guard_of", lambda log, count: guard)
+    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: guard)
     decided = quick_validation.decision_at(log, "S300")
     assert decided.outcome is not Outcome.UNDECIDED  # more would not help
     judgement = quick_validation.judgement(log, ["S300"])
     assert judgement.outcome == outcome
-    verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement.outcome)
+    verdict = judged(error_mm, error_mm, tolerance_limits(cell), guard, also=judgement.outcome)
     assert verdict.outcome == outcome
     assert "most_targets" not in judgement.text
     assert judgement.text.startswith(verdict.outcome.words)

@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from hilcell.calibration.frames import Frames
-from hilcell.calibration.grid import grid_of, measured_of
+from hilcell.calibration.grid import grid_of, measured_errors
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.model_choice import MODELS
@@ -129,7 +129,7 @@ def touch_base(bench: Any, station: Station, model: Any) -> Array:
 
 
 def model_of(log: Log) -> Any:
-    return MODELS["trilinear"].learn(measured_of(log))
+    return MODELS["trilinear"].learn(measured_errors(log))
 
 
 def test_the_poses_are_in_the_cube_and_spread() -> None:

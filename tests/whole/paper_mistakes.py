@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.grid import measured_grid
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.position_errors import position_errors
 from hilcell.compensation.interpolation import Idw
 from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse
@@ -76,7 +76,7 @@ def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[s
         nominal_mm = np.array([point.nominal_mm for point in targets])
         in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
         off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
-        before_mm = errors_of(log, log.select("validate", station, how="before")).error_mm
+        before_mm = position_errors(log, log.select("validate", station, how="before")).error_mm
         reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
         points += [placed(point, at_mm) for point, at_mm in zip(targets, reached_mm, strict=True)]
     return changed(log, points)

@@ -9,7 +9,7 @@ from fakes.truth.arm_truth import ArmTruth, Ripple
 from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.position_errors import position_errors
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
@@ -100,7 +100,7 @@ def test_the_models_covariance_covers_the_errors(whole: GoldenRun) -> None:
     """Of targets that it corrected: a 95 % ellipsoid is good to about 30 % of the variance."""
     folder = whole.folder
     log, made = read_log(folder), read_calibration(folder / CALIBRATION)
-    found = errors_of(log, log.select("validate", log.cell.grid.station, how="chosen"))
+    found = position_errors(log, log.select("validate", log.cell.grid.station, how="chosen"))
     T_B_W = inverse(log.matrix("base"))
     errors_mm = found.error_mm @ T_B_W[:3, :3].T
     poses = poses_at(log.cell, apply(T_B_W, found.nominal_mm))

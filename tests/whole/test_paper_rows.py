@@ -16,9 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
-from hilcell.calibration.frames import Frames, circle_of
+from hilcell.calibration.frames import Frames, axis_circle
 from hilcell.calibration.grid import grid_errors_mm, grid_of, measured_grid
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.position_errors import position_errors
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw
@@ -166,7 +166,9 @@ def test_a_links_error_left_in_the_tools_frame(
 def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
     log = paper.log
     vertices = log.select("grid")
-    errors = errors_of(log, vertices).error_mm[np.random.default_rng(1).permutation(len(vertices))]
+    errors = position_errors(log, vertices).error_mm[
+        np.random.default_rng(1).permutation(len(vertices))
+    ]
     nominal_mm = np.array([point.nominal_mm for point in vertices])
     dealt_mm = apply(inverse(log.matrix("world")), nominal_mm + errors)
     points = [placed(point, at_mm) for point, at_mm in zip(vertices, dealt_mm, strict=True)]
@@ -235,7 +237,7 @@ def test_commands_by_another_equation(
 def test_a_correction_that_is_not_taken_off(paper: PaperRun, share: float) -> None:
     log = paper.log
     before, corrected = log.points["sign/before"], log.points["sign/corrected"]
-    (error_mm,) = errors_of(log, [before]).error_mm
+    (error_mm,) = position_errors(log, [before]).error_mm
     at_mm = apply(inverse(log.matrix("world")), [np.array(before.nominal_mm) + share * error_mm])
     assert fails("sec3.3.sign", changed(log, [placed(corrected, at_mm[0])]))
 
@@ -273,7 +275,7 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
     turn = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
     at_mm = positions_mm([early]) + step_mm @ turn.T
     other = changed(log, [placed(early, at_mm[0])])
-    rms_mm = circle_of(log.cell, other, 1, other.select("base", axis=1)).rms_mm
+    rms_mm = axis_circle(log.cell, other, 1, other.select("base", axis=1)).rms_mm
     frames = {"base": {"circle_rms_mm": [rms_mm, log.frame(MeasuredBase, "base").circle_rms_mm[1]]}}
     assert fails("fig6.circle.rms", framed(other, frames))
 

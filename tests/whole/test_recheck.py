@@ -48,7 +48,7 @@ def test_a_lost_zero_is_updated_and_the_update_holds(
     assert done.returncode == 0, done.stderr
     done = command("compensate", "V", targets, "--station", "S1100", "-o", out, "--runs", runs)
     assert done.returncode == 2
-    monkeypatch.setattr(decision_rule, "limits_of", lambda cell: Limits(0.1, 0.11, None))
+    monkeypatch.setattr(decision_rule, "tolerance_limits", lambda cell: Limits(0.1, 0.11, None))
     for name in ("R", "V"):  # its base moved; as predicted: both out of such a tolerance
         result = recheck_result(read_log(runs / name))
         assert (result.verdict, result.in_tolerance) == ("redo", False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from hilcell.invariants import check_invariants as verdicts_of
+from hilcell.invariants import check_invariants as validation_verdicts
 from hilcell.journal.journal import Record
 
 HEAD = ("run", "seq", "t", "kind")  # of an event; the rest is the record's body, and its key
@@ -13,7 +13,7 @@ HEAD = ("run", "seq", "t", "kind")  # of an event; the rest is the record's body
 
 def judge(events: Iterable[dict[str, Any]]) -> list[str]:
     """Return the invariants that the events of a journal break, one line each."""
-    verdicts = verdicts_of(map(record_of, events))
+    verdicts = validation_verdicts(map(record_of, events))
     return [
         f"{name} at record {each.seq}: {each.what}"
         for name, verdict in verdicts.items()

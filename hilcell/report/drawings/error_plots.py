@@ -8,7 +8,7 @@ from datetime import datetime
 
 import numpy as np
 
-from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.position_errors import Errors, grid_errors, validation
@@ -58,7 +58,7 @@ def in_order(facts: Facts) -> str:
     shown = {how: series[how].norms_mm for how in BOTH if how in series}
     if not shown:
         return ""
-    limits = limits_of(facts.cell)
+    limits = tolerance_limits(facts.cell)
     largest = max(*(float(each.max()) for each in shown.values()), limits.max_mm)
     least_mm = 0.005  # the logarithmic scale begins here
     frame = _frame(Scale(least_mm, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True))

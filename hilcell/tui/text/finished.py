@@ -19,7 +19,7 @@ import msgspec
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
-from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.iso9283 import Angles, PoseTest
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import CheckedPose, RecheckResult
@@ -371,7 +371,7 @@ class Finished:
         return _whole(head, (f" for {names}", "$label"), (air, "$label"))
 
 
-def verdict_of(view: RunView) -> Finished | None:
+def decode_verdict(view: RunView) -> Finished | None:
     """Return the verdict of a finished run with a validation; None for every other run.
 
     Stations that were also judged together are shown one by one.
@@ -394,7 +394,7 @@ def verdict_of(view: RunView) -> Finished | None:
     if view.state != "done":
         undecided = view.log.decided is Outcome.UNDECIDED
         outcome = Outcome.UNDECIDED if undecided else Outcome.REJECTED
-    limits = limits_of(view.log.cell)
+    limits = tolerance_limits(view.log.cell)
     return Finished(outcome, tuple(stations), limits, max(floors, default=math.nan))
 
 

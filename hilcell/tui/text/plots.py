@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 from textual.content import Content
 
-from hilcell.calibration.decision_rule import limits_of
+from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.iso9283 import attained
-from hilcell.calibration.position_errors import Errors, counting, errors_of
+from hilcell.calibration.position_errors import Errors, counting, position_errors
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
 from hilcell.decoding import typed
@@ -113,7 +113,7 @@ class Measured:
         validated = [*log.measured("validate")]
         points = validated or [*log.measured("grid")]
         points = [counting(log, point) for point in points if point.nominal_mm is not None]
-        return Errors3D.of(points, errors_of(log, points).norms_mm, grid=not validated)
+        return Errors3D.of(points, position_errors(log, points).norms_mm, grid=not validated)
 
     def stations(self) -> tuple[str, ...]:
         """Return the stations of the targets, after "" for all."""
@@ -169,7 +169,7 @@ class Measured:
         try:
             result = rechecked(self.log)
         except HilcellError:
-            return errors_of(self.log, points).norms_mm, np.zeros(0)
+            return position_errors(self.log, points).norms_mm, np.zeros(0)
         return np.linalg.norm(result.errors_mm, axis=1), bounds95_mm(result.each_mm2)
 
     @property
@@ -479,7 +479,7 @@ class Figures:
         if floor is not None:
             rows.append(("", ("floor", "$label"), (floor.mean, floor.p95)))
         if self.plot.limits:
-            limits = limits_of(log.cell)
+            limits = tolerance_limits(log.cell)
             rows.append(("", "limit", (limits.mean_mm, None, limits.max_mm)))
         parts: list[Lines | Text] = [
             section("figures"),
@@ -589,7 +589,7 @@ class Figures:
         return [BLANK, section("worst targets"), grid]
 
     def _words(self, errors: Errors3D, floor: Floor | None) -> list[Lines | Text]:
-        limits = limits_of(self.of.log.cell)
+        limits = tolerance_limits(self.of.log.cell)
         known = np.isfinite(errors.by_how[Sent.CHOSEN])
         norms_mm = errors.by_how[Sent.CHOSEN][known]
         over = int(np.sum(~(norms_mm <= limits.max_mm)))

@@ -12,8 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
-from hilcell.calibration.measurement_budget import budget_of
-from hilcell.calibration.position_errors import counting, errors_of
+from hilcell.calibration.measurement_budget import measurement_budget
+from hilcell.calibration.position_errors import counting, position_errors
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, outcome_of
@@ -55,7 +55,7 @@ class Deviation:
 def expanded_uncertainty_mm(log: Log) -> float:
     """Return U (mm) of a single error; NaN, which accepts nothing, where it cannot be stated."""
     with suppress(HilcellError):
-        budget = budget_of(log)
+        budget = measurement_budget(log)
         return math.nan if budget is None else budget.U_mm
     return math.nan
 
@@ -66,12 +66,12 @@ def is_judged(point: Point) -> bool:
 
 
 def deviation_of(log: Log, point: Point) -> Deviation | None:
-    """Return a point's deviation, as `deviations_of`, with U as the log has it now."""
+    """Return a point's deviation, as `target_deviations`, with U as the log has it now."""
     U_mm = expanded_uncertainty_mm(log) if is_judged(point) else 0.0
-    return deviations_of(log, [point], U_mm)[0]
+    return target_deviations(log, [point], U_mm)[0]
 
 
-def deviations_of(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviation | None]:
+def target_deviations(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviation | None]:
     """Return the deviation of each point, None without a nominal target or where {W} is not known.
 
     Of a target that was measured more than once, the measurement that counts: the larger error.
@@ -81,7 +81,7 @@ def deviations_of(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviat
     known = [n for n, point in enumerate(points) if point.nominal_mm is not None]
     if not known or "world" not in log.frames:
         return deviations
-    errors = errors_of(log, [counting(log, points[n]) for n in known])
+    errors = position_errors(log, [counting(log, points[n]) for n in known])
     actual_mm = errors.nominal_mm + errors.error_mm
     limit_mm = log.cell.validation.max_tolerance_mm
     for n, error, actual in zip(known, errors.error_mm, actual_mm, strict=True):
@@ -241,7 +241,7 @@ class PointRows:
         points = [log.points[key] for key in new]
         if any(is_judged(point) for point in points) or self._U_of[0]:
             self._take_expanded(log)
-        for point, each in zip(points, deviations_of(log, points, self._U_mm), strict=True):
+        for point, each in zip(points, target_deviations(log, points, self._U_mm), strict=True):
             self._found[point.key] = log.changed[point.key], PointRow.of(log, point, each)
         return [self._found[key][1] for key in log.points]
 
@@ -336,7 +336,7 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
     if len(measured) == 1:
         return []
     counted = measured.index(counting(log, point))
-    norms_mm = errors_of(log, measured).norms_mm.tolist()
+    norms_mm = position_errors(log, measured).norms_mm.tolist()
     texts = [f"{norm_mm:.4f}" for norm_mm in norms_mm]
     texts[counted] += " (the larger: counts)"
     return [("|e| first, then again, mm", ", ".join(texts))]

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.decision_rule import Guard, judged, limits_of
+from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
 from hilcell.calibration.file import SCHEMA
 from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
@@ -24,7 +24,7 @@ LOW_MM = np.array([1400.0, -450.0, 500.0])
 PITCH_MM = 450.0
 SHAPE = (3, 3, 3)
 T_W_B = pose_from_zyx(-1850.0, -3.0, 300.0, 0.02, 0.1, -0.06)
-LIMITS = limits_of(load_cell("paper"))
+LIMITS = tolerance_limits(load_cell("paper"))
 STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hilcell.calibration.budget import NO_VISITS, in_validation, touched, uncertainty_of
+from hilcell.calibration.budget import NO_VISITS, in_validation, target_uncertainty, touched
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
@@ -41,7 +41,7 @@ def calibrated(folder: Path, **uncertainty: object) -> Writer:
 
 
 def lines(log: Log, station: str = "S1100") -> dict[str, Influence]:
-    found = uncertainty_of(log)
+    found = target_uncertainty(log)
     assert not found.missing
     return {each.name: each for each in (*found.lines, *found.stations[station])}
 
@@ -56,7 +56,7 @@ def log(tmp_path: Path) -> Log:
 
 
 def test_without_repeated_visits_there_is_a_reason_only(tmp_path: Path) -> None:
-    found = uncertainty_of(Writer(tmp_path / "few").began().facts().log)
+    found = target_uncertainty(Writer(tmp_path / "few").began().facts().log)
     assert (found.missing, found.lines, found.stations) == (NO_VISITS, [], {})
 
 
@@ -152,7 +152,7 @@ def test_what_the_cell_states(tmp_path: Path) -> None:
         arm_growth_um_m_k=12.0, air_range_k=6.0,
     )  # fmt: skip
     log = writer.facts().log
-    found, whole = lines(log), uncertainty_of(log)
+    found, whole = lines(log), target_uncertainty(log)
     np.testing.assert_allclose(shift_mm2(found["SMR centring"]), 0.006**2 / 3 * np.eye(3))
     np.testing.assert_allclose(shift_mm2(found["Approach direction"]), 0.06**2 / 3 * np.eye(3))
     tracker = np.array(found["Tracker, systematic"].covariance)
@@ -211,14 +211,14 @@ def test_a_touched_base_has_its_own_covariance(tmp_path: Path) -> None:
 
 def test_the_model_rests_on_poses_whose_angles_differ(tmp_path: Path) -> None:
     writer = calibrated(tmp_path / "few")
-    assert uncertainty_of(writer.facts().log).model_samples is None
+    assert target_uncertainty(writer.facts().log).model_samples is None
     writer = calibrated(tmp_path / "grid")
     for number in range(8):
         id = PointId("grid", vertex=(number, 0, 0))
         axes_deg = (number % 4 + 0.001 * number, 10.0 * number, -5.0 * number, 0.0, 0.0, 0.0)
         writer.point(id, (0, 0, 0), commanded_deg=axes_deg)
     log = writer.facts().log
-    assert uncertainty_of(log).model_samples == 4  # of axis 1
+    assert target_uncertainty(log).model_samples == 4  # of axis 1
     curves = CurvesUsed(used=True, reason="")
     log.verdicts["fit"] = replace(FITTED, curves=curves)  # what is left is no gear's
-    assert uncertainty_of(log).model_samples == 8
+    assert target_uncertainty(log).model_samples == 8

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.changes import changed_since, compared
-from hilcell.calibration.diagnosis import suspicions_of
+from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.geometry.frames import from_rotvec
 from hilcell.journal.journal import read_journal
@@ -18,7 +18,7 @@ from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.model.calibration import Update
 from hilcell.model.frame import Frame
-from hilcell.model.plan import FloorBefore
+from hilcell.model.plan import PreviousReference
 from hilcell.model.verdicts import Parameter
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.verdicts import UPDATED
@@ -31,13 +31,13 @@ def log(golden: GoldenRuns) -> Log:
 
 
 @pytest.fixture
-def before(golden: GoldenRuns, log: Log) -> FloorBefore:
+def before(golden: GoldenRuns, log: Log) -> PreviousReference:
     found = floor_before(golden["small"].runs, log.cell, 1)
     assert found is not None
     return found
 
 
-def then(log: Log, before: FloorBefore) -> Log:
+def then(log: Log, before: PreviousReference) -> Log:
     log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
     return log
 
@@ -49,13 +49,13 @@ def moved(frame: Frame, shift_mm: tuple[float, ...], turn_deg: tuple[float, ...]
     return Frame(matrix=T.tolist(), covariance=frame.covariance)
 
 
-def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:
+def test_the_same_base_and_stations_hold(log: Log, before: PreviousReference) -> None:
     found = compared(then(log, before))
     assert all(each.holds for each in found)
     places = 1 + len(log.cell.station)
     assert len(found) == 1 + 6 * places
     assert all(each.now - each.then == pytest.approx(0.0, abs=1e-9) for each in found)
-    assert suspicions_of(log) == []
+    assert suspected_causes(log) == []
 
 
 def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
@@ -78,7 +78,7 @@ def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
 )
 def test_a_base_that_lies_elsewhere_is_a_suspicion(
     log: Log,
-    before: FloorBefore,
+    before: PreviousReference,
     shift_mm: tuple[float, ...],
     turn_deg: tuple[float, ...],
     name: str,
@@ -86,20 +86,20 @@ def test_a_base_that_lies_elsewhere_is_a_suspicion(
 ) -> None:
     assert before.base is not None
     base = moved(before.base, shift_mm, turn_deg)
-    (found,) = suspicions_of(then(log, msgspec.structs.replace(before, base=base)))
+    (found,) = suspected_causes(then(log, msgspec.structs.replace(before, base=base)))
     assert (found.cause, found.unit.partition(" of ")[2]) == ("changed since", name)
     assert found.size == pytest.approx(by, rel=1e-3)
     assert before.run in found.noticed_by
 
 
-def test_a_station_that_lies_elsewhere_is_a_suspicion(log: Log, before: FloorBefore) -> None:
+def test_a_station_that_lies_elsewhere_is_a_suspicion(log: Log, before: PreviousReference) -> None:
     station = log.cell.station[-1].name
     frames = before.stations | {station: moved(before.stations[station], (0, 3.0, 0), (0, 0, 0))}
-    (found,) = suspicions_of(then(log, msgspec.structs.replace(before, stations=frames)))
+    (found,) = suspected_causes(then(log, msgspec.structs.replace(before, stations=frames)))
     assert found.unit == f"mm of {station} y"
 
 
-def scatter(log: Log, before: FloorBefore, share: float) -> Parameter:
+def scatter(log: Log, before: PreviousReference, share: float) -> Parameter:
     """Return the repeatability beside one of then that was a share of it."""
     clouds = [np.array(cloud) for cloud in before.visits_mm]
     visits = [cloud.mean(axis=0) + share * (cloud - cloud.mean(axis=0)) for cloud in clouds]
@@ -109,7 +109,9 @@ def scatter(log: Log, before: FloorBefore, share: float) -> Parameter:
     return found
 
 
-def test_a_robot_that_scatters_more_than_then_is_a_suspicion(log: Log, before: FloorBefore) -> None:
+def test_a_robot_that_scatters_more_than_then_is_a_suspicion(
+    log: Log, before: PreviousReference
+) -> None:
     """A brake that slips from the first point on is in the scatter of all its visits alike."""
     assert scatter(log, before, 0.7).holds
     found = changed_since([scatter(log, before, 0.1)], before.run)
@@ -125,7 +127,7 @@ def test_no_scatter_is_compared_on_another_grid(golden: GoldenRuns, log: Log) ->
     assert "repeatability" not in {each.name for each in compared(then(log, other))}
 
 
-def test_the_noise_of_readings_makes_no_robot_worse(log: Log, before: FloorBefore) -> None:
+def test_the_noise_of_readings_makes_no_robot_worse(log: Log, before: PreviousReference) -> None:
     """As of a tracker that stands farther away than it did then."""
     noisy = [
         msgspec.structs.replace(point, std_mm=(0.2, 0.2, 0.2))
@@ -149,7 +151,7 @@ def test_another_station_of_the_grid_is_not_compared(golden: GoldenRuns, log: Lo
     assert at.name not in found.stations
 
 
-def test_a_room_that_is_warmer_explains_more(log: Log, before: FloorBefore) -> None:
+def test_a_room_that_is_warmer_explains_more(log: Log, before: PreviousReference) -> None:
     assert before.temperature_c is not None
     cold = msgspec.structs.replace(before, temperature_c=before.temperature_c - 10.0)
     usual = {each.name: each.limit for each in compared(then(log, before))}

@@ -9,12 +9,12 @@ import pytest
 from hilcell.calibration.decision_rule import (
     Guard,
     check_limits,
-    guard_of,
+    guard_band,
     judged,
     judged_again,
     limits_within,
 )
-from hilcell.calibration.measurement_budget import NOISE, budget_of
+from hilcell.calibration.measurement_budget import NOISE, measurement_budget
 from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
 from hilcell.model.outcome import Outcome
@@ -127,10 +127,10 @@ def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None
     for n, nest in enumerate(("F1", "F2", "F3")):
         writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
     log = writer.facts().log
-    budget = budget_of(log)
+    budget = measurement_budget(log)
     assert budget is not None
     noise_mm = next(line.u_mm for line in budget.lines if line.name == NOISE)
-    one, many = guard_of(log, 1), guard_of(log, 100)
+    one, many = guard_band(log, 1), guard_band(log, 100)
     assert one.mean_mm == one.max_mm == many.max_mm == budget.U_mm
     assert one.mean_mm**2 - many.mean_mm**2 == pytest.approx(4 * 0.99 * noise_mm**2)
     assert "World frame" in [line.name for line in budget.lines]
@@ -138,5 +138,5 @@ def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None
 
 def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:
     with pytest.raises(HilcellError) as caught:
-        guard_of(Writer(tmp_path / "none").began().facts().log, 3)
+        guard_band(Writer(tmp_path / "none").began().facts().log, 3)
     assert caught.value.code == "HC-C21"

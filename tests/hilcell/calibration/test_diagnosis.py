@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.causes import patterns, zero_columns
-from hilcell.calibration.diagnosis import suspicions_of
+from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.geometry.frames import from_rotvec, inverse
@@ -17,7 +17,7 @@ from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import Frame, MeasuredBase
-from hilcell.model.plan import FloorBefore
+from hilcell.model.plan import PreviousReference
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause
 from hilcell.ports import Array
@@ -89,7 +89,7 @@ def nest_rises(log: Log) -> None:
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
     base = Frame(matrix=then.tolist(), covariance=log.frames["base"].covariance)
-    before = FloorBefore("c1", {}, None, base, alike=True)
+    before = PreviousReference("c1", {}, None, base, alike=True)
     log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
 
 
@@ -131,7 +131,7 @@ SUSPECTED = {
 
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_a_small_change_is_named_where_no_large_one_is(records: list[Record], name: str) -> None:
-    assert [each.cause for each in suspicions_of(disturbed(records, name))] == SUSPECTED[name]
+    assert [each.cause for each in suspected_causes(disturbed(records, name))] == SUSPECTED[name]
 
 
 def test_every_cause_is_in_a_test_here_or_beside_it() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilcell.calibration.drift import Series, slope_of
+from hilcell.calibration.drift import Series, drift_cause
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
@@ -45,7 +45,7 @@ def series(seed: int, *, growth: float = 0.0, slope: Array | None = None) -> Ser
 
 
 def test_a_room_that_swings_and_a_strip_that_slips_are_no_drift() -> None:
-    assert [slope_of(series(seed), ARM) for seed in range(30)] == [None] * 30
+    assert [drift_cause(series(seed), ARM) for seed in range(30)] == [None] * 30
 
 
 def small(seed: int) -> Series:
@@ -66,27 +66,27 @@ def small(seed: int) -> Series:
 
 
 def test_chance_is_no_drift_where_any_slope_would_matter() -> None:
-    assert [slope_of(small(seed), ARM) for seed in range(200)] == [None] * 200
+    assert [drift_cause(small(seed), ARM) for seed in range(200)] == [None] * 200
 
 
 @pytest.mark.parametrize("um_m", [25.0, -25.0])
 def test_an_arm_that_grows_is_named_with_its_size(um_m: float) -> None:
     for seed in range(10):
-        found = slope_of(series(seed, growth=1e-6 * um_m), ARM)
+        found = drift_cause(series(seed, growth=1e-6 * um_m), ARM)
         assert found is not None
         assert (found.cause, found.unit) == ("drift", "µm/m over the run, as of temperature")
         assert found.size == pytest.approx(um_m, abs=12.0)
 
 
 def test_an_axis_that_creeps_is_named() -> None:
-    found = slope_of(series(1, slope=np.zeros(3)), ARM)
+    found = drift_cause(series(1, slope=np.zeros(3)), ARM)
     assert found is None
     still = series(1)
     creeps = np.radians(0.004)
     before, after = (
         forward(ARM, still.joints_rad + turn * np.eye(6)[1])[:, :3, 3] for turn in (0.0, creeps)
     )
-    found = slope_of(series(1, slope=after - before), ARM)
+    found = drift_cause(series(1, slope=after - before), ARM)
     assert found is not None
     assert found.unit == "deg of axis 2 over the run, as of zero lost"
     assert found.size == pytest.approx(0.004, rel=0.4)
@@ -94,5 +94,5 @@ def test_an_axis_that_creeps_is_named() -> None:
 
 def test_less_than_one_visit_scatters_is_no_suspicion() -> None:
     slow = series(3, growth=13e-6)
-    assert slope_of(slow, ARM) is None
-    assert slope_of(replace(slow, floor_mm=0.0), ARM) is not None
+    assert drift_cause(slow, ARM) is None
+    assert drift_cause(replace(slow, floor_mm=0.0), ARM) is not None

@@ -11,9 +11,9 @@ import pytest
 
 from hilcell.calibration.file import (
     SCHEMA,
-    failed_of,
+    other_failed_verdicts,
     read_calibration,
-    verdicts_of,
+    validation_verdicts,
     write_calibration,
 )
 from hilcell.calibration.form import Calibration
@@ -181,10 +181,10 @@ def test_a_run_s_verdicts_stand_in_its_file() -> None:
         "closing": OtherVerdict(holds=False, facts=facts),
         "validation.S1100": REJECTED,
     }
-    assert failed_of(log) == {"closing": "shift 0.2123 mm, cause mount slipped"}
-    assert verdicts_of(log) == {"S1100": REJECTED}
+    assert other_failed_verdicts(log) == {"closing": "shift 0.2123 mm, cause mount slipped"}
+    assert validation_verdicts(log) == {"S1100": REJECTED}
     log.verdicts = {"revisits.closing": VERDICTS["revisits.closing"]}
-    assert failed_of(log) == {"revisits.closing": SUSPICION.text}
+    assert other_failed_verdicts(log) == {"revisits.closing": SUSPICION.text}
 
 
 def test_the_model_comes_back_with_its_covariance(file: Path) -> None:

@@ -14,7 +14,7 @@ from hilcell.calibration.influence import (
     Frame,
     Influence,
     Part,
-    bounds_of,
+    combined_bounds,
     motion,
     moved_frame,
 )
@@ -84,7 +84,7 @@ def test_parts_add_up_and_the_model_s_turns_with_the_base() -> None:
     T_W_B = np.eye(4)
     T_W_B[:3, :3] = R
     model_mm2 = np.diag([1.0, 4.0, 9.0])[None]
-    found = bounds_of(model_mm2, [influence(motion(1.0))], T_W_B, np.eye(4)[None])
+    found = combined_bounds(model_mm2, [influence(motion(1.0))], T_W_B, np.eye(4)[None])
     assert [part.name for part in found.parts] == [MODEL, "it"]
     np.testing.assert_allclose(found.covariance_mm2, [np.diag([5.0, 2.0, 10.0])], atol=1e-12)
     assert found.parts[1].u_mm == pytest.approx(1.0)
@@ -103,7 +103,7 @@ def test_what_the_model_has_in_counts_once() -> None:
     """Of 9, 4 and 1 mm2 repeatability has 4: the model keeps what exceeds it."""
     visits = influence(motion(4.0), within_model=True)
     model_mm2 = np.diag([9.0, 4.0, 1.0])[None]
-    found = bounds_of(model_mm2, [visits], np.eye(4), np.eye(4)[None])
+    found = combined_bounds(model_mm2, [visits], np.eye(4), np.eye(4)[None])
     np.testing.assert_allclose(found.parts[0].covariance_mm2[0], np.diag([5.0, 0, 0]), atol=1e-12)
     np.testing.assert_allclose(found.covariance_mm2[0], np.diag([9.0, 4.0, 4.0]), atol=1e-12)
 
@@ -111,7 +111,7 @@ def test_what_the_model_has_in_counts_once() -> None:
 def test_a_model_from_few_poses_has_few_degrees_of_freedom() -> None:
     model_mm2 = np.eye(3)[None]
     few, many = (
-        bounds_of(model_mm2, [], np.eye(4), np.eye(4)[None], samples) for samples in (4, None)
+        combined_bounds(model_mm2, [], np.eye(4), np.eye(4)[None], samples) for samples in (4, None)
     )
     assert few.parts[0].freedom == pytest.approx(12.0)
     assert few.radii_mm[0] > 1.1 * many.radii_mm[0]

@@ -20,15 +20,15 @@ from hilcell.calibration.iso9283 import (
     Distance,
     Pose,
     PoseTest,
-    angles_of,
+    angle_characteristics,
     commanded_mm,
-    cube_of,
-    distance_of,
+    distance_characteristics,
     evaluated,
     interruptions,
-    pose_of,
+    largest_cube,
+    pose_characteristics,
 )
-from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of, combined_mm
+from hilcell.calibration.measurement_budget import NOISE, WORLD, combined_mm, measurement_budget
 from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import to_rotvec
@@ -52,7 +52,7 @@ NOTHING_MM2 = np.zeros((3, 3))
 def test_the_poses_lie_on_the_diagonals_of_one_plane_of_the_largest_cube() -> None:
     """10 % of the diagonal from its ends (6.8.5), so 40 % of it from the centre."""
     cell = load_cell("paper", {"grid.size_mm": "[900.0, 600.0, 1200.0]"})
-    cube, poses_mm = cube_of(cell), commanded_mm(cell)
+    cube, poses_mm = largest_cube(cell), commanded_mm(cell)
     assert cube.side_mm == 600.0
     assert sorted(poses_mm) == sorted(CYCLE)
     assert poses_mm["P1"].tolist() == cube.centre_mm
@@ -69,7 +69,7 @@ def errors(attained_mm: Array, wanted_mm: Array) -> Errors:
 
 
 def pose(attained_mm: Array, wanted_mm: Array = NOTHING_MM2[0], *, noise_mm2: float = 0.0) -> Pose:
-    return pose_of(errors(attained_mm, wanted_mm), wanted_mm, NOTHING_MM2, noise_mm2)
+    return pose_characteristics(errors(attained_mm, wanted_mm), wanted_mm, NOTHING_MM2, noise_mm2)
 
 
 def test_accuracy_and_repeatability_of_a_pose() -> None:
@@ -102,7 +102,7 @@ def test_the_measurement_s_noise_is_taken_off() -> None:
 
 
 def distance(ends: tuple[Array, Array], wanted: Array) -> Distance:
-    return distance_of((errors(ends[0], wanted[0]), errors(ends[1], wanted[1])), 0.0)
+    return distance_characteristics((errors(ends[0], wanted[0]), errors(ends[1], wanted[1])), 0.0)
 
 
 def test_accuracy_and_repeatability_of_a_distance() -> None:
@@ -149,7 +149,7 @@ def test_accuracy_and_repeatability_of_angles_by_scipy() -> None:
     angles_deg = wanted_deg + rng.normal(size=(30, 3)) * scatter_deg
     attained = Rotation.from_euler("xyz", angles_deg, degrees=True) * commanded
     turns_rad = to_rotvec(attained.as_matrix() @ commanded.as_matrix().T)
-    found = angles_of(turns_rad, NOTHING_MM2)
+    found = angle_characteristics(turns_rad, NOTHING_MM2)
     peer_deg = (attained * commanded.inv()).as_euler("xyz", degrees=True)
     assert [*found.ap_deg.values()] == pytest.approx(peer_deg.mean(axis=0), abs=2e-4)
     rp_deg = np.array([*found.rp_deg.values()])
@@ -158,7 +158,7 @@ def test_accuracy_and_repeatability_of_angles_by_scipy() -> None:
     assert pytest.approx([2.0 / math.sqrt(2.0 * 29.0)] * 3) == U
     U_deg = np.array([*found.ap_u95_deg.values()])
     assert pytest.approx(2.0 * rp_deg / 3.0 / math.sqrt(30.0)) == U_deg
-    assert angles_of(turns_rad, None).ap_deg == {}
+    assert angle_characteristics(turns_rad, None).ap_deg == {}
 
 
 # -- limits ----------------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ def four_cycles(folder: Path, spread_mm: float = 0.0) -> Log:
 
 
 def system_mm(log: Log, *without: str) -> float:
-    budget = budget_of(log)
+    budget = measurement_budget(log)
     assert budget is not None
     assert {NOISE, WORLD} <= {each.name for each in budget.lines}
     return combined_mm([each for each in budget.lines if each.name not in without])

@@ -13,7 +13,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.model.point import LENGTH, PointId
-from hilcell.model.verdicts import LengthFound, LengthsChecked
+from hilcell.model.verdicts import LengthsChecked, MeasuredLength
 from tests.hilcell.report.journals import Writer, plan_record
 from tests.whole.bench import command, end_of, events, sets, simulation
 from tests.whole.trace import judge
@@ -49,7 +49,7 @@ def test_a_scale_beyond_the_uncertainty_shows_its_size(
     assert found.off_ppm == pytest.approx(ppm, abs=1e-3)
     assert found.holds == holds
     assert 0.03 < found.U_mm < 0.07  # noise 0.01 mm of one reading at each end, limits, certificate
-    assert not LengthFound(("B1", "B2"), 2000.0, float("nan"), 0.04).holds
+    assert not MeasuredLength(("B1", "B2"), 2000.0, float("nan"), 0.04).holds
 
 
 def test_certificate_and_temperature_count(tmp_path: Path) -> None:

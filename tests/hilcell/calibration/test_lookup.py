@@ -21,7 +21,7 @@ from hilcell.calibration.lookup import (
     record_of,
     with_calibration,
 )
-from hilcell.calibration.validity import Unfit
+from hilcell.calibration.validity import CalibrationRefused
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.index import read_index
@@ -130,7 +130,7 @@ def test_a_machine_takes_its_own_calibration(tmp_path: Path) -> None:
 @pytest.mark.parametrize("provenance", [{"sign_checked": False}, {"simulated": False}])
 def test_an_unfit_one_is_refused(tmp_path: Path, provenance: dict[str, Any]) -> None:
     made(tmp_path, "1-old", **provenance)
-    with pytest.raises(Unfit):
+    with pytest.raises(CalibrationRefused):
         with_calibration(using(), "recheck", tmp_path)
 
 
@@ -138,7 +138,7 @@ def test_the_current_one_is_not_known_where_a_later_journal_cannot_be_read(tmp_p
     made(tmp_path, "1-old")
     made(tmp_path, "2-new")
     (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
-    with pytest.raises(Unfit, match=r"2-new(.|\n)*in doubt.*2-new"):
+    with pytest.raises(CalibrationRefused, match=r"2-new(.|\n)*in doubt.*2-new"):
         with_calibration(using(), "recheck", tmp_path)
     cell = with_calibration(using("1-old"), "recheck", tmp_path).cell
     assert calibration_named(cell, "recheck").provenance.run == "1-old"
@@ -167,7 +167,9 @@ def test_a_cell_that_was_changed_keeps_its_calibration_but_for_what_that_rests_o
     if not key:
         assert with_calibration(using("1-old"), "recheck", tmp_path).accepted == []
         return
-    with pytest.raises(Unfit, match=f"{key} differs from the cell that was calibrated"):
+    with pytest.raises(
+        CalibrationRefused, match=f"{key} differs from the cell that was calibrated"
+    ):
         with_calibration(using("1-old"), "recheck", tmp_path)
 
 
@@ -175,7 +177,7 @@ def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
     made(tmp_path, "1-old", digest="d" * 64)
     alone = tmp_path / "alone.json"
     (tmp_path / "1-old" / CALIBRATION).rename(alone)
-    with pytest.raises(Unfit, match="dddddddddddd"):
+    with pytest.raises(CalibrationRefused, match="dddddddddddd"):
         with_calibration(using(str(alone)), "recheck", tmp_path)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import CIRCLE, CONSTANT, mount_offset
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.position_errors import position_errors
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
@@ -51,7 +51,7 @@ def off(log: Log, in_tool_mm: Array) -> Log:
     """Let the grid's mean error in the tool's frame be ``in_tool_mm`` (3,)."""
     points, R = log.select("grid"), log.matrix("base")[:3, :3]
     in_world = R @ forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, :3]
-    errors_mm = errors_of(log, points).error_mm
+    errors_mm = position_errors(log, points).error_mm
     there_mm = np.einsum("nji,nj->ni", in_world, errors_mm).mean(axis=0)
     for point, turn in zip(points, log.matrix("world")[:3, :3].T @ in_world, strict=True):
         at: Any = (np.array(point.xyz_mm) + turn @ (in_tool_mm - there_mm)).tolist()

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.budget import uncertainty_of
+from hilcell.calibration.budget import target_uncertainty
 from hilcell.calibration.causes import zero_columns
-from hilcell.calibration.diagnosis import suspicions_of
+from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.lost_motion import REVERSAL, judged, lost_too_much, reversal
 from hilcell.geometry.frames import inverse
 from hilcell.journal.journal import read_journal
@@ -60,7 +60,7 @@ def test_the_axis_that_loses_too_much_is_named(log: Log, axis: int) -> None:
     found = found_in(with_lost(log, 180.0 * np.eye(6)[axis - 1]))
     assert found.lost_urad[axis - 1] - before == pytest.approx(180.0, abs=1.0)
     assert not found.holds
-    (suspicion,) = suspicions_of(log)
+    (suspicion,) = suspected_causes(log)
     assert (suspicion.cause, suspicion.unit) == ("reversal", f"urad of axis {axis}")
     assert suspicion.size == pytest.approx(before + 180.0, abs=1.0)
 
@@ -71,7 +71,7 @@ def test_the_budget_takes_the_larger_of_limit_and_measurement(
 ) -> None:
     stated = msgspec.structs.replace(log.cell.uncertainty, reversal_limit_mm=stated_mm)
     log._cell = msgspec.structs.replace(log.cell, uncertainty=stated)
-    (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
+    (line,) = (each for each in target_uncertainty(log).lines if each.name == "Approach direction")
     seen_mm = found_in(log).max_mm
     wanted_mm = max(stated_mm, seen_mm) if counts else 0.0
     assert line.covariance[0][0] == pytest.approx(wanted_mm**2 / 3)
@@ -81,7 +81,7 @@ def test_without_such_points_nothing_is_said(log: Log) -> None:
     for point in log.select(REVERSAL):
         log._drop(point.key)
     assert reversal(log) is None
-    (line,) = (each for each in uncertainty_of(log).lines if each.name == "Approach direction")
+    (line,) = (each for each in target_uncertainty(log).lines if each.name == "Approach direction")
     assert not np.array(line.covariance).any()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.changes import risen_nest
-from hilcell.calibration.diagnosis import suspicions_of
+from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.frames import world_motion
 from hilcell.geometry.frames import from_rotvec
 from hilcell.journal.journal import read_journal
@@ -15,7 +15,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import Frame
-from hilcell.model.plan import FloorBefore
+from hilcell.model.plan import PreviousReference
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 
@@ -32,7 +32,7 @@ def since(log: Log, moved: Array) -> Log:
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
     base = Frame(matrix=then.tolist(), covariance=frame.covariance)
     log.plan = msgspec.structs.replace(
-        log.inputs, floor_before=FloorBefore("c1", {}, None, base, alike=True)
+        log.inputs, floor_before=PreviousReference("c1", {}, None, base, alike=True)
     )
     return log
 
@@ -44,7 +44,7 @@ def risen(log: Log, nest: int, by_mm: float) -> Array:
 
 @pytest.mark.parametrize(("nest", "by_mm"), [(0, -1.0), (1, 4.0), (2, -1.0)])
 def test_the_nest_that_rose_is_named(log: Log, nest: int, by_mm: float) -> None:
-    (found,) = suspicions_of(since(log, risen(log, nest, by_mm)))
+    (found,) = suspected_causes(since(log, risen(log, nest, by_mm)))
     name = log.cell.layout.floor[nest].name
     assert (found.cause, found.unit) == ("nest moved", f"mm of {name}")
     assert found.size == pytest.approx(by_mm, abs=0.01)

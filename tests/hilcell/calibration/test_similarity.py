@@ -23,7 +23,7 @@ def test_the_difference_of_eq_8_is_in_mm() -> None:
     assert pairs.difference_mm.tolist() == [0.0, 2.0, 2.0]
 
 
-def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
+def position_errors(joints: np.ndarray, seed: int) -> np.ndarray:
     """Return errors (N, 3) in {B} of a robot with random link errors."""
     rng = np.random.default_rng(seed)
     sigma = np.array([0.3 if "mm" in name else 3e-4 for name in PARAMETERS])
@@ -32,7 +32,7 @@ def errors_of(joints: np.ndarray, seed: int) -> np.ndarray:
 
 
 def pairs_of(joints: np.ndarray, seed: int) -> Pairs:
-    return Pairs.of(joints, forward(ARM, joints)[:, :3, 3], errors_of(joints, seed))
+    return Pairs.of(joints, forward(ARM, joints)[:, :3, 3], position_errors(joints, seed))
 
 
 def free_joints(rng: np.random.Generator, count: int = 300) -> np.ndarray:

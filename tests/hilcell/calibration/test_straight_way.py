@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.lost_motion import TAKE_UP_RAD, straight_way
+from hilcell.calibration.lost_motion import TAKE_UP_RAD, straight_path
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import forward
@@ -31,7 +31,7 @@ def way(turn_rad: list[float]) -> Array:
 
 @given(st.lists(st.sampled_from([-0.02, 0.0, 0.02]), min_size=6, max_size=6))
 def test_axes_that_turn_down_stand_lower_by_what_they_lose(turn_rad: list[float]) -> None:
-    found = straight_way(LOST, ARM, T_W_B, way(turn_rad))
+    found = straight_path(LOST, ARM, T_W_B, way(turn_rad))
     down = np.array(turn_rad) < 0.0
     ends = np.stack([END, END - LOST_RAD * down.astype(float)])
     places = (T_W_B @ forward(ARM, ends))[:, :3, 3]
@@ -42,8 +42,8 @@ def test_axes_that_turn_down_stand_lower_by_what_they_lose(turn_rad: list[float]
 @pytest.mark.parametrize("share", [0.25, 0.75])
 def test_an_axis_that_hardly_turns_down_is_half_known(share: float) -> None:
     turn = [-share * TAKE_UP_RAD, 0.0, 0.0, 0.0, 0.0, 0.0]
-    found = straight_way(LOST, ARM, T_W_B, way(turn))
-    whole = straight_way(LOST, ARM, T_W_B, way([-0.02, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    found = straight_path(LOST, ARM, T_W_B, way(turn))
+    whole = straight_path(LOST, ARM, T_W_B, way([-0.02, 0.0, 0.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(found.shift_mm, share * whole.shift_mm, rtol=1e-9)
     least = share**2 * np.trace(whole.covariance_mm2[0])
     assert np.trace(found.covariance_mm2[0]) > least
@@ -53,5 +53,5 @@ def test_an_axis_that_comes_up_in_the_end_loses_nothing() -> None:
     """Though it stands lower than on its way."""
     dip = np.tile(END, (1, 5, 1))
     dip[0, :, 0] += [0.02, 0.01, -0.01, -0.005, 0.0]
-    found = straight_way(LOST, ARM, T_W_B, dip)
+    found = straight_path(LOST, ARM, T_W_B, dip)
     np.testing.assert_array_equal(found.shift_mm, 0.0)

@@ -11,7 +11,7 @@ import pytest
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.influence import Bounds
-from hilcell.calibration.tool_point import AT_REFLECTOR, tip_named, tip_of_program, tips_of
+from hilcell.calibration.tool_point import AT_REFLECTOR, tip_named, tip_of_program, tool_tips
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedTool
@@ -206,7 +206,7 @@ def test_tools_are_no_part_of_what_was_calibrated(cell: Cell) -> None:
 
 def at_tip_of(path: Path, folder: Path) -> Path:
     """Write holes where the tip of a cell's tool stands when the reflector is inside."""
-    (tip,) = tips_of(load_cell(str(path)))[1:]
+    (tip,) = tool_tips(load_cell(str(path)))[1:]
     seen = (T_W_B @ poses_from_zyx(np.array([[1850.0, 0.0, 950.0, 0.0, 75.0, 0.0]])))[0]
     shift = seen[:3, :3] @ tip.lever_mm
     return holes(folder, *[tuple(np.add(each, shift).tolist()) for each in INSIDE])
@@ -217,7 +217,7 @@ def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
     made(tmp_path)
     path = cell_with(tmp_path, DRILL)
     loaded = load_cell(str(path))
-    tip = tips_of(loaded)[1]
+    tip = tool_tips(loaded)[1]
     source = at_tip_of(path, tmp_path)
     done = prepare(tmp_path, source, "--cell", path, "--json")
     assert done.returncode == 0, done.stderr

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
-from hilcell.calibration.position_errors import of_differences, scatter_besides, visit_noise
+from hilcell.calibration.position_errors import block_diagonal, scatter_besides, visit_noise
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, positions_mm
@@ -48,7 +48,7 @@ def places(count: int, rng: np.random.Generator) -> Array:
 
 def test_differences_are_independent() -> None:
     blocks = np.arange(18.0).reshape(2, 3, 3)
-    found = of_differences(blocks)
+    found = block_diagonal(blocks)
     assert np.array_equal(found[:3, :3], blocks[0])
     assert np.array_equal(found[3:, 3:], blocks[1])
     assert not found[:3, 3:].any()
@@ -97,7 +97,7 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
         d = (positions_mm(now) - positions_mm(then)).reshape(-1)
         noise = visit_noise(log)
         blocks = sum(noise.covariances(points, np.eye(3)) for points in (then, now))
-        found.append(float(d @ np.linalg.solve(of_differences(np.asarray(blocks)), d)) / len(d))
+        found.append(float(d @ np.linalg.solve(block_diagonal(np.asarray(blocks)), d)) / len(d))
     assert np.mean(found) == pytest.approx(1.2, abs=0.2)  # 27 visits show three axes' scatter
     assert max(found) < 3.26  # the limit of the test in `hilcell.calibration.causes`
 

@@ -24,7 +24,7 @@ TEXT = (resources.files("hilcell.cells") / "fixed.toml").read_text("utf-8")
 FIXED = load_cell("fixed")
 
 
-def problems_of(tmp_path: Path, text: str) -> str:
+def file_problems(tmp_path: Path, text: str) -> str:
     file = tmp_path / "cell.toml"
     file.write_text(text)
     with pytest.raises(SettingsError) as caught:
@@ -61,7 +61,7 @@ def test_what_belongs_to_a_rail_is_refused_without_one(tmp_path: Path) -> None:
     )
     text = TEXT.replace("[grid]\n", rail) + nests + "[touch]\nposes = 4\n"
     text = text.replace("[layout]\n", "[layout]\nrail_direction = [0.0, 1.0, 0.0]\n")
-    found = problems_of(tmp_path, text)
+    found = file_problems(tmp_path, text)
     for key in ("station: ", "300.0 of S1", "layout.standing: ", "touch.poses: "):
         assert key in found
 
@@ -73,7 +73,7 @@ def test_a_rail_needs_nests_on_its_slide() -> None:
 
 def test_nonsense_is_refused(tmp_path: Path) -> None:
     for table in ("station = 3", "station = [4]", "grid = 'no'", "layout = []", "touch = 1"):
-        assert table.split()[0] in problems_of(tmp_path, f"name = 'x'\nserial = 'y'\n{table}\n")
+        assert table.split()[0] in file_problems(tmp_path, f"name = 'x'\nserial = 'y'\n{table}\n")
 
 
 @pytest.mark.parametrize(

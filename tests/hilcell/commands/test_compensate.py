@@ -47,7 +47,7 @@ def arrived_mm(command: np.ndarray) -> np.ndarray:
     return apply(T_W_B, in_base + calibration().error_model().predict(level(in_base)).error_mm)
 
 
-def bounds_of(path: Path) -> list[dict[str, str]]:
+def combined_bounds(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
@@ -125,7 +125,7 @@ def test_a_corrected_list_is_not_corrected_again(desk: Workplace) -> None:
 def test_bounds_are_written_beside_the_targets(desk: Workplace) -> None:
     bounds = desk.folder / "bounds.csv"
     done = desk.run("--bounds", bounds)
-    rows = bounds_of(bounds)
+    rows = combined_bounds(bounds)
     assert [row["name"] for row in rows] == ["H1", "H2"] == read_corrected(desk.out)[0]
     wide = [float(row["bound95_mm"]) for row in rows]
     assert f"{max(wide):.3f} mm" in done.stderr
@@ -133,7 +133,7 @@ def test_bounds_are_written_beside_the_targets(desk: Workplace) -> None:
         u = np.array([float(row[f"u_{axis}_mm"]) for axis in "xyz"])
         assert 1.9 * np.linalg.norm(u) > bound > 1.6 * np.linalg.norm(u)  # 1.61 of a sphere
     assert desk.run("--bounds", bounds, "--temperature", "22.5").returncode == 0
-    narrow = [float(row["bound95_mm"]) for row in bounds_of(bounds)]
+    narrow = [float(row["bound95_mm"]) for row in combined_bounds(bounds)]
     assert all(here < anywhere for here, anywhere in zip(narrow, wide, strict=True))
 
 
@@ -165,7 +165,7 @@ def test_bounds_hold_at_the_drill_of_the_cell(desk: Workplace) -> None:
     for offset in ("[0.0, 0.0, 0.0]", "[0.0, 0.0, 200.0]"):
         words = ("--cell", "paper", "--set", f"uncertainty.drill_offset_mm={offset}")
         assert desk.run(*words, "--bounds", bounds).returncode == 0
-        row = bounds_of(bounds)[0]
+        row = combined_bounds(bounds)[0]
         found.append(sum(float(row[f"u_{axis}_mm"]) ** 2 for axis in "xyz"))
     assert found[1] - found[0] == pytest.approx(2 * (0.2**2 - 0.05**2), rel=0.01)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.tool_point import tips_of
+from hilcell.calibration.tool_point import tool_tips
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import NominalRobot
@@ -239,7 +239,7 @@ def test_no_tool_passes_through_a_box_between_its_holes(tmp_path: Path, aside_mm
     done = prepare(tmp_path, path, "--cell", cell)
     if done.returncode == 0:  # led round it
         loaded = load_cell(str(cell))
-        tip = tips_of(loaded)[1]
+        tip = tool_tips(loaded)[1]
         box = inverse(pose_from_zyx(x, y, z, 0.0, 75.0, 0.0))
         for _, name, way in motions(tmp_path / "out", "S1100", T_W_B, tip.arm(loaded.robot.arm())):
             inside = (np.abs(apply(box, way)) < np.array([200.0, 20.0, 60.0])).all(axis=1)

@@ -26,7 +26,7 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import verdict_of
+from hilcell.model.verdicts import decode_verdict
 from hilcell.ports import RecordingEnded
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
@@ -150,7 +150,7 @@ POSITION = {
 def test_a_verdict_that_does_not_hold_is_printed_with_its_figures(
     key: str, more: dict[str, Any], words: str
 ) -> None:
-    printed = failure_text(key, verdict_of(key, more))
+    printed = failure_text(key, decode_verdict(key, more))
     assert [word for word in words.split() if word not in printed] == []
 
 

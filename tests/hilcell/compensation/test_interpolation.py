@@ -33,9 +33,11 @@ def targets_of(seed: int, count: int = 50) -> np.ndarray:
 
 
 @given(places, st.floats(1, 1000))
-@pytest.mark.parametrize("weights_of", [Idw.weights, Trilinear.weights])
-def test_weights_are_shares(weights_of: Weights, place: list[list[float]], pitch: float) -> None:
-    weights = weights_of(np.array(place), pitch)
+@pytest.mark.parametrize("inverse_covariance", [Idw.weights, Trilinear.weights])
+def test_weights_are_shares(
+    inverse_covariance: Weights, place: list[list[float]], pitch: float
+) -> None:
+    weights = inverse_covariance(np.array(place), pitch)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
     assert (weights >= 0).all()
 

@@ -20,7 +20,7 @@ from hilcell.compensation.model import (
     Prediction,
     StaticPoses,
 )
-from hilcell.compensation.residual import Pass, Remainder, WithRemainder
+from hilcell.compensation.residual import Pass, TargetResiduals, WithTargetResiduals
 from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.statistics import lengths_mm
@@ -204,9 +204,9 @@ def test_a_model_of_three_reflectors_comes_back_from_its_file(known: Known) -> N
 def test_targets_folded_in_leave_the_orientation() -> None:
     model, poses = Exact(crooked(1)), poses_at(drawn_mm(2, 3))
     zeros = np.zeros((3, 3))
-    remainder = Remainder([Pass(poses, zeros, np.tile(np.eye(3), (3, 1, 1)), np.eye(7))], 1.0)
+    remainder = TargetResiduals([Pass(poses, zeros, np.tile(np.eye(3), (3, 1, 1)), np.eye(7))], 1.0)
     found, wanted = (
-        WithRemainder(model, remainder).predict(poses).orientation,
+        WithTargetResiduals(model, remainder).predict(poses).orientation,
         model.predict(poses).orientation,
     )
     assert found is not None

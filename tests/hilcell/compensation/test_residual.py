@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilcell.compensation.model import ModelError, Prediction
-from hilcell.compensation.residual import Pass, Remainder, WithRemainder
+from hilcell.compensation.residual import Pass, TargetResiduals, WithTargetResiduals
 from hilcell.geometry.frames import motion_levers, pose_from_zyx
 from hilcell.ports import Array
 
@@ -39,7 +39,7 @@ def test_the_share_is_that_of_the_models_error(stated_mm: float) -> None:
     after, naive, left = [], [], []
     for seed in range(5):
         this, error_mm = one_pass(seed)
-        remainder = Remainder.learn([this], stated_mm**2)
+        remainder = TargetResiduals.learn([this], stated_mm**2)
         mean_mm, share_left = remainder.at(this.poses)
         after.append(np.square(error_mm - mean_mm).mean())
         naive.append(np.square(error_mm - this.remainders_mm).mean())
@@ -53,7 +53,7 @@ def test_the_share_is_that_of_the_models_error(stated_mm: float) -> None:
 def test_a_model_without_error_keeps_its_commands() -> None:
     rng = np.random.default_rng(5)
     noise_mm = VISIT_MM * rng.standard_normal((COUNT, 3))
-    remainder = Remainder.learn([Pass(poses(rng), noise_mm, own(), NO_FRAMES)], 0.02**2)
+    remainder = TargetResiduals.learn([Pass(poses(rng), noise_mm, own(), NO_FRAMES)], 0.02**2)
     mean_mm, _ = remainder.at(remainder.poses)
     assert np.abs(mean_mm).max() < 0.4 * VISIT_MM
 
@@ -62,7 +62,7 @@ def test_what_moved_all_targets_together_is_not_folded_in() -> None:
     common = np.diag([0.1**2] * 3 + [1e-10] * 3 + [0.0])
     this, error_mm = one_pass(2, common)
     assert np.abs(this.remainders_mm.mean(axis=0)).max() > 0.05
-    mean_mm, _ = Remainder.learn([this], MODEL_MM**2).at(this.poses)
+    mean_mm, _ = TargetResiduals.learn([this], MODEL_MM**2).at(this.poses)
     assert np.sqrt(np.square(error_mm - mean_mm).mean()) < 0.024
 
 
@@ -72,7 +72,7 @@ def test_a_second_pass_knows_more() -> None:
     again = Pass(
         this.poses, error_mm + VISIT_MM * rng.standard_normal((COUNT, 3)), own(), NO_FRAMES
     )
-    once, twice = Remainder([this], MODEL_MM**2), Remainder([this, again], MODEL_MM**2)
+    once, twice = TargetResiduals([this], MODEL_MM**2), TargetResiduals([this, again], MODEL_MM**2)
     assert (twice.at(this.poses)[1] < 0.7 * once.at(this.poses)[1]).all()
     miss = [np.square(error_mm - each.at(this.poses)[0]).mean() for each in (once, twice)]
     assert miss[1] < miss[0]
@@ -80,7 +80,7 @@ def test_a_second_pass_knows_more() -> None:
 
 def test_far_from_targets_and_turned_the_model_is_as_it_was() -> None:
     this, _ = one_pass(4)
-    remainder = Remainder([this], MODEL_MM**2)
+    remainder = TargetResiduals([this], MODEL_MM**2)
     aside = this.poses.copy()
     aside[:, 2, 3] += 40.0
     turned = this.poses @ pose_from_zyx(0, 0, 0, 20, 0, 0)
@@ -102,13 +102,13 @@ def test_a_model_with_it_adds_the_mean_and_shrinks_its_covariance() -> None:
             return Prediction(np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1)))
 
     this, _ = one_pass(6)
-    remainder = Remainder([this], MODEL_MM**2)
+    remainder = TargetResiduals([this], MODEL_MM**2)
     aside = this.poses.copy()
     aside[:, 2, 3] += 40.0
     both = np.concatenate([this.poses, aside])
     mean_mm, left = remainder.at(both)
     assert left.min() < 0.5 * left.max()
-    found = WithRemainder(Nothing(), remainder).predict(both)
+    found = WithTargetResiduals(Nothing(), remainder).predict(both)
     np.testing.assert_allclose(found.error_mm, 1.0 + mean_mm)
     np.testing.assert_allclose(found.covariance_mm2, left[:, None, None] * np.eye(3))
 
@@ -116,7 +116,7 @@ def test_a_model_with_it_adds_the_mean_and_shrinks_its_covariance() -> None:
 def test_a_gross_reading_stands_out() -> None:
     this, _ = one_pass(7)
     this.remainders_mm[11] += [0.0, 0.9, 0.0]
-    sigmas = Remainder.learn([this], MODEL_MM**2).sigmas()
+    sigmas = TargetResiduals.learn([this], MODEL_MM**2).sigmas()
     assert np.argmax(sigmas) == 11
     assert sigmas[11] > 5 > np.delete(sigmas, 11).max()
 
@@ -137,7 +137,7 @@ def test_groups_and_frames_are_the_whole_covariance() -> None:
     K = MODEL_MM**2 * np.kron(np.exp(-(off_mm**2) / 50.0) * (off_mm < 20.0), np.eye(3))
     measured = np.concatenate([each.remainders_mm for each in passes]).reshape(-1)
     inverse = np.linalg.inv(K + total)
-    mean_mm, left = Remainder(passes, MODEL_MM**2).at(at)
+    mean_mm, left = TargetResiduals(passes, MODEL_MM**2).at(at)
     np.testing.assert_allclose(mean_mm.reshape(-1), K @ inverse @ measured, atol=1e-9)
     gained = np.diag(K @ inverse @ K).reshape(-1, 3).sum(axis=1)
     np.testing.assert_allclose(left, 1.0 - gained / (3 * MODEL_MM**2), atol=1e-9)
@@ -145,4 +145,4 @@ def test_groups_and_frames_are_the_whole_covariance() -> None:
 
 def test_a_model_that_states_nothing_is_refused() -> None:
     with pytest.raises(ModelError, match="nan"):
-        Remainder.learn([one_pass(8)[0]], float("nan"))
+        TargetResiduals.learn([one_pass(8)[0]], float("nan"))

@@ -28,7 +28,7 @@ def written(tmp_path: Path) -> Write:
     return write
 
 
-def problems_of(read: Callable[[Path], object], path: Path) -> str:
+def file_problems(read: Callable[[Path], object], path: Path) -> str:
     with pytest.raises(SettingsError) as caught:
         read(path)
     return str(caught.value)
@@ -56,7 +56,7 @@ def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
     text = (
         (ROBOT + 6 * ROW).replace("standard-dh", "modified-dh").replace("a_mm = 10", "a_m = 10", 1)
     )
-    said = problems_of(read_dh, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
+    said = file_problems(read_dh, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
     assert "robot.convention" in said
     for key in ("a_m", "a_mm", "d_mm"):
         assert f"robot.joint[0].{key}: " in said
@@ -76,14 +76,14 @@ def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
     ],
 )
 def test_robot_is_refused(written: Write, text: str, says: str) -> None:
-    assert says in problems_of(read_dh, written(text))
+    assert says in file_problems(read_dh, written(text))
 
 
 def test_missing_and_undecodable_files_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
-        assert problems_of(read_dh, path)
+        assert file_problems(read_dh, path)
     (tmp_path / "given").write_bytes("ü".encode("latin-1"))
-    assert "UTF-8" in problems_of(read_measurements, tmp_path / "given")
+    assert "UTF-8" in file_problems(read_measurements, tmp_path / "given")
 
 
 def test_measurements_are_read(written: Write) -> None:
@@ -112,17 +112,17 @@ def test_every_bad_line_is_named(written: Write) -> None:
         LINE.replace("2439.1", "\u0661\u0662"),
         LINE.replace("2439.1", "1e308"),
     ]
-    said = problems_of(read_measurements, written("\n".join(lines)))
+    said = file_problems(read_measurements, written("\n".join(lines)))
     assert "line 2:" not in said
     places = {3: "j2_deg", 4: "12", 5: "x_mm", 6: "x_mm", 7: "target", 8: "1", 9: "x_mm"}
     for line, place in (places | dict.fromkeys((10, 11, 12), "x_mm")).items():
         assert f"line {line}: {place} " in said
     far = "\n".join([lines[0], LINE.replace("33.9", "10001")])
-    assert "line 2: j2_deg " in problems_of(read_measurements, written(far))
+    assert "line 2: j2_deg " in file_problems(read_measurements, written(far))
 
 
 def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
-    said = problems_of(read_measurements, written(",".join(HEADER) + 50 * "\nx"))
+    said = file_problems(read_measurements, written(",".join(HEADER) + 50 * "\nx"))
     assert "and 10 more" in said
     assert said.count("\n") == 41
 
@@ -137,7 +137,7 @@ def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
     ],
 )
 def test_measurements_are_refused(written: Write, text: str, says: str) -> None:
-    assert says in problems_of(read_measurements, written(text))
+    assert says in file_problems(read_measurements, written(text))
 
 
 def test_blanks_and_empty_lines_are_read_as_in_lists_of_holes(written: Write) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.sweeps import curve_of, without_curve
+from hilcell.identification.sweeps import transmission_curve, without_curve
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.events import CurveMeasured
@@ -44,7 +44,7 @@ def body_of(found: CurveMeasured) -> dict[str, object]:
 
 def test_a_log_has_the_curve_as_it_was() -> None:
     log = Log([Record(1, "", "event", "", body_of(FOUND))])
-    found = curve_of(log.curves[2])
+    found = transmission_curve(log.curves[2])
     for name in ("axis", "shift_sigma_rad", "low_rad", "high_rad", "noise_rad"):
         assert getattr(found, name) == getattr(CURVE, name)
     q = np.linspace(-1.0, 0.2, 50)
@@ -56,4 +56,4 @@ def test_a_result_without_a_curve_says_why() -> None:
     record = without_curve(4, "upwards: 9 samples")
     assert not record.holds
     assert "upwards: 9 samples" in record.words
-    assert len(curve_of(record).cycles) == 0
+    assert len(transmission_curve(record).cycles) == 0

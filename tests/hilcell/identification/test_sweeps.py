@@ -16,8 +16,8 @@ from hilcell.identification.sweeps import (
     Records,
     Shift,
     Trial,
-    curve_of,
     swept_axis,
+    transmission_curve,
     without_lines,
 )
 from hilcell.model.events import CurveMeasured
@@ -35,7 +35,7 @@ def left_urad(axis: Axis, found: CurveMeasured) -> float:
     assert found.holds, found.reason
     low, high = axis.range_rad
     q = np.linspace(low, high, 3000)[80:-80]
-    off = curve_of(found).evaluate(q) - axis.ripple(q)
+    off = transmission_curve(found).evaluate(q) - axis.ripple(q)
     off -= np.polyval(np.polyfit(q - q.mean(), off, 4), q - q.mean())
     return float(np.sqrt(np.mean(off**2))) / URAD
 
@@ -106,7 +106,7 @@ def test_the_covariance_states_the_curve_s_error() -> None:
     squares = []
     for seed in range(4):
         axis = Axis(0, TWO, seed=seed)
-        curve = curve_of(swept(axis))
+        curve = transmission_curve(swept(axis))
         q = np.linspace(*axis.range_rad, 40)[2:-2]
         B = curve.basis(q)
         variance = np.einsum("nk,kl,nl->n", B, curve.covariance_rad2, B)

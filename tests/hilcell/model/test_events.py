@@ -17,14 +17,14 @@ from hilcell.model.events import (
     StepBegun,
     TrackerMoved,
 )
-from hilcell.model.records import EVENTS, event_of
+from hilcell.model.records import EVENTS, decode_event
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
 
 
 def test_an_event_of_a_plug_in_keeps_its_fields_and_says_what_it_is_about() -> None:
-    event = event_of({"what": "glue applied", "station": "S1", "reason": "dry", "grams": 2.5})
+    event = decode_event({"what": "glue applied", "station": "S1", "reason": "dry", "grams": 2.5})
     assert event == OtherEvent("glue applied", {"station": "S1", "reason": "dry", "grams": 2.5})
     assert event.text == "glue applied S1: dry"
 
@@ -57,7 +57,7 @@ def test_an_event_of_a_plug_in_keeps_its_fields_and_says_what_it_is_about() -> N
     ],
 )
 def test_an_event_is_said_in_words(event: msgspec.Struct, text: str) -> None:
-    read = event_of(msgspec.to_builtins(event))
+    read = decode_event(msgspec.to_builtins(event))
     assert type(read) is type(event)
     assert read.text == text
 

@@ -17,7 +17,7 @@ from hilcell.model.frame import (
     MeasuredBase,
     MeasuredStation,
     TouchedBase,
-    frame_of,
+    decode_frame,
     frame_type,
 )
 from hilcell.run.cell_session import CellSession
@@ -31,7 +31,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 @pytest.mark.parametrize(("key", "frame"), FRAMES.items())
 def test_a_frame_is_read_as_it_was_written(key: str, frame: Frame) -> None:
     text = msgspec.json.encode(frame)
-    read = frame_of(key, msgspec.json.decode(text))
+    read = decode_frame(key, msgspec.json.decode(text))
     assert (type(read), read) == (type(frame), frame)
     assert msgspec.json.encode(read) == text
 
@@ -47,7 +47,7 @@ def test_a_frame_is_read_as_it_was_written(key: str, frame: Frame) -> None:
     )
 )
 def test_any_base_is_read_as_it_was_written(base: MeasuredBase) -> None:
-    assert frame_of("base", msgspec.json.decode(msgspec.json.encode(base))) == base
+    assert decode_frame("base", msgspec.json.decode(msgspec.json.encode(base))) == base
 
 
 @pytest.mark.parametrize(
@@ -63,10 +63,10 @@ def test_a_key_has_its_type(key: str, kind: type[Frame]) -> None:
 
 
 def test_a_frame_that_was_taken_over_has_no_quality() -> None:
-    read = frame_of("base", {"matrix": WORLD.matrix, "calibration": "1-made"})
+    read = decode_frame("base", {"matrix": WORLD.matrix, "calibration": "1-made"})
     assert read == Frame(matrix=WORLD.matrix, calibration="1-made")
     with pytest.raises(msgspec.ValidationError):
-        frame_of("base", {"matrix": WORLD.matrix})
+        decode_frame("base", {"matrix": WORLD.matrix})
 
 
 def test_matrix_and_covariance_are_arrays_and_copies() -> None:

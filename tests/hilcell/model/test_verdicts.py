@@ -22,7 +22,7 @@ from hilcell.model.verdicts import (
     OtherVerdict,
     PoseTested,
     Verdict,
-    verdict_of,
+    decode_verdict,
     verdict_title,
     verdict_type,
 )
@@ -52,7 +52,7 @@ def key_of(kind: type[Verdict]) -> str:
 @pytest.mark.parametrize(("key", "verdict"), verdicts.VERDICTS.items())
 def test_a_verdict_is_read_as_it_was_written(key: str, verdict: Verdict) -> None:
     text = msgspec.json.encode(verdict)
-    read = verdict_of(key, msgspec.json.decode(text))
+    read = decode_verdict(key, msgspec.json.decode(text))
     assert type(read) is type(verdict)
     assert read == verdict
     assert msgspec.json.encode(read) == text
@@ -130,7 +130,7 @@ def test_titles_are_words() -> None:
 )
 def test_a_body_that_is_no_verdict_is_refused(body: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
-        verdict_of("targets", body)
+        decode_verdict("targets", body)
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def test_a_figure_says_value_uncertainty_and_limit() -> None:
 def test_an_orientation_that_is_not_known_keeps_no_limit() -> None:
     """NaN is null in JSON."""
     written = replace(JUDGED, max_deg=math.nan, max_tolerance_deg=0.05, max_U_deg=math.nan)
-    read = verdict_of("targets", msgspec.json.decode(msgspec.json.encode(written)))
+    read = decode_verdict("targets", msgspec.json.decode(msgspec.json.encode(written)))
     assert isinstance(read, Judged)
     assert read.max_deg is None
     assert read.orientation is not None

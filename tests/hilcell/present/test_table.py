@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.present.renderers import csv_of, drawn
+from hilcell.present.renderers import csv_content, drawn
 from hilcell.present.table import Column, Named, Table
 from hilcell.report import tables
 from hilcell.report.html import report_html
@@ -41,7 +41,7 @@ def test_words_stand_before_figures() -> None:
 def test_a_name_of_the_program_is_in_words_on_the_screen_only() -> None:
     table = Table([Column[str]("error of", lambda way: Named(way, "as sent"))], ["before"])
     assert table.texts() == [["before"]]
-    assert csv_of(table) == b"error of\nbefore\n"
+    assert csv_content(table) == b"error of\nbefore\n"
     assert "before" in drawn(table, None)
     assert "as sent" in "".join(line.plain for line in table_lines(table).lines(80))
 

@@ -20,7 +20,7 @@ def file_of(folder: Path, *lines: str) -> Path:
     return path
 
 
-def problems_of(path: Path) -> list[str]:
+def file_problems(path: Path) -> list[str]:
     with pytest.raises(SettingsError) as raised:
         read_holes(path)
     return raised.value.problems
@@ -72,14 +72,14 @@ def test_all_problems_are_reported_with_their_lines(tmp_path: Path) -> None:
         "H3,nan,2,3,1,0,0", "H4,1,2,3,0,0,inf", "H5,1,2,3,1e-9,0,0", "H6,1,2,3,1,0",
         "H7,1,b,3,1,0,0", ",1,2,3,1,0,0", "H8,1_0,2,3,1,0,0",
     )  # fmt: skip
-    found = problems_of(path)
+    found = file_problems(path)
     assert [line.split(":")[0] for line in found] == [f"line {n}" for n in range(3, 12)]
-    assert problems_of(file_of(tmp_path, ",".join(NORMALS))) == ["no holes"]
+    assert file_problems(file_of(tmp_path, ",".join(NORMALS))) == ["no holes"]
 
 
 def test_other_headers_are_refused(tmp_path: Path) -> None:
     for header in ("name,x_mm,y_mm,z_mm", "x,y,z,nx,ny,nz", ""):
-        (problem,) = problems_of(file_of(tmp_path, header))
+        (problem,) = file_problems(file_of(tmp_path, header))
         assert ",".join(NORMALS) in problem
         assert ",".join(HEADER) in problem
 
@@ -87,7 +87,7 @@ def test_other_headers_are_refused(tmp_path: Path) -> None:
 def test_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_HOLES", 2)
     lines = [f"H{n},1,2,3,1,0,0" for n in range(3)]
-    (problem,) = problems_of(file_of(tmp_path, ",".join(NORMALS), *lines))
+    (problem,) = file_problems(file_of(tmp_path, ",".join(NORMALS), *lines))
     assert problem.startswith("3 holes")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
-from hilcell.calibration.measurement_budget import Budget, Contribution, budget_of
+from hilcell.calibration.measurement_budget import Budget, Contribution, measurement_budget
 from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import (
@@ -31,13 +31,13 @@ def by_name(budget: Budget | None) -> dict[str, Contribution]:
 
 
 def test_nothing_measured_gives_no_budget(tmp_path: Path) -> None:
-    assert budget_of(Writer(tmp_path / "none").began().facts().log) is None
+    assert measurement_budget(Writer(tmp_path / "none").began().facts().log) is None
 
 
 def test_what_is_not_measured_is_a_stated_assumption(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "few").began()
     writer.point(PointId("world", nest="F1"), (0, 0, 0))
-    budget = budget_of(writer.facts().log)
+    budget = measurement_budget(writer.facts().log)
     assert budget is not None
     lines = by_name(budget)
     assert set(lines) == {
@@ -60,7 +60,7 @@ def test_a_limit_from_a_certificate_names_it(tmp_path: Path) -> None:
     cell["uncertainty"] |= {"tracker_dcc": "t.xml#errors", "tracker_certificate": "TC-1"}
     writer = Writer(tmp_path / "r", cell=cell).began()
     writer.validated("S1100", "before", BEFORE_MM)
-    lines = by_name(budget_of(writer.facts().log))
+    lines = by_name(measurement_budget(writer.facts().log))
     assert lines["Tracker, systematic"].source == "certificate TC-1"
     assert lines["SMR centring"].source == "stated assumption"
 
@@ -70,7 +70,7 @@ def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
     writer.point(PointId("world", nest="F1"), (1000, 0, 0))
     for turn, at_mm in enumerate(((1000.03, 0, 0), (1000, 0.03, 0)), start=1):
         writer.point(PointId("control", session=1, turn=turn, nest="F1"), at_mm)
-    drift = by_name(budget_of(writer.facts().log))["Drift"]
+    drift = by_name(measurement_budget(writer.facts().log))["Drift"]
     assert drift.source == MEASURED
     assert drift.u_mm == pytest.approx(0.03 / math.sqrt(3))
 
@@ -79,7 +79,7 @@ def test_thermal_from_the_range_of_temperatures(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "warm").began()
     writer.point(PointId("world", nest="F1"), (0, 0, 0), temperature_c=21.0)
     writer.point(PointId("world", nest="F2"), (2000, 0, 0), temperature_c=23.0)
-    thermal = by_name(budget_of(writer.facts().log))["Thermal expansion"]
+    thermal = by_name(measurement_budget(writer.facts().log))["Thermal expansion"]
     assert thermal.estimate_mm == pytest.approx(0.023)
     assert thermal.u_mm == pytest.approx(0.023 / math.sqrt(3))
 
@@ -90,7 +90,7 @@ def part(name: str, source: str, clause: str, variances_mm2: tuple[float, float,
 
 def test_each_measurand_ends_with_its_sum(golden: GoldenRuns) -> None:
     facts = read_facts(golden["small"].folder)
-    budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
+    budget, targets = measurement_budget(facts.log), target_budget(facts.log, facts.run)
     found = budget_sheet(budget, targets)
     assert found.headers == [column.header for column in ROWS]
     sources = [row[0] for row in found.texts()]

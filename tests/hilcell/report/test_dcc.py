@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from hilcell.atomic_files import NotWritten
 from hilcell.calibration.budget import Coverage
-from hilcell.calibration.decision_rule import guard_of
+from hilcell.calibration.decision_rule import guard_band
 from hilcell.model.outcome import Outcome
 from hilcell.model.results import OrientationFigures
 from hilcell.report import dcc
@@ -103,7 +103,7 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
 
 def test_each_figure_has_the_uncertainty_of_its_own_limit(tmp_path: Path) -> None:
     facts = run(tmp_path / "r")
-    root, guard = parsed(facts), guard_of(facts.log, 4)
+    root, guard = parsed(facts), guard_band(facts.log, 4)
     assert guard.max_mm - guard.mean_mm > 0.001
     for series in ("S1100, before", "S1100, after, chosen"):
         found = [

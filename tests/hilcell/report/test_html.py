@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.influence import ASSUMED
-from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget_of
+from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, measurement_budget
 from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import without_curve
 from hilcell.model.point import PointId
@@ -273,7 +273,7 @@ def test_a_tracker_without_a_weather_station_has_no_air(tmp_path: Path) -> None:
     assert "thermometer" not in page.text
     assert "°C" not in page.text
     assert "nan" not in page.text.lower().split()
-    budget = budget_of(facts.log)
+    budget = measurement_budget(facts.log)
     assert budget is not None
     (thermal,) = (each for each in budget.lines if each.name == "Thermal expansion")
     assert thermal.source == ASSUMED

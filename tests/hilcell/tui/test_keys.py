@@ -47,7 +47,7 @@ def load(folder: Path, text: str | bytes) -> Keymap:
     return load_keys(file)
 
 
-def problems_of(folder: Path, text: str | bytes) -> str:
+def file_problems(folder: Path, text: str | bytes) -> str:
     with pytest.raises(SettingsError) as caught:
         load(folder, text)
     assert "keys.toml" in str(caught.value)
@@ -139,7 +139,7 @@ def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
     ],
 )
 def test_a_refusal_names_the_problem(tmp_path: Path, text: str | bytes, tokens: list[str]) -> None:
-    problems = problems_of(tmp_path, text)
+    problems = file_problems(tmp_path, text)
     assert [token for token in tokens if token not in problems] == []
 
 
@@ -154,7 +154,7 @@ def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
 
 def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     text = '[keys]\nlog = "h"\nhistori = "H"\nplots = "f1"\nreport = "q"\n[other]\n'
-    reported = problems_of(tmp_path, text)
+    reported = file_problems(tmp_path, text)
     for part in ("log and history", "histori", "(f1)", "of report", "other:"):
         assert part in reported
 
@@ -224,7 +224,7 @@ def test_printed_characters_are_bound_as_they_are_typed(letters: list[str]) -> N
         keys = [named(letter) for letter in letters]
         taken = {key for action, ks in DEFAULTS.items() if action != "log" for key in ks}
         if set(keys) & {*RESERVED, *taken}:
-            problems_of(Path(folder), f"[keys]\nlog = {text}\n")
+            file_problems(Path(folder), f"[keys]\nlog = {text}\n")
         else:
             assert load(Path(folder), f"[keys]\nlog = {text}\n")["log"] == tuple(keys)
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.position_errors import position_errors
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.tui.plots import PlotStyle
@@ -33,7 +33,7 @@ from tests.hilcell.tui.views import drawn
 LETTERS = PlotStyle(letters=True, plain=True)
 
 
-def measured_of(story: SampleRun) -> Measured:
+def measured_errors(story: SampleRun) -> Measured:
     return Measured(Log(story.records))
 
 
@@ -47,12 +47,12 @@ def test_plots_show_the_reports_errors(tmp_path: Path) -> None:
     for how in Sent:
         points = log.select("validate", how=how)
         if points:
-            wanted = errors_of(log, points).norms_mm
+            wanted = position_errors(log, points).norms_mm
             np.testing.assert_allclose(Measured(log).errors.by_how[how], wanted, atol=1e-9)
 
 
 def test_each_way_is_a_series_with_the_name_of_the_work() -> None:
-    of = measured_of(validated())
+    of = measured_errors(validated())
     for make in (Measured.errors_plot, Measured.sorted_plot):
         names = [series.name for series in make(of).series]
         assert names == ["as sent", "paper method", "corrected"]
@@ -61,7 +61,7 @@ def test_each_way_is_a_series_with_the_name_of_the_work() -> None:
 
 
 def test_before_validation_the_grids_errors_have_no_limit() -> None:
-    plot = measured_of(measuring()).errors_plot()
+    plot = measured_errors(measuring()).errors_plot()
     assert [series.name for series in plot.series] == ["as sent"]
     assert plot.limits == ()
 
@@ -69,7 +69,7 @@ def test_before_validation_the_grids_errors_have_no_limit() -> None:
 def test_a_target_that_was_not_measured_yet_keeps_its_place() -> None:
     story = validated()
     story.records = [r for r in story.records if r.key != "validate/S1100/chosen/000"]
-    found = measured_of(story).errors
+    found = measured_errors(story).errors
     assert math.isnan(found.by_how[Sent.CHOSEN][0])
     assert found.by_how[Sent.CHOSEN][1] == pytest.approx(np.hypot(0.1, 0.01))
     assert np.isfinite(found.by_how[Sent.BEFORE]).all()
@@ -82,7 +82,7 @@ def test_of_a_target_measured_again_the_larger_error_is_drawn(
     id = PointId("validate", station="S1100", how="chosen", number=1)
     story = validated(worst_mm=0.4)
     story.point(id, (1100.0, 301.0, 400.0), (0.0, again_mm, 0.0), retaken=True)
-    of = measured_of(story)
+    of = measured_errors(story)
     assert of.errors.by_how[Sent.CHOSEN][1] == pytest.approx(wanted_mm, abs=1e-3)
     lines = plot_lines(of, Choice(), 130, 30, LETTERS)
     [worst] = [line.plain for line in lines if "target 2" in line.plain]
@@ -94,7 +94,7 @@ def test_of_a_target_measured_again_the_larger_error_is_drawn(
     [(0.030, "over its limit 0.030"), (0.110, "near its limit 0.110"), (0.2, "No station's mean")],
 )
 def test_words_beside_the_errors_speak_of_the_mean_too(tolerance_mm: float, said: str) -> None:
-    of = measured_of(validated())
+    of = measured_errors(validated())
     plan = of.log.inputs
     table = plan.cell["validation"] | {"mean_tolerance_mm": tolerance_mm}
     of.log.plan = msgspec.structs.replace(plan, cell=plan.cell | {"validation": table})
@@ -107,7 +107,7 @@ def test_a_station_has_its_own_targets() -> None:
     story = validated()
     other = PointId("validate", station="S300", how="before", number=0)
     story.point(other, (1100.0, -300.0, 400.0), (0.0, 0.0, 3.0), station="S300")
-    of = measured_of(story)
+    of = measured_errors(story)
     assert of.errors.stations == ("S1100", "S300")
     assert of.errors.at("S300").targets == (("S300", 0),)
     assert list(of.errors.at("S300").by_how) == [Sent.BEFORE]
@@ -120,7 +120,7 @@ def test_repeated_visits_scatter_about_their_mean() -> None:
         for visit, x in enumerate((0.0, 0.3)):
             id = PointId("repeatability", place=place, number=visit)
             story.point(id, off=(x + place, 0.0, 0.0))
-    series = measured_of(story).repeat_plot().series
+    series = measured_errors(story).repeat_plot().series
     assert [each.name for each in series] == ["place 1", "place 2"]
     for each in series:
         assert each.y == pytest.approx([0.15, 0.15])
@@ -131,12 +131,12 @@ def test_many_places_become_one_series() -> None:
     for place in range(5):
         for visit in range(2):
             story.point(PointId("repeatability", place=place, number=visit))
-    (series,) = measured_of(story).repeat_plot().series
+    (series,) = measured_errors(story).repeat_plot().series
     assert len(series.y) == 10
 
 
 def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
-    of = measured_of(measuring(2))
+    of = measured_errors(measuring(2))
     station = next(each for each in of.log.cell.station if each.name == "S1100")
     changed(of.log, "grid/0-0-1", strip_mm=station.strip_mm + 0.02)
     plot = of.strip_plot()
@@ -149,7 +149,7 @@ def test_the_strip_is_shown_less_its_station_between_its_limits() -> None:
 @pytest.mark.parametrize("tab", TABS, ids=lambda tab: tab.name)
 def test_every_plot_is_drawn_at_any_size(tab: Any) -> None:
     for story in (measuring(0), validated()):
-        of = measured_of(story)
+        of = measured_errors(story)
         for size, style in product(
             [(20, 8), (80, 20), (80, 40), (200, 60)], (PlotStyle(), LETTERS)
         ):
@@ -160,7 +160,7 @@ def test_every_plot_is_drawn_at_any_size(tab: Any) -> None:
 
 
 def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
-    of = measured_of(validated())
+    of = measured_errors(validated())
 
     def at(width: int, height: int) -> list[str]:
         return [line.plain for line in plot_lines(of, Choice(tab=1), width, height, PlotStyle())]
@@ -173,7 +173,7 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
 
 
 def test_figures_say_mean_limit_and_the_worst() -> None:
-    of = measured_of(validated(worst_mm=1.2))
+    of = measured_errors(validated(worst_mm=1.2))
     plot = of.errors_plot()
     text = drawn(Figures(of, "", plot, PlotStyle()).errors(), 31)
     limit_mm = of.log.cell.validation.max_tolerance_mm
@@ -186,9 +186,9 @@ def test_figures_say_mean_limit_and_the_worst() -> None:
 
 def test_the_scale_of_a_live_run_only_grows() -> None:
     choice = Choice(tab=0)
-    plot_lines(measured_of(validated(worst_mm=30.0)), choice, 120, 30, PlotStyle())
+    plot_lines(measured_errors(validated(worst_mm=30.0)), choice, 120, 30, PlotStyle())
     (before,) = choice.scales.values()
-    plot_lines(measured_of(validated()), choice, 120, 30, PlotStyle())
+    plot_lines(measured_errors(validated()), choice, 120, 30, PlotStyle())
     assert choice.scales == {("each target", True, ""): before}
     assert before.high == 50.0
 

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import guard_of
-from hilcell.calibration.position_errors import errors_of
+from hilcell.calibration.decision_rule import guard_band
+from hilcell.calibration.position_errors import position_errors
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import read_log
@@ -70,7 +70,7 @@ def journal(tmp_path: Path) -> Log:
 @pytest.mark.parametrize("kind", ["grid", "validate"])
 def test_deviations_are_the_reports(journal: Log, kind: str) -> None:
     points = journal.select(kind)
-    wanted = errors_of(journal, points)
+    wanted = position_errors(journal, points)
     assert len(wanted) == 25
     for point, error_mm, norm_mm in zip(points, wanted.error_mm, wanted.norms_mm, strict=True):
         found = deviation_of(journal, point)
@@ -190,7 +190,7 @@ def test_only_bad_ones() -> None:
 def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> None:
     """The screen said of it that it is in tolerance, the verdict that it is undecided."""
     log = log_of(validated())
-    U_mm, limit_mm = guard_of(log, 1).max_mm, log.cell.validation.max_tolerance_mm
+    U_mm, limit_mm = guard_band(log, 1).max_mm, log.cell.validation.max_tolerance_mm
     point = log.points["validate/S1100/chosen/000"]
     places = {"ok": limit_mm - 1.1 * U_mm, "out": limit_mm + U_mm}
     places["undecided"] = limit_mm - 0.9 * U_mm
@@ -323,5 +323,5 @@ def test_at_the_end_all_rows_are_judged_by_the_u_of_the_verdict() -> None:
     log.take(story.state("finished").add("end", state="finished", exit=0, result={}).records[-1])
     judged = [row.deviation for row in rows.rows(log) if row.deviation and row.deviation.limit_mm]
     assert len(judged) == 6
-    assert {each.U_mm for each in judged} == {guard_of(log, 1).max_mm}
-    assert early != {guard_of(log, 1).max_mm}
+    assert {each.U_mm for each in judged} == {guard_band(log, 1).max_mm}
+    assert early != {guard_band(log, 1).max_mm}

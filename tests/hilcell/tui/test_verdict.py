@@ -16,7 +16,7 @@ from hilcell.model.verdicts import Judged
 from hilcell.tui.layout import large_rows
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import ASCII, UNICODE
-from hilcell.tui.text.finished import verdict_of
+from hilcell.tui.text.finished import decode_verdict
 from hilcell.tui.text.run import banner
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import drawn, view_of
@@ -62,7 +62,7 @@ def judge(view: RunView, name: str, **changed: Any) -> None:
 
 def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> None:
     view = finished("done", PLACES)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert (found.worst_mean.name, found.worst_single.name) == ("S300", "S1100")
     assert [each.name for each in found.stations] == ["S300", "S1100", "S1900"]
@@ -76,7 +76,7 @@ def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> 
 
 def test_a_failure_says_its_reason_and_steps() -> None:
     view = finished("intolerant", PLACES | {"S1900": {"mean": 0.222, "p95": 0.4, "max": 1.084}})
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert found.words == ("FAIL", "out of tolerance")
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -91,7 +91,7 @@ def test_a_failure_says_its_reason_and_steps() -> None:
 def test_a_station_shows_the_figures_it_was_judged_by() -> None:
     view = finished("done", PLACES)
     judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "0.310" not in text
@@ -100,7 +100,7 @@ def test_a_station_shows_the_figures_it_was_judged_by() -> None:
 def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
     places = PLACES | {name: {"mean": 0.222, "p95": 0.4, "max": 1.084} for name in PLACES}
     view = finished("intolerant", places)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     for width, rows in ((59, 22), (79, ROWS + 5)):
         text = " ".join(drawn(found.lines(view, UNICODE), width, rows).split())
@@ -112,7 +112,7 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
 def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     view = finished("intolerant", PLACES, U_mm=0.01)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert found.reasons == "S300: mean 0.113, U 0.010: not shown below 0.120"
     assert "▲ at S300, limit 0.120" in drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -121,7 +121,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
 def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
     view = finished("intolerant", PLACES | {"S1100": {"mean": 0.05, "p95": 0.1, "max": 0.298}})
     judge(view, "S1100", holds=False, decided=Outcome.UNDECIDED, max_U_mm=0.005)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert "▲ at S1100, limit 0.300" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
@@ -129,7 +129,7 @@ def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
 def test_a_nan_is_the_worst_and_fails() -> None:
     nan = float("nan")
     view = finished("intolerant", PLACES | {"S300": {"mean": nan, "p95": nan, "max": nan}})
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert found.worst_mean.name == found.worst_single.name == "S300"
     assert "▲ at S300" in drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -138,7 +138,7 @@ def test_a_nan_is_the_worst_and_fails() -> None:
 def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view = finished("intolerant", PLACES)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert found.words == ("UNDECIDED", "neither pass nor fail")
     assert "UNDECIDED" in drawn(banner(view, UNICODE))
@@ -155,7 +155,7 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
 )
 def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said: str) -> None:
     view = finished("done", PLACES)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert said in drawn(found.lines(view, UNICODE, standing), 79, ROWS)
 
@@ -163,7 +163,7 @@ def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said
 def test_more_stations_than_there_is_room_for_are_counted() -> None:
     many = {f"P{n}": {"mean": 0.01 * n, "p95": 0.1, "max": 0.2} for n in range(9)}
     view = finished("done", many)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "P8 " in text  # the worst
@@ -175,7 +175,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
     view = finished("done", PLACES)
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=simulated)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 8)):
         text = drawn(found.lines(view, ASCII), width, rows)
@@ -184,7 +184,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_only_a_finished_run_has_a_verdict(name: str) -> None:
-    assert (verdict_of(view_of(name)) is not None) == (name in ("done", "intolerant"))
+    assert (decode_verdict(view_of(name)) is not None) == (name in ("done", "intolerant"))
 
 
 @pytest.mark.parametrize(
@@ -201,12 +201,12 @@ def test_only_a_finished_run_has_a_verdict(name: str) -> None:
 def test_a_result_of_another_kind_has_no_verdict(result: dict[str, object]) -> None:
     view = view_of("done")
     view.log.end = Ended(state="finished", exit=0, result=result)
-    assert verdict_of(view) is None
+    assert decode_verdict(view) is None
 
 
 def test_it_fits_where_there_is_little_room() -> None:
     view = view_of("done")
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     for width, rows in product((20, 38, 58, 79), (4, 8, 13, ROWS)):
         lines = found.lines(view, UNICODE).lines(width, rows)
@@ -226,7 +226,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
 ) -> None:
     view = finished("intolerant", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert found.reasons == said
     assert said in " ".join(drawn(found.lines(view, UNICODE), 79, ROWS + 5).split())
@@ -235,7 +235,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
 def test_an_orientation_in_its_limit_is_shown() -> None:
     view = finished("done", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=0.0123, max_U_deg=0.01)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "orientation, worst: 0.0123° at S300, limit 0.05°" in text
@@ -257,7 +257,7 @@ LONG = "Heck-Spantaktstation-Nord-Linie-2-Bauabschnitt-4-Platz-11"
 
 def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
     view = finished("done", {LONG: PLACES["S300"]})
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 9)):
         text = drawn(found.lines(view, UNICODE), width, rows)
@@ -270,7 +270,7 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
     view = finished("done", PLACES)
     assert view.log.end is not None
     view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031, "p95": 0.05}
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     wide = drawn(found.lines(view, UNICODE), 79, 9)
     small = drawn(found.lines(view, UNICODE), 59, 9)
@@ -290,7 +290,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
         if key.startswith("validation.")
     }
     view.alarms = alarms_of(view.log, "r", live=False)
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert [found.reasons.count(name) for name in PLACES] == [1] * len(PLACES)
     text = " ".join(drawn(found.lines(view, UNICODE), 79, ROWS).split())
@@ -325,6 +325,6 @@ def test_an_alarm_that_is_over_is_not_counted_as_one(causes: list[Cause], said: 
         )
         for n, cause in enumerate(causes)
     ]
-    found = verdict_of(view)
+    found = decode_verdict(view)
     assert found is not None
     assert f" {said}" in drawn(found.lines(view, UNICODE), 79, ROWS)

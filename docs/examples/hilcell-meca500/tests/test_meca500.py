@@ -23,7 +23,7 @@ from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
-from hilcell.compensation.programs import Places, StationProgram, load_program, writer_of
+from hilcell.compensation.programs import Places, StationProgram, load_program, program_writer
 from hilcell.compensation.provenance import Stamp
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import DeviceError, Robot
@@ -237,7 +237,7 @@ def test_the_program_of_a_station_is_written_in_joints() -> None:
         {},
         ["care"],
     )
-    write = writer_of("meca500")
+    write = program_writer("meca500")
     assert write is not None
     (name,), (data,) = zip(*write(program, Stamp("run", "S 1100", "now")).items(), strict=True)
     assert name == "S_1100.mxprog"

@@ -10,7 +10,7 @@ from drivers.universal_robots.program_urscript.files import load_program, read_p
 from drivers.universal_robots.program_urscript.writer import write_station
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import Influence
-from hilcell.calibration.tool_point import tips_of
+from hilcell.calibration.tool_point import tool_tips
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.provenance import CorrectedBefore, Stamp, refuse_corrected
@@ -131,7 +131,7 @@ def test_a_program_states_metres_and_is_not_asked_for_its_unit(desk: Workplace) 
 def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:
     targets = np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0], [0.0, 50.0, 1250.0, 0.0, 75.0, 0.0]])
     names = ["Träger °1", "H2\n  movej(X)"]
-    tip = tips_of(CELL)[0]
+    tip = tool_tips(CELL)[0]
     drilling = Drilling(CELL, T_W_B, tip, 100.0)
     outward = -poses_from_zyx(targets)[:, :3, 2]
     part = Part(targets[:, :3], outward)
