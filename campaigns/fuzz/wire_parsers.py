@@ -19,7 +19,7 @@ from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Deadline
 from drivers.universal_robots import rtde
-from drivers.universal_robots.program_urscript.files import read_program
+from drivers.universal_robots.program_urscript import read_program
 from drivers.universal_robots.rtde import INPUTS, OUTPUTS, UrState
 from drivers.wires import Link, TextLines
 from fakes.kuka.eki_server import BOMB

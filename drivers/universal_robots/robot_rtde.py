@@ -35,8 +35,7 @@ from drivers.supervision import (
     planned_s,
     polls,
 )
-from drivers.universal_robots.dashboard import Dashboard
-from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
+from drivers.universal_robots.rtde import Dashboard, Order, Runtime, UrLink, UrState
 from drivers.wires import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (

@@ -1,16 +1,17 @@
-"""RTDE, the real-time data exchange of Universal Robots: packages, states in, registers out.
+"""The wires to a controller of Universal Robots: RTDE (states in, registers out) and dashboard.
 
-Big-endian. Package ``size u16 of the whole, type u8, payload``. A recipe names the fields of data
-packages once; from then on they carry its number and the values in its order. The controller
-answers a field that it lacks with NOT_FOUND, an input that another client holds with IN_USE.
+RTDE is big-endian. Package ``size u16 of the whole, type u8, payload``. A recipe names the fields
+of data packages once; from then on they carry its number and the values in its order. The
+controller answers a field that it lacks with NOT_FOUND, an input that another client holds with
+IN_USE.
 
 Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``script/hilcell.script``. It
 reads no input register 28, which numbers the questions for a fresh state: a state shows what was
 written last, so one with the number of a question was taken after it.
 
-The controller sends a package at every cycle, asked or not, and drops those that nobody fetches.
-The thread that asks for a state fetches them; while none does, a thread here empties the buffer.
-A package that waited in a buffer, or on its way, is no fresh one.
+The controller sends a package at every cycle and drops those that no client fetches. The thread
+that asks for a state fetches them; at other times a thread here empties the buffer. A package that
+waited in a buffer, or on its way, is not fresh.
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ import numpy as np
 
 from drivers.device_errors import ROBOT, ProtocolError
 from drivers.supervision import Deadline, ignore_stop, on_failure, polls, state_error
-from drivers.wires import TcpLink
+from drivers.wires import TcpLink, TextLines
 from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.ports import Array, DeviceError
+from hilcell.sanitize import clean
 
 VERSION = 2  # of the protocol
 FORMATS = {  # of the types that fields used here may have
@@ -513,3 +515,73 @@ class UrLink:
     def _since(self, by_s: float) -> list[UrState]:
         newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
         return list(newer)[::-1]
+
+
+class Dashboard:
+    """A connection to the dashboard server: one line asks, one line answers.
+
+    It greets each connection with a line. It moves nothing; ``stop`` ends the running program, and
+    the robot brakes. Call ``ask`` from one thread, ``send`` from any.
+    """
+
+    ANSWER_S = 3.0
+
+    GREETING = "Connected: Universal Robots Dashboard Server"
+
+    def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
+        try:
+            self._link = TcpLink(ROBOT, host, port, check)
+        except DeviceError as error:
+            if isinstance(error.__cause__, ConnectionRefusedError):  # the controller itself answers
+                error.act = (
+                    "wait until PolyScope runs; allow the dashboard server in its security "
+                    "settings, and compare dashboard_port. Not supported: PolyScope X, which has "
+                    "no dashboard server"
+                )
+            raise
+        self._lines = TextLines(self._link, end=b"\n")
+        with on_failure(self._link.close):
+            greeting = self._lines.receive(Deadline(self.ANSWER_S))
+            found = (
+                f"no answer within {self.ANSWER_S:.0f} s" if greeting is None else clean(greeting)
+            )
+            if not found.startswith(self.GREETING):
+                raise self._link.broken(
+                    "connect", f"{found}; is dashboard_port that of the dashboard server?"
+                )
+
+    def ask(self, command: str) -> str:
+        """Return the answer to a command; raises `DeviceError`."""
+        self._lines.send(command, command)
+        line = self._lines.receive(Deadline(self.ANSWER_S))
+        if line is None:
+            raise self._link.broken(command, f"no answer within {self.ANSWER_S:.0f} s")
+        return clean(line)
+
+    def answer_to(self, question: str) -> str | None:
+        """Return the answer to a question, None where this PolyScope does not have the question."""
+        answer = self.ask(question)
+        return None if answer.casefold().startswith("could not understand") else answer
+
+    def send(self, command: str) -> None:
+        """Send a command without waiting for its answer."""
+        self._link.reply_pending = True
+        self._lines.send(command, command)
+
+    def last_answer(self, deadline: Deadline) -> str | None:
+        """Return the last answer that has come to what was sent, None where none has."""
+        line = self._lines.receive(deadline)
+        while (newer := self._lines.receive(Deadline(0.0))) is not None:
+            line = newer
+        return None if line is None else clean(line)
+
+    def is_open(self) -> bool:
+        """Whether the controller has not closed the connection meanwhile, as of one that idles."""
+        try:
+            self._lines.drop_pending()
+        except DeviceError:
+            return False
+        return True
+
+    def close(self) -> None:
+        self._link.close()

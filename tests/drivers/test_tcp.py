@@ -14,7 +14,7 @@ from drivers.device_errors import ROBOT
 from drivers.kuka.robot_c3 import C3Connection
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.supervision import Deadline, ignore_stop
-from drivers.universal_robots.dashboard import Dashboard
+from drivers.universal_robots.rtde import Dashboard
 from drivers.wires import TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server, wire_time

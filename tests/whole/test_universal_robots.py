@@ -15,10 +15,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.universal_robots import dashboard
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
 from drivers.universal_robots.robot_rtde import STOPPED, UrRtdeRobot, script_text
-from drivers.universal_robots.rtde import Order, Runtime, UrLink, UrState
+from drivers.universal_robots.rtde import Dashboard, Order, Runtime, UrLink, UrState
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import CellTime
@@ -220,7 +219,7 @@ def test_local_control_is_refused(bench: Bench) -> None:
 
 
 def test_ports_that_were_mixed_up_are_named(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dashboard, "ANSWER_S", 0.5)  # there is nobody who would answer
+    monkeypatch.setattr(Dashboard, "ANSWER_S", 0.5)  # there is nobody who would answer
     of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
     for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):
         with pytest.raises(DeviceError) as found:

@@ -30,10 +30,18 @@ from drivers.kuka.program_krl.data import (
     statements,
     text_of,
 )
-from drivers.kuka.program_krl.flow import ENDS, ExternalRule, Stop, kept_postures
+from drivers.kuka.program_krl.flow import (
+    ENDS,
+    MOTIONS,
+    STROKES,
+    ExternalRule,
+    Relative,
+    Stop,
+    StrokeRule,
+    kept_postures,
+)
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
 from drivers.kuka.program_krl.program import DATA, Program, Target
-from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.program_text import source_text
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke

@@ -35,8 +35,7 @@ from drivers.kuka.program_krl.data import (
     split,
     text_of,
 )
-from drivers.kuka.program_krl.flow import Flow
-from drivers.kuka.program_krl.strokes import STROKES
+from drivers.kuka.program_krl.flow import STROKES, Flow
 
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = ("BASE_DATA", "TOOL_DATA", "$ACT_BASE", "$ACT_TOOL", "$ROBROOT", "$WORLD", "$NULLFRAME")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.kuka.program_krl.writer import comment
+from drivers.kuka.program_krl.program import comment
 from drivers.program_text import ENCODING, plain
 
 

@@ -6,8 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.universal_robots.program_urscript.files import load_program, read_program
-from drivers.universal_robots.program_urscript.writer import write_station
+from drivers.universal_robots.program_urscript import load_program, read_program, write_station
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import Influence
 from hilcell.calibration.tool_point import tool_tips

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.program_text import ENCODING
-from drivers.universal_robots.program_urscript.files import Program, read_program
+from drivers.universal_robots.program_urscript import Program, read_program
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array

@@ -1,13 +1,17 @@
-"""Reads a URScript program whose poses can be corrected safely; all else is refused, by line.
+"""URScript programs: poses read and corrected, and the program of a station written.
 
-Corrected are the poses of ``movej`` and ``movel`` that stand there as six numbers, or in a variable
-that is assigned once and used by motions alone. Every other statement must be one that is known
-neither to move the robot nor to change its TCP. Poses are those of the TCP in the robot's base {B};
-URScript knows no other base.
+Corrected are the poses of ``movej`` and ``movel`` that the program states as six numbers, or in a
+variable that is assigned once and used by motions alone. Every other statement must be one that is
+known neither to move the robot nor to change its TCP; all else is refused, by line. Poses are those
+of the TCP in the robot's base {B}; URScript knows no other base.
 
-A statement is a line, its comment left out and the texts of its strings blanked. It keeps the
+A statement is a line without its comment and with the texts of its strings blanked. It keeps the
 columns of its line, so that a number can be replaced and all else stays byte for byte. Names are
-sensitive to case.
+case sensitive.
+
+A written program moves by joints of the cell's arm, as they were commanded when the cell was
+calibrated: the controller would compute the joints of a pose by its own kinematics, which its
+factory has calibrated.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drivers.program_text import (
     ASCII,
@@ -31,13 +36,22 @@ from drivers.program_text import (
     edited,
     formatted,
     line_below,
+    module_name,
     plain,
     source_text,
 )
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
-from hilcell.compensation.programs import StatedTool
-from hilcell.geometry.frames import from_rotvec, matrix, poses_from_zyx, to_rotvec, zyx_from_pose
+from hilcell.compensation.programs import StatedTool, StationProgram
+from hilcell.compensation.provenance import Stamp
+from hilcell.geometry.frames import (
+    from_rotvec,
+    from_zyx,
+    matrix,
+    poses_from_zyx,
+    to_rotvec,
+    zyx_from_pose,
+)
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import clean
 
@@ -415,3 +429,52 @@ class _Reader:
 def load_program(path: Path) -> Program:
     """Read a program; raises `SettingsError`."""
     return read_program(path.name, source_text(path, "URScript"))
+
+
+JOINT_DECIMALS = 7  # of rad and m
+
+
+def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
+    """Return the file of a station by its name."""
+    name = module_name(program.station)
+    text = "".join(f"{line}\n" for line in _lines(name, program, stamp))
+    return {f"{name}{SUFFIX}": text.encode(ENCODING)}
+
+
+def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
+    full_rad_s = 1.05  # of the joint that moves farthest, the usual speed of movej
+    how = f"a=0.7, v={full_rad_s * program.speed_percent / 100.0:.4f}"  # rad/s^2, rad/s
+    safe = _joints(np.radians(program.safe_deg))
+    yield f"def {name}():"
+    yield _comment(stamp.text)
+    yield from map(_comment, program.remarks)
+    yield _comment("joints as calibrated: base and TCP have a part in the straight ways alone")
+    tcp = [*(program.tool[:3] / 1000.0), *to_rotvec(from_zyx(program.tool[3:]))]
+    yield f"  set_tcp(p{_joints(tcp)})"
+    yield f"  movej({safe}, {how})"
+    yield _comment("slide held, strip as the sheet says, drill drawn back: Continue goes on")
+    yield '  popup("slide held, strip read, drill drawn back?", "hilcell", blocking=True)'
+    straight = "a=0.5, v=0.1"  # m/s^2 and m/s: in to a hole and out of it
+    ways = (program.approach, program.standoff, program.command)
+    places = zip(program.names, *(each.joints_rad for each in ways), strict=True)
+    for number, (hole, below, off, at) in enumerate(places, start=1):
+        yield _comment(f"{number} of {len(program.names)}: {hole}")
+        for stop in program.via[number - 1].joints_rad:
+            yield f"  movej({_joints(stop)}, {how})"
+        yield f"  movej({_joints(below)}, {how})"
+        yield f"  movej({_joints(off)}, {how})"
+        yield f"  movel({_joints(at)}, {straight})"
+        yield _comment("drill here")
+        yield f"  movel({_joints(off)}, {straight})"
+    for stop in program.via[-1].joints_rad:
+        yield f"  movej({_joints(stop)}, {how})"
+    yield f"  movej({safe}, {how})"
+    yield "end"
+
+
+def _comment(text: str) -> str:
+    return f"  # {plain(clean(text), ASCII)}"
+
+
+def _joints(joints_rad: ArrayLike) -> str:
+    return f"[{', '.join(f'{each:.{JOINT_DECIMALS}f}' for each in np.asarray(joints_rad))}]"

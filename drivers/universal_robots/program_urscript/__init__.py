@@ -1,1 +1,0 @@
-"""Programs of Universal Robots: poses read, corrected, written."""
