@@ -47,9 +47,9 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.pages import record_row
 from hilcell.tui.session import RunUpdate
 from hilcell.tui.terminal import UNICODE
-from hilcell.tui.text import devices
-from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import AlarmContext
+from hilcell.tui.text.devices import DeviceText
+from hilcell.tui.text.run import RunText
 from tests.drivers.kuka.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
 from tests.hilcell.tui.sample_runs import fresh, status
@@ -338,11 +338,11 @@ def screen(data: bytes) -> None:
     for record in (*sample.records[:FEW], *found.records):
         view.take(record)
     shown: list[Lines] = [
-        run_text.identity(view),
-        run_text.step(view),
-        run_text.banner(view, UNICODE),
-        devices.lamps(view, UNICODE),
-        devices.interlocks(view, UNICODE),
+        RunText(view).identity(),
+        RunText(view).step(),
+        RunText(view).banner(),
+        DeviceText(view).lamps(),
+        DeviceText(view).interlocks(),
         CONTEXT.page(view.alarms, Latch()),
     ]
     painted = [

@@ -322,9 +322,9 @@ class HilcellApp(Application):
             self._close_questions()  # they were about a live run
         self._show()
         if (ended := self.open_runs.close_ended()) is not None:
-            from hilcell.tui.text.run import end_text
+            from hilcell.tui.text.run import RunText
 
-            self.show_notice(end_text(ended.view))
+            self.show_notice(RunText(ended.view).end_text())
         if session is self.session:
             self._report_changes(session.view, was_lost=was_lost, trouble=trouble)
 

@@ -81,6 +81,10 @@ class RunView:
                 self.step = step
 
     @property
+    def simulated(self) -> bool:
+        return self.log.plan is not None and self.log.plan.simulated
+
+    @property
     def has_rail(self) -> bool:
         """Whether the run's cell has a rail; so it is taken before its plan is known."""
         return self.log.plan is None or self.log.cell.has_rail

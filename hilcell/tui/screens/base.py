@@ -381,12 +381,12 @@ class BaseScreen(Screen[None]):
         if self._notice_state is not None and self._notice_state != self._state_of(view):
             self.show_notice("")
         if view is not None and self.query_one_optional("#banner") is not None:
-            from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
+            from hilcell.tui.text.run import RunText  # reads journals: not for the first screen
 
-            self.mark_simulated(simulated=run_text.is_simulated(view))
+            self.mark_simulated(simulated=view.simulated)
             background = self.application.open_runs.background
             other = background.view if background is not None else None
-            lines = run_text.banner(view, self.application.glyphs, other)
+            lines = RunText(view, self.application.glyphs).banner(other)
             self.panel("banner").show(lines)
 
     def mark_simulated(self, *, simulated: bool) -> None:

@@ -41,7 +41,7 @@ from hilcell.tui.plots import PlotStyle
 from hilcell.tui.process import run_in_thread
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
-from hilcell.tui.text.devices import interlock_text
+from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.finished import report_lines
 from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_for
 from hilcell.tui.text.points import point_page
@@ -90,7 +90,11 @@ class InterlockPage(TextPage):
     footer = ("stop", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content:
-        return interlock_text(view, self.application.glyphs) if view is not None else Content("")
+        return (
+            DeviceText(view, self.application.glyphs).interlock_page()
+            if view is not None
+            else Content("")
+        )
 
 
 class DetailPage(TextPage):

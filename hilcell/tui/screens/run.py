@@ -18,19 +18,16 @@ from hilcell.tui.plots import Scale
 from hilcell.tui.process import run_in_thread
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_style
-from hilcell.tui.text import devices
-from hilcell.tui.text import run as run_text
 from hilcell.tui.text.actions import ACTS, VIEWS, FooterKey, footer_lines
 from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
 from hilcell.tui.text.finished import Result, decode_verdict, result_of
+from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
-from hilcell.tui.text.run import Shown, below_lines, block_rows, rows_for
+from hilcell.tui.text.run import RunText, Shown, block_rows, rows_for
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
-
-LINES = ("identity", "step", "progress", "lamps", "interlock")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +42,7 @@ class PointFilter:
 class RunScreen(FilterScreen):
     """One run, live or past."""
 
+    LINES = ("identity", "step", "progress", "lamps", "interlock")
     HIDE_POINTS = ("verdict", "alarm")
     BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
     LOW = 20  # rows, below which boxes leave out what matters least
@@ -90,7 +88,7 @@ class RunScreen(FilterScreen):
         yield TextPanel("banner")
         with Horizontal(id="middle"):
             with Vertical(id="left"):
-                for name in (*LINES, "deviation", "verdict"):
+                for name in (*self.LINES, "deviation", "verdict"):
                     yield TextPanel(name)
                 yield PromptBox(id="prompt")
                 yield AlarmBox(id="alarm")
@@ -115,11 +113,16 @@ class RunScreen(FilterScreen):
         if view is None:
             return
         self.points_open &= not view.live
-        glyphs = self.application.glyphs
-        texts = run_text.identity(view), run_text.step(view), run_text.progress(view)
-        shown = (*texts, devices.lamps(view, glyphs), devices.interlocks(view, glyphs))
-        for name, lines in zip(LINES, shown, strict=True):
-            self.panel(name).show(lines)
+        run = RunText(view, self.application.glyphs)
+        devices = DeviceText(view, self.application.glyphs)
+        for name, text in {
+            "identity": run.identity,
+            "step": run.step,
+            "progress": run.progress,
+            "lamps": devices.lamps,
+            "interlock": devices.interlocks,
+        }.items():
+            self.panel(name).show(text())
         self._show_points(view)
         self._show_wide(view)
         self._show_middle(view)
@@ -189,7 +192,7 @@ class RunScreen(FilterScreen):
             return Stack(context.line(standing, skip=1), newest_line(view))
         if standing:
             return context.line(standing)
-        return ends((f"{context.glyphs.stale} no alarms", "$label"), run_text.following(view))
+        return ends((f"{context.glyphs.stale} no alarms", "$label"), RunText(view).following())
 
     def _show_deviation(self, view: RunView, rows: int) -> None:
         table, known = self.query_one(Table), self._table.deviation
@@ -270,7 +273,7 @@ class RunScreen(FilterScreen):
         if below.display and (room != self._room or self._below_pace.is_due()):
             self._room = room
             errors_mm = {e.point.key: e.norm_mm for e in self._rows if e.deviation is not None}
-            below.show(below_lines(view, errors_mm, self.application.glyphs, room))
+            below.show(RunText(view, self.application.glyphs).below(errors_mm, room))
 
     def label(self, name: str) -> str:
         if name == "sort":

@@ -63,7 +63,7 @@ from hilcell.tui.layout import (
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.plots import validated_places
-from hilcell.tui.text.run import SAID, is_simulated, simulation_block
+from hilcell.tui.text.run import SAID, simulation_block
 
 LEAST_WIDTH, LEAST_ROWS = 78, 14
 BLOCK = 24  # columns of the words' ground
@@ -159,7 +159,7 @@ class Head:
         """Return the words and the figures, large where there is room; nothing without words."""
         if not self.words:
             return []
-        mark = simulation_block() if is_simulated(view) else BLANK
+        mark = simulation_block() if view.simulated else BLANK
         if is_small(width, rows):
             return self.small(mark, glyphs).lines(width)
         rows_of = (self.block(mark, glyphs), *(each.large(glyphs) for each in self.figures))

@@ -61,8 +61,8 @@ from hilcell.tui.layout import (
 )
 from hilcell.tui.plots import step_at_least
 from hilcell.tui.run_view import EngineState, RunView
-from hilcell.tui.terminal import Glyphs
-from hilcell.tui.text.devices import NAMES, locks, short_age
+from hilcell.tui.terminal import UNICODE, Glyphs
+from hilcell.tui.text.devices import NAMES, DeviceText, short_age
 from hilcell.tui.text.points import Deviation, deviation_of
 
 STATES = {
@@ -105,153 +105,15 @@ def simulation_block() -> Content:
     return Content.assemble(("▒", edge), (" SIMULATION ", "bold $on-sim on $sim-fill"), ("▒", edge))
 
 
-def state_of(view: RunView) -> tuple[str, str]:
-    """Return the state's word and role: of a run that ended with exit 1, its outcome."""
-    if view.state != "intolerant":
-        return STATES[view.state]
-    words = view.log.outcome.partition(";")[0]
-    return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
-
-
-def state_role(view: RunView) -> str:
-    """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
-    role = state_of(view)[1]
-    return "label" if role == "live" and view.stale else role
-
-
-def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> Lines:
-    """Return the first row: state, LIVE or HISTORIC, SIMULATION, and a notice; trouble fills it.
-
-    ``background``: the live run that goes on while this one is shown.
-    """
-    tone = state_role(view)
-    fill = f"bold $on-{tone} on ${tone}-fill"
-    ground = fill if tone in LOUD else ""
-    parts = [Content.styled(f" {glyphs.states[view.state]} {state_of(view)[0]} ", fill)]
-    if view.engine is not EngineState.UNKNOWN and background is None:
-        parts.append(badge("LIVE" if view.live else "HISTORIC"))
-    if is_simulated(view):
-        parts.append(simulation_block())
-    notices, style = _notices(view, background), "$label"
-    if background is not None or view.state == "silent":
-        style = "bold $fault" if background is None else "bold $ask"
-    notice = Fitting(tuple(Content.styled(f"{each} ", ground or style) for each in notices))
-    left = Content(" ").join(parts)
-    return Grid([(left, notice)], Col(), Col(right=True, grows=True), styles={0: ground})
-
-
-def is_simulated(view: RunView) -> bool:
-    return view.log.plan is not None and view.log.plan.simulated
-
-
-def _notices(view: RunView, background: RunView | None) -> tuple[str, ...]:
-    """Return the notices beside the state, the longest first."""
-    if background is not None:
-        word = state_of(background)[0]
-        stop = "use the E-stop" if background.state == "silent" else "Esc stops"
-        return (
-            f"background: {word}; q shows it, {stop}",
-            f"background: {word}; {stop}",
-            "1 in background",
-        )
-    if view.state == "silent":
-        since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
-        return f"silent{since}: use the E-stop", "use the E-stop"
-    return (NOT_E_STOP if view.live or view.state == "looking" else "nothing is connected",)
-
-
-def end_text(view: RunView) -> str:
-    worst = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None)
-    why = f": {worst.code} {worst.title}" if worst is not None else ""
-    return f"the background run {view.run} has ended: {state_of(view)[0]}{why}"
-
-
-def identity(view: RunView) -> Lines:
-    """Return procedure, cell, job, operator and run."""
-    plan = view.log.plan
-    if plan is None:
-        begun = NO_PLAN_TEXTS[view.engine]
-        return ends(f"run {view.run}: {view.trouble or begun}", "")
-    names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
-    parts = [Content.styled(procedure_label(plan.procedure), "bold")]
-    parts += [_labelled(name, text, 20) for name, text in names.items() if text]
-    parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
-    return ends(Content("   ").join(parts), _labelled("run", short_run(view.run), 14))
-
-
 def _labelled(name: str, value: str, most: int) -> Content:
     """Return a value of so many columns at most, which leaves room for others on its line."""
     return Content.assemble((f"{name} ", "$label"), Content(value).truncate(most, ellipsis=True))
-
-
-def step(view: RunView) -> Lines:
-    """Return the current step in words, and how many of its part are measured."""
-    plan, now = view.log.plan, view.step
-    if plan is None or not now:
-        return ends(("no step yet", "$label"), "")
-    name = step_label(now.name, has_rail=view.has_rail)
-    words, (taken, planned) = _part(view), _of_step(view, now.number)
-    if view.state in ("done", "intolerant"):
-        words, planned = "finished", plan.points
-        taken = min(sum(map(len, view.measured.values())), planned)
-    which = f"Step {now.number} of {now.of}  ", "$label"
-    head = Content.assemble(which, (name, "bold"), f": {words}" if words else "")
-    return ends(head, (f"{taken} of {planned}" if planned else "", "bold"))
-
-
-def _part(view: RunView) -> str:
-    """Return the part of the step under way, by its last point; "" where the count is of others."""
-    if view.last is None or (view.newest_is_old and view.last is view.newest):
-        return ""
-    of_nests = view.span is not None and view.span.of_nests
-    return "" if view.last.id.group == CONTROL and not of_nests else view.last.id.part
-
-
-def _of_step(view: RunView, number: int) -> tuple[int, int]:
-    """Return how many of the part under way are measured, and planned; of the step else."""
-    if view.span is not None:
-        return view.span.taken, view.span.planned
-    steps = view.log.plan.steps if view.log.plan is not None else []
-    planned = steps[number - 1].points if number <= len(steps) else 0
-    if not planned and (sweeps := sweeps_of(steps[number - 1 : number])):
-        return min(len(view.log.streams), sweeps), sweeps
-    return min(len(view.measured.get(number, ())), planned), planned
 
 
 def sweeps_of(steps: Sequence[PlannedStep]) -> int:
     """Return how many axis sweeps the plan has for these steps."""
     spans = [span for step in steps for span in step.spans]
     return sum(span.measured for span in spans if span.kind == "sweep")
-
-
-def progress(view: RunView) -> Lines:
-    """Return the bar in the state's colour, the time worked, and the time left or of the end."""
-    tone = state_role(view)
-    calm = not view.live and tone != "passed"
-    done = Bar(share_done(view), "$label" if calm else f"${tone}-fill")
-    # A point that is re-measured is beyond the plan, which has nothing left.
-    known = bool(view.remaining_s) and view.state != "checking"
-    left = f"{duration(view.remaining_s or 0.0)} left" if known else ""
-    if not view.live:
-        ended = bool(view.records) and view.log.end is not None
-        left = f"at {local_time_text(view.records[-1].t)}" if ended else ""
-    elif view.state == "suspended":
-        left = "at rest"
-    row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
-    bar = Col(8, grows=True, most=43)
-    return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
-
-
-def share_done(view: RunView) -> float:
-    """Return the share of the run that is done, by time where it is known, else by points."""
-    if view.state in ("done", "intolerant"):
-        return 1.0
-    if view.remaining_s is not None and view.elapsed_s + view.remaining_s > 0:
-        return view.elapsed_s / (view.elapsed_s + view.remaining_s)
-    plan = view.log.plan
-    if plan is None or not plan.points:
-        return 0.0
-    return min(len(view.log.points) / plan.points, 1.0)
 
 
 def duration(seconds: float) -> str:
@@ -261,20 +123,6 @@ def duration(seconds: float) -> str:
     minutes, second = divmod(max(round(seconds), 0), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
-
-
-def following(view: RunView) -> Content:
-    """Return the next step and when it begins; nothing once the run is over."""
-    plan, now = view.log.plan, view.step
-    if plan is None or not now or not view.live:
-        return BLANK
-    words = "the end"
-    if now.number < len(plan.steps):
-        words = step_label(plan.steps[now.number].name, has_rail=view.has_rail)
-    known = bool(view.ahead) and view.state == "running" and not view.stale
-    left_s = sum(part.takes_s for part in view.ahead if part.step == now.number)
-    when = f", in {duration(left_s)}" if known else ""
-    return Content.styled(f"next: {words}{when}", "$label")
 
 
 def moves(*, has_rail: bool) -> str:
@@ -455,49 +303,6 @@ MOTIONS = {
 }
 
 
-def _event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
-    """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
-    zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
-    events: list[list[Cell]] = []
-    for record in reversed(view.records):
-        if len(events) >= rows - 1:
-            break
-        if words := event_text(view, record, errors_mm):
-            style = "$label" if events else "$foreground"
-            time = f" {in_zone(record.t):%H:%M:%S} "
-            events.append([(time, "$label"), (harmless(words), style)])
-    return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
-
-
-def event_text(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
-    """Return an event in words; nothing for what other lines of the screen tell."""
-    log = view.log
-    match record.fact:
-        case Point() as point:
-            error_mm = errors_mm.get(point.key)
-            size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
-            return f"measured {point_label(point.key, log)}{' again' * point.retaken}{size}"
-        case Intended(action=action, station=station):
-            place = with_labels(record.key, log)
-            if action in MOTIONS:
-                return MOTIONS[action].format(station=station, point=place)
-            return f"{action.replace('.', ' ')} {place}".strip()
-        case Event() | OtherEvent() as event:
-            return event_label(event, log)
-        case Ended(state=state, exit=code):
-            return f"the session has ended: {state}, exit {code}"
-        case StateChanged(machine="run", to=to, reason=reason):
-            return f"the run is {to}{after(with_labels(reason.replace(chr(10), ' '), log))}"
-        case Verdict(holds=holds) as verdict:
-            figures = "".join(
-                f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
-                for each in verdict.figures[:1]
-                if each.value is not None and each.limit is not None
-            )
-            return f"{verdict_label(record.key)} {'passes' if holds else 'fails'}{figures}"
-    return ""
-
-
 MOST_STEPS, MOST_EVENTS = 5, 6
 PARTS = {
     "flange": "{step}: {count} points",
@@ -512,36 +317,6 @@ def block_rows(height: int, *, live: bool) -> int:
     return spare if spare >= 4 else 0
 
 
-def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, rows: int) -> Lines:
-    """Return the block in at most so many rows; a run that is over has events alone."""
-    parts: list[Lines | Text] = []
-    if view.live:
-        locked = locks(view, glyphs)
-        parts, rows = interlock_lines(view, glyphs), rows - 1 - max(len(locked), 1)
-        if rows > 1:
-            parts += step_lines(view, glyphs, rows)
-            rows -= 1 + max(min(len(_parts(view)), MOST_STEPS), 1)
-    if rows > 1:
-        parts += _event_lines(view, errors_mm, min(rows, MOST_EVENTS + 1))
-    return Stack(*parts)
-
-
-def interlock_lines(view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
-    """Return each condition of motion with its reason, or with the reading that frees it.
-
-    A reason that is too long for its line is the short one: no figure is cut.
-    """
-    locked = locks(view, glyphs)
-    if not locked or view.status is None:
-        return [section("interlocks"), (f" {glyphs.stale} no reading", "$stale")]
-    rows: list[list[Cell]] = []
-    for each in locked:
-        whys = each.whole or _reading(each.name, view.status.devices), each.short
-        why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
-        rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
-    return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
-
-
 def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
     """Return the last readings of the devices that a condition is about."""
     text = {device: status.text for device, status in devices.items() if status.text}
@@ -551,40 +326,6 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
     if name == NAMES["rail move"]:
         return f"robot {text['robot']}" if "robot" in text else ""
     return f"last reading {text['tracker']}" if "tracker" in text else ""
-
-
-def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
-    """Return the step under way and those after it, when each starts and how long it takes."""
-    heading, starts_s = section("next steps", "starts in   takes"), 0.0
-    steps: list[Sequence[Cell]] = []
-    start, style, shape = "now", "$foreground", " " if view.at_rest else glyphs.moving
-    for words, takes_s in _parts(view)[: min(rows - 1, MOST_STEPS)]:
-        cells = ((text, style) for text in (words, start, duration(takes_s)))
-        steps.append(((f" {shape}", "$live"), *cells, ""))
-        starts_s += takes_s
-        start, style, shape = duration(starts_s), "$label", " "
-    if not steps:
-        return [heading, ("   not known yet", "$label")]
-    columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
-    return [heading, Grid(steps, *columns)]
-
-
-def _parts(view: RunView) -> list[tuple[str, float]]:
-    """Return the parts of the step under way, then one for each step after it, in words."""
-    plan = view.log.plan
-    if plan is None:
-        return []
-    listed: list[tuple[str, float]] = []
-    for number, parts in groupby(view.ahead, key=attrgetter("step")):
-        step = step_label(plan.steps[number - 1].name, has_rail=view.has_rail)
-        if listed:
-            listed.append((step, sum(part.takes_s for part in parts)))
-        else:
-            for part in _merged([*parts]):
-                other = "{step}: {count} readings" if part.measured else "{step}"
-                words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
-                listed.append((words, part.takes_s))
-    return listed
 
 
 def _merged(parts: Sequence[RemainingSpan]) -> list[RemainingSpan]:
@@ -599,3 +340,269 @@ def _merged(parts: Sequence[RemainingSpan]) -> list[RemainingSpan]:
         else:
             merged.append(part)
     return merged
+
+
+@dataclass(frozen=True, slots=True)
+class RunText:
+    """The screen's texts of a run, from the top."""
+
+    view: RunView
+    glyphs: Glyphs = UNICODE
+
+    def state_label(self) -> tuple[str, str]:
+        """Return the state's word and role: of a run that ended with exit 1, its outcome."""
+        view = self.view
+        if view.state != "intolerant":
+            return STATES[view.state]
+        words = view.log.outcome.partition(";")[0]
+        return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
+
+    def role(self) -> str:
+        """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
+        role = self.state_label()[1]
+        return "label" if role == "live" and self.view.stale else role
+
+    def banner(self, background: RunView | None = None) -> Lines:
+        """Return the first row: state, LIVE or HISTORIC, SIMULATION, a notice; trouble fills it.
+
+        ``background``: the live run that goes on while this one is shown.
+        """
+        view = self.view
+        tone = self.role()
+        fill = f"bold $on-{tone} on ${tone}-fill"
+        ground = fill if tone in LOUD else ""
+        parts = [
+            Content.styled(f" {self.glyphs.states[view.state]} {self.state_label()[0]} ", fill)
+        ]
+        if view.engine is not EngineState.UNKNOWN and background is None:
+            parts.append(badge("LIVE" if view.live else "HISTORIC"))
+        if view.simulated:
+            parts.append(simulation_block())
+        notices, style = self._notices(background), "$label"
+        if background is not None or view.state == "silent":
+            style = "bold $fault" if background is None else "bold $ask"
+        notice = Fitting(tuple(Content.styled(f"{each} ", ground or style) for each in notices))
+        left = Content(" ").join(parts)
+        return Grid([(left, notice)], Col(), Col(right=True, grows=True), styles={0: ground})
+
+    def _notices(self, background: RunView | None) -> tuple[str, ...]:
+        """Return the notices beside the state, the longest first."""
+        view = self.view
+        if background is not None:
+            word = RunText(background, self.glyphs).state_label()[0]
+            stop = "use the E-stop" if background.state == "silent" else "Esc stops"
+            return (
+                f"background: {word}; q shows it, {stop}",
+                f"background: {word}; {stop}",
+                "1 in background",
+            )
+        if view.state == "silent":
+            since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
+            return f"silent{since}: use the E-stop", "use the E-stop"
+        return (NOT_E_STOP if view.live or view.state == "looking" else "nothing is connected",)
+
+    def end_text(self) -> str:
+        worst = max(
+            self.view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None
+        )
+        why = f": {worst.code} {worst.title}" if worst is not None else ""
+        return f"the background run {self.view.run} has ended: {self.state_label()[0]}{why}"
+
+    def identity(self) -> Lines:
+        """Return procedure, cell, job, operator and run."""
+        view = self.view
+        plan = view.log.plan
+        if plan is None:
+            begun = NO_PLAN_TEXTS[view.engine]
+            return ends(f"run {view.run}: {view.trouble or begun}", "")
+        names = {
+            "cell": str(plan.cell.get("name", "?")),
+            "job": plan.job,
+            "operator": plan.operator,
+        }
+        parts = [Content.styled(procedure_label(plan.procedure), "bold")]
+        parts += [_labelled(name, text, 20) for name, text in names.items() if text]
+        parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
+        return ends(Content("   ").join(parts), _labelled("run", short_run(view.run), 14))
+
+    def step(self) -> Lines:
+        """Return the current step in words, and how many of its part are measured."""
+        view = self.view
+        plan, now = view.log.plan, view.step
+        if plan is None or not now:
+            return ends(("no step yet", "$label"), "")
+        name = step_label(now.name, has_rail=view.has_rail)
+        words, (taken, planned) = self._part(), self._of_step(now.number)
+        if view.state in ("done", "intolerant"):
+            words, planned = "finished", plan.points
+            taken = min(sum(map(len, view.measured.values())), planned)
+        which = f"Step {now.number} of {now.of}  ", "$label"
+        head = Content.assemble(which, (name, "bold"), f": {words}" if words else "")
+        return ends(head, (f"{taken} of {planned}" if planned else "", "bold"))
+
+    def _part(self) -> str:
+        """Return the part in progress, by its last point; "" where the count is of others."""
+        view = self.view
+        if view.last is None or (view.newest_is_old and view.last is view.newest):
+            return ""
+        of_nests = view.span is not None and view.span.of_nests
+        return "" if view.last.id.group == CONTROL and not of_nests else view.last.id.part
+
+    def _of_step(self, number: int) -> tuple[int, int]:
+        """Return how many of the part under way are measured, and planned; of the step else."""
+        view = self.view
+        if view.span is not None:
+            return view.span.taken, view.span.planned
+        steps = view.log.plan.steps if view.log.plan is not None else []
+        planned = steps[number - 1].points if number <= len(steps) else 0
+        if not planned and (sweeps := sweeps_of(steps[number - 1 : number])):
+            return min(len(view.log.streams), sweeps), sweeps
+        return min(len(view.measured.get(number, ())), planned), planned
+
+    def progress(self) -> Lines:
+        """Return the bar in the state's colour, the time worked, the time left or of the end."""
+        view = self.view
+        tone = self.role()
+        calm = not view.live and tone != "passed"
+        done = Bar(self.share_done(), "$label" if calm else f"${tone}-fill")
+        # A point that is re-measured is beyond the plan, which has nothing left.
+        known = bool(view.remaining_s) and view.state != "checking"
+        left = f"{duration(view.remaining_s or 0.0)} left" if known else ""
+        if not view.live:
+            ended = bool(view.records) and view.log.end is not None
+            left = f"at {local_time_text(view.records[-1].t)}" if ended else ""
+        elif view.state == "suspended":
+            left = "at rest"
+        row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
+        bar = Col(8, grows=True, most=43)
+        return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
+
+    def share_done(self) -> float:
+        """Return the share of the run that is done, by time where it is known, else by points."""
+        view = self.view
+        if view.state in ("done", "intolerant"):
+            return 1.0
+        if view.remaining_s is not None and view.elapsed_s + view.remaining_s > 0:
+            return view.elapsed_s / (view.elapsed_s + view.remaining_s)
+        plan = view.log.plan
+        if plan is None or not plan.points:
+            return 0.0
+        return min(len(view.log.points) / plan.points, 1.0)
+
+    def following(self) -> Content:
+        """Return the next step and when it begins; nothing once the run is over."""
+        view = self.view
+        plan, now = view.log.plan, view.step
+        if plan is None or not now or not view.live:
+            return BLANK
+        words = "the end"
+        if now.number < len(plan.steps):
+            words = step_label(plan.steps[now.number].name, has_rail=view.has_rail)
+        known = bool(view.ahead) and view.state == "running" and not view.stale
+        left_s = sum(part.takes_s for part in view.ahead if part.step == now.number)
+        when = f", in {duration(left_s)}" if known else ""
+        return Content.styled(f"next: {words}{when}", "$label")
+
+    def below(self, errors_mm: Mapping[str, float], rows: int) -> Lines:
+        """Return the block in at most so many rows; a run that is over has events alone."""
+        parts: list[Lines | Text] = []
+        if self.view.live:
+            locked = DeviceText(self.view, self.glyphs).locks()
+            parts, rows = self.interlocks(), rows - 1 - max(len(locked), 1)
+            if rows > 1:
+                parts += self.steps(rows)
+                rows -= 1 + max(min(len(self._spans()), MOST_STEPS), 1)
+        if rows > 1:
+            parts += self._event_lines(errors_mm, min(rows, MOST_EVENTS + 1))
+        return Stack(*parts)
+
+    def _event_lines(self, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
+        """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
+        view = self.view
+        zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
+        events: list[list[Cell]] = []
+        for record in reversed(view.records):
+            if len(events) >= rows - 1:
+                break
+            if words := self.event_text(record, errors_mm):
+                style = "$label" if events else "$foreground"
+                time = f" {in_zone(record.t):%H:%M:%S} "
+                events.append([(time, "$label"), (harmless(words), style)])
+        return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
+
+    def event_text(self, record: Record, errors_mm: Mapping[str, float]) -> str:
+        """Return an event in words; nothing for what other lines of the screen tell."""
+        log = self.view.log
+        match record.fact:
+            case Point() as point:
+                error_mm = errors_mm.get(point.key)
+                size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
+                return f"measured {point_label(point.key, log)}{' again' * point.retaken}{size}"
+            case Intended(action=action, station=station):
+                place = with_labels(record.key, log)
+                if action in MOTIONS:
+                    return MOTIONS[action].format(station=station, point=place)
+                return f"{action.replace('.', ' ')} {place}".strip()
+            case Event() | OtherEvent() as event:
+                return event_label(event, log)
+            case Ended(state=state, exit=code):
+                return f"the session has ended: {state}, exit {code}"
+            case StateChanged(machine="run", to=to, reason=reason):
+                return f"the run is {to}{after(with_labels(reason.replace(chr(10), ' '), log))}"
+            case Verdict(holds=holds) as verdict:
+                figures = "".join(
+                    f": {of.name} {of.value:.3f} {of.unit}, limit {of.limit:.3f} {of.unit}"
+                    for of in verdict.figures[:1]
+                    if of.value is not None and of.limit is not None
+                )
+                return f"{verdict_label(record.key)} {'passes' if holds else 'fails'}{figures}"
+        return ""
+
+    def interlocks(self) -> list[Lines | Text]:
+        """Return each condition of motion with its reason, or with the reading that frees it.
+
+        A reason that is too long for its line is the short one: no figure is cut.
+        """
+        view = self.view
+        locked = DeviceText(view, self.glyphs).locks()
+        if not locked or view.status is None:
+            return [section("interlocks"), (f" {self.glyphs.stale} no reading", "$stale")]
+        rows: list[list[Cell]] = []
+        for each in locked:
+            whys = each.whole or _reading(each.name, view.status.devices), each.short
+            why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
+            rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
+        return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
+
+    def steps(self, rows: int) -> list[Lines | Text]:
+        """Return the step under way and those after it, when each starts and how long it takes."""
+        heading, starts_s = section("next steps", "starts in   takes"), 0.0
+        steps: list[Sequence[Cell]] = []
+        start, style, shape = "now", "$foreground", " " if self.view.at_rest else self.glyphs.moving
+        for words, takes_s in self._spans()[: min(rows - 1, MOST_STEPS)]:
+            cells = ((text, style) for text in (words, start, duration(takes_s)))
+            steps.append(((f" {shape}", "$live"), *cells, ""))
+            starts_s += takes_s
+            start, style, shape = duration(starts_s), "$label", " "
+        if not steps:
+            return [heading, ("   not known yet", "$label")]
+        columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
+        return [heading, Grid(steps, *columns)]
+
+    def _spans(self) -> list[tuple[str, float]]:
+        """Return the parts of the step under way, then one for each step after it, in words."""
+        view = self.view
+        plan = view.log.plan
+        if plan is None:
+            return []
+        listed: list[tuple[str, float]] = []
+        for number, parts in groupby(view.ahead, key=attrgetter("step")):
+            step = step_label(plan.steps[number - 1].name, has_rail=view.has_rail)
+            if listed:
+                listed.append((step, sum(part.takes_s for part in parts)))
+            else:
+                for part in _merged([*parts]):
+                    other = "{step}: {count} readings" if part.measured else "{step}"
+                    words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
+                    listed.append((words, part.takes_s))
+        return listed

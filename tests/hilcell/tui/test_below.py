@@ -17,9 +17,8 @@ from hilcell.run.forecast import Forecast, RemainingSpan
 from hilcell.tui.layout import Stack
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE
-from hilcell.tui.text import devices
-from hilcell.tui.text.devices import interlock_text, locks
-from hilcell.tui.text.run import below_lines, event_text, interlock_lines, step_lines
+from hilcell.tui.text.devices import DeviceText
+from hilcell.tui.text.run import RunText
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 from tests.hilcell.tui.views import drawn
 from tests.hilcell.verdicts import BACKLASH, JUDGED, LENGTHS, REVISITED, plain
@@ -42,7 +41,7 @@ def test_events_go_first_then_steps() -> None:
     heads = ("interlocks", "next steps", "newest events")
     seen = {}
     for rows in (4, 7, 12, 17):
-        text = drawn(below_lines(view, {}, UNICODE, rows))
+        text = drawn(RunText(view).below({}, rows))
         assert len(text.splitlines()) <= rows
         seen[rows] = tuple(head in text for head in heads)
     assert seen[4] == (True, False, False)
@@ -51,7 +50,7 @@ def test_events_go_first_then_steps() -> None:
 
 
 def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> None:
-    lines = drawn(Stack(*interlock_lines(view_of(measuring()), UNICODE))).splitlines()
+    lines = drawn(Stack(*RunText(view_of(measuring()), UNICODE).interlocks())).splitlines()
     assert lines[1].split()[:3] == ["■", "Rail", "locked"]
     assert "robot not at safe pose, A2 −53.017 deg" in lines[1]
     assert "Robot   free   slide 1100.20 mm, held, strip 1100.00 mm" in lines[2]
@@ -61,10 +60,10 @@ def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> Non
 @pytest.mark.parametrize("name", ["running", "paused", "suspended"])
 def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
     view = view_of(sample_run(name), name)
-    row = drawn(devices.interlocks(view, UNICODE))
-    panel = drawn(Stack(*interlock_lines(view, UNICODE))).splitlines()
-    page = interlock_text(view, UNICODE).plain.splitlines()
-    for number, lock in enumerate(locks(view, UNICODE)):
+    row = drawn(DeviceText(view).interlocks())
+    panel = drawn(Stack(*RunText(view).interlocks())).splitlines()
+    page = DeviceText(view).interlock_page().plain.splitlines()
+    for number, lock in enumerate(DeviceText(view).locks()):
         assert f"{lock.shape} {lock.name} {lock.word}" in row
         assert panel[number + 1].split()[:3] == [lock.shape, lock.name, lock.word]
         assert page[number].startswith(f"{lock.shape} {lock.name} {lock.word}")
@@ -78,15 +77,15 @@ def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> N
     why = "robot not at safe pose, A2 -41.381 deg, expected -100.000 +-0.1 deg"
     locked = [Interlock("rail move", why, "HC-B32")]
     view.status = msgspec.structs.replace(view.status, interlocks=locked)
-    lines = drawn(Stack(*interlock_lines(view, UNICODE)), width).splitlines()
+    lines = drawn(Stack(*RunText(view).interlocks()), width).splitlines()
     assert lines[1].rstrip() == " ■ Rail    locked robot not at safe pose"
-    assert "A2 −41.381 deg, expected −100.000 ±0.1 deg" in interlock_text(view, UNICODE).plain
+    assert "A2 −41.381 deg, expected −100.000 ±0.1 deg" in DeviceText(view).interlock_page().plain
 
 
 def test_a_stale_status_frees_nothing() -> None:
     view = view_of(measuring())
     view.status_age_s = 60.0
-    text = drawn(Stack(*interlock_lines(view, UNICODE)))
+    text = drawn(Stack(*RunText(view).interlocks()))
     assert "free" not in text
     assert "no reading" in text
 
@@ -98,7 +97,7 @@ def test_steps_start_one_after_the_other() -> None:
         RemainingSpan(5, "leg", 0, 14.0),
         RemainingSpan(6, "fit", 0, 0.0), RemainingSpan(7, "flange", 6, 61.0),
     ]  # fmt: skip
-    lines = [line.split() for line in drawn(Stack(*step_lines(view, UNICODE, 6))).splitlines()[1:]]
+    lines = [line.split() for line in drawn(Stack(*RunText(view).steps(6))).splitlines()[1:]]
     assert [line[-2:] for line in lines] == [
         ["now", "1:25"], ["1:25", "0:14"], ["1:39", "0:00"], ["1:39", "1:01"],
     ]  # fmt: skip
@@ -124,7 +123,7 @@ def test_events_are_told_in_words() -> None:
     story = validated()
     view = view_of(story)
     errors = {"validate/S1100/chosen/001": 0.1005}
-    words = [event_text(view, record, errors) for record in story.records]
+    words = [RunText(view).event_text(record, errors) for record in story.records]
     assert words[-1] == "measured corrected target 2 at S1100: |e| 0.101 mm"
     assert "rail held at S1100: 1100.00 mm by the strip, 2nd approach" in words
     assert "robot sent to grid point 0-0-3 at S1100" in words
@@ -136,9 +135,11 @@ def test_a_point_that_is_not_measured_yet_has_its_name() -> None:
     story = measuring()
     story.add("intent", "grid/9-9-9", action="robot.move")
     view = view_of(story)
-    assert event_text(view, story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
+    assert (
+        RunText(view).event_text(story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
+    )
     story.point(PointId("grid", vertex=(8, 8, 8)))
-    assert event_text(view, story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
+    assert RunText(view).event_text(story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
 
 
 def test_events_show_no_raw_keys() -> None:
@@ -155,11 +156,11 @@ def test_events_show_no_raw_keys() -> None:
     view = view_of(measuring())
     for body, token in happened:
         record = Record(1, "2026-03-04T08:00:00.000+00:00", "event", "", body)
-        words = event_text(view, record, {})
+        words = RunText(view).event_text(record, {})
         assert token in words
         assert not set("{}[]/_") & set(words)
     healthy = {"what": "link", "frames": 9, "bad_lines": 0, "refused": 0, "malformed": 0}
-    assert event_text(view, Record(1, "", "event", "", healthy), {}) == ""
+    assert RunText(view).event_text(Record(1, "", "event", "", healthy), {}) == ""
 
 
 @pytest.mark.parametrize(
@@ -178,11 +179,11 @@ def test_events_show_no_raw_keys() -> None:
 )  # fmt: skip
 def test_a_verdict_has_the_name_of_its_subject(key: str, verdict: Verdict, words: str) -> None:
     record = SampleRun().add("verdict", key, **plain(verdict)).records[-1]
-    assert event_text(view_of(measuring()), record, {}) == words
+    assert RunText(view_of(measuring())).event_text(record, {}) == words
 
 
 def test_a_run_of_which_only_the_plan_is_known_has_no_events_yet() -> None:
     story = measuring()
     story.records = story.records[:1]
-    text = drawn(below_lines(view_of(story), {}, UNICODE, 17))
+    text = drawn(RunText(view_of(story)).below({}, 17))
     assert text.splitlines()[-1].startswith("─ newest events ─")

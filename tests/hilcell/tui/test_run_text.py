@@ -23,9 +23,10 @@ from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.devices import end_note
+from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.plots import Measured, tabs_for
 from hilcell.tui.text.points import Deviation
+from hilcell.tui.text.run import RunText
 from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
 
@@ -70,7 +71,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     steps = [*view.log.plan.steps]
     steps[number] = replace(steps[number], points=0, spans=spans)
     view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
-    assert drawn(run_text.step(view), 79).endswith(" 0 of 8")
+    assert drawn(RunText(view).step(), 79).endswith(" 0 of 8")
 
 
 # -- lamps -----------------------------------------------------------------------------------------
@@ -91,7 +92,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     ],
 )
 def test_lamps(device: DeviceStatus, wanted: str, good: bool) -> None:
-    lamp = devices.lamp("rail", device, view_of("running"), UNICODE)
+    lamp = DeviceText(view_of("running")).lamp("rail", device)
     assert lamp.plain == wanted
     assert any("passed" in str(span.style) for span in lamp.spans) == good
 
@@ -100,7 +101,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
     view = view_of("running")
     view.status_age_s = 2.1
     for device in (DeviceStatus("fresh", 0.2), DeviceStatus("moving", 0.2)):
-        lamp = devices.lamp("rail", device, view, UNICODE)
+        lamp = DeviceText(view).lamp("rail", device)
         assert lamp.plain == "○ Rail 2.3 s"
         assert not any("passed" in str(span.style) for span in lamp.spans)
     view.status_age_s = math.nan
@@ -108,7 +109,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
 
 
 def test_a_past_run_has_no_lamps() -> None:
-    assert drawn(devices.lamps(view_of("done"), UNICODE), 80).count(" -") == 4
+    assert drawn(DeviceText(view_of("done")).lamps(), 80).count(" -") == 4
 
 
 def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
@@ -127,8 +128,8 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
         )
     )
     view = replace(view, log=log)
-    assert "Rail" not in drawn(devices.lamps(view, UNICODE), 80)
-    assert "Robot" in drawn(devices.lamps(view, UNICODE), 80)
+    assert "Rail" not in drawn(DeviceText(view).lamps(), 80)
+    assert "Robot" in drawn(DeviceText(view).lamps(), 80)
     assert run_text.resume_text(view).startswith("The robot will move")
     assert Measured.strip_plot not in [tab.make for tab in tabs_for(log)]
 
@@ -141,12 +142,12 @@ def test_no_line_is_wider_than_the_terminal(name: str) -> None:
     view = view_of(name)
     for width in (20, 39, 40, 58, 79, 80, 100, 137, 200):
         for lines in (
-            run_text.progress(view),
-            run_text.banner(view, UNICODE),
-            run_text.identity(view),
-            run_text.step(view),
-            devices.interlocks(view, UNICODE),
-            devices.lamps(view, UNICODE),
+            RunText(view).progress(),
+            RunText(view).banner(),
+            RunText(view).identity(),
+            RunText(view).step(),
+            DeviceText(view).interlocks(),
+            DeviceText(view).lamps(),
         ):
             [line] = lines.lines(width)
             assert line.cell_length <= width, line.plain
@@ -154,7 +155,7 @@ def test_no_line_is_wider_than_the_terminal(name: str) -> None:
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> None:
-    line = drawn(run_text.banner(view_of(name), UNICODE), 80)
+    line = drawn(RunText(view_of(name)).banner(), 80)
     assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
     notice = run_text.NOT_E_STOP if view_of(name).live else "nothing is connected"
@@ -166,42 +167,42 @@ def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> No
 def test_a_background_run_is_shown_in_every_state(name: str) -> None:
     view = view_of(name)
     for background in ("running", "silent"):
-        line = drawn(run_text.banner(view, UNICODE, view_of(background)), 80)
+        line = drawn(RunText(view).banner(view_of(background)), 80)
         assert f"background: {run_text.STATES[background][0]}" in line
         assert ("use the E-stop" if background == "silent" else "Esc stops") in line
 
 
 def test_the_end_of_a_run_behind_names_its_worst_alarm() -> None:
-    reported = run_text.end_text(view_of("fault"))
+    reported = RunText(view_of("fault")).end_text()
     assert "made-up" in reported
     assert "HC-T99" in reported
-    assert "DONE" in run_text.end_text(view_of("done"))
+    assert "DONE" in RunText(view_of("done")).end_text()
 
 
 def test_a_real_run_is_not_called_a_simulation() -> None:
     view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=False)
-    assert "SIMULATION" not in drawn(run_text.banner(view, UNICODE), 80)
+    assert "SIMULATION" not in drawn(RunText(view).banner(), 80)
 
 
 def test_the_step_is_shown_in_words_with_the_count_of_its_part() -> None:
     view = view_of("running")
-    line = drawn(run_text.step(view), 79)
+    line = drawn(RunText(view).step(), 79)
     assert "5 of 7  Robot grid" in line
     assert line.endswith(" 5 of 8")
     view.span = SpanProgress(50, 75, of_nests=False)
-    assert drawn(run_text.step(view), 79).endswith(" 50 of 75")
-    assert "7 of 7  Validation" in drawn(run_text.step(view_of("done")), 79)
-    assert " of " not in drawn(run_text.step(view_of("checking")), 79)
+    assert drawn(RunText(view).step(), 79).endswith(" 50 of 75")
+    assert "7 of 7  Validation" in drawn(RunText(view_of("done")).step(), 79)
+    assert " of " not in drawn(RunText(view_of("checking")).step(), 79)
 
 
 def test_the_next_step_is_named_with_the_time_to_it() -> None:
     view = view_of("running")
-    assert run_text.following(view).plain.endswith("Fit, in 0:05")
+    assert RunText(view).following().plain.endswith("Fit, in 0:05")
     view.status_age_s = 9.0
-    assert run_text.following(view).plain.endswith("Fit")
-    assert run_text.following(view_of("done")).plain == ""
+    assert RunText(view).following().plain.endswith("Fit")
+    assert RunText(view_of("done")).following().plain == ""
 
 
 def test_a_part_of_a_validation_is_named() -> None:
@@ -209,31 +210,31 @@ def test_a_part_of_a_validation_is_named() -> None:
     view = RunView("r", engine=EngineState.ANSWERING)
     for record in story.records:
         view.take(record)
-    assert ": corrected targets at S1100" in drawn(run_text.step(view), 79)
+    assert ": corrected targets at S1100" in drawn(RunText(view).step(), 79)
     story.point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
     view.span = SpanProgress(2, 3, of_nests=True)
-    assert drawn(run_text.step(view), 79).endswith(" 2 of 3")
-    assert "Validation: floor nests" in drawn(run_text.step(view), 79)
+    assert drawn(RunText(view).step(), 79).endswith(" 2 of 3")
+    assert "Validation: floor nests" in drawn(RunText(view).step(), 79)
     for span in (SpanProgress(4, 8, of_nests=False), None):  # the count is of others
         view.span = span
-        assert "floor nests" not in drawn(run_text.step(view), 79)
+        assert "floor nests" not in drawn(RunText(view).step(), 79)
 
 
 def test_running_is_never_bright_where_nothing_is_heard() -> None:
     view = view_of("running")
-    assert run_text.state_role(view) == "live"
+    assert RunText(view).role() == "live"
     view.status_age_s = 2.1
-    assert run_text.state_role(view) == "label"
-    assert "live" not in str(run_text.banner(view, UNICODE).lines(79)[0].spans)
-    assert "live" not in str(run_text.progress(view).lines(79)[0].spans)
+    assert RunText(view).role() == "label"
+    assert "live" not in str(RunText(view).banner().lines(79)[0].spans)
+    assert "live" not in str(RunText(view).progress().lines(79)[0].spans)
     view.status = None
-    assert run_text.state_role(view) == "label"
+    assert RunText(view).role() == "label"
 
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_trouble_fills_the_first_row_and_calm_does_not(name: str) -> None:
-    line = run_text.banner(view_of(name), UNICODE).lines(79)[0]
+    line = RunText(view_of(name)).banner().lines(79)[0]
     loud = run_text.STATES[name][1] in run_text.LOUD
     filled = [span for span in line.spans if "-fill" in str(span.style)]
     assert line.cell_length == 79
@@ -244,14 +245,14 @@ def test_a_long_job_leaves_room_for_the_run() -> None:
     view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 500, operator="Ann" * 50)
-    line = drawn(run_text.identity(view), 79)
+    line = drawn(RunText(view).identity(), 79)
     assert "job JJJJ" in line
     assert "…" in line
     assert line.endswith("run made-up")
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
-    assert drawn(run_text.identity(view_of("unreadable")), 80).endswith("damaged or not a journal")
+    assert drawn(RunText(view_of("unreadable")).identity(), 80).endswith("damaged or not a journal")
 
 
 def test_the_newest_point_stays_while_nests_are_proven() -> None:
@@ -267,34 +268,36 @@ def test_the_newest_point_stays_while_nests_are_proven() -> None:
 def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
     view = view_of("running")
     view.elapsed_s, view.remaining_s = 10.0, remaining_s
-    share = run_text.share_done(view)
+    share = RunText(view).share_done()
     assert 0.0 <= share <= 1.0
-    line = drawn(run_text.progress(view), 79)
+    line = drawn(RunText(view).progress(), 79)
     bar = line.count("█") + line.count("▌") + line.count("░")
     assert bar == 43
     assert line.count("█") + line.count("▌") / 2 == math.floor(2 * bar * share) / 2
 
 
 def test_a_run_that_is_over_is_done() -> None:
-    assert run_text.share_done(view_of("done")) == run_text.share_done(view_of("intolerant")) == 1.0
-    assert run_text.share_done(view_of("fault")) < 1.0
-    assert run_text.share_done(view_of("idle")) == 0.0
+    assert (
+        RunText(view_of("done")).share_done() == RunText(view_of("intolerant")).share_done() == 1.0
+    )
+    assert RunText(view_of("fault")).share_done() < 1.0
+    assert RunText(view_of("idle")).share_done() == 0.0
 
 
 def test_interlocks_say_in_short_what_is_locked_and_why() -> None:
     view = view_of("running")
-    line = drawn(devices.interlocks(view, UNICODE), 79)
+    line = drawn(DeviceText(view).interlocks(), 79)
     for words in ("■ Rail locked: robot not at safe pose", "► Robot free", "► Tracker free"):
         assert words in line
     view.status_age_s = 9.0
-    assert "9.0 s" in drawn(devices.interlocks(view, UNICODE), 79)
+    assert "9.0 s" in drawn(DeviceText(view).interlocks(), 79)
     view.status = None
-    assert "free" not in drawn(devices.interlocks(view, UNICODE), 79)
+    assert "free" not in drawn(DeviceText(view).interlocks(), 79)
 
 
 def test_a_lock_that_needs_a_person_says_so_in_its_colour() -> None:
     for name, why in (("paused", "paused"), ("suspended", "waits for the operator")):
-        line = devices.interlocks(view_of(name), UNICODE).lines(79)[0]
+        line = DeviceText(view_of(name)).interlocks().lines(79)[0]
         assert f"■ Rail locked: {why}" in line.plain
         assert "■ Robot locked ○ Tracker waits" in line.plain
         assert "ask" in str(line.spans)
@@ -307,22 +310,22 @@ def test_reasons_are_short_and_a_long_one_is_never_cut() -> None:
     for blocked, shown in (("the door is open", "the door is open"), ("x" * 27, "see the")):
         locks = [Interlock("rail move", blocked, "HC-X1")]
         view.status = msgspec.structs.replace(view.status, interlocks=locks)
-        assert f"Rail locked: {shown}" in drawn(devices.interlocks(view, UNICODE), 79)
+        assert f"Rail locked: {shown}" in drawn(DeviceText(view).interlocks(), 79)
 
 
 def test_a_run_that_ended_without_a_verdict_says_so() -> None:
-    line = drawn(devices.interlocks(view_of("aborted"), UNICODE), 79)
+    line = drawn(DeviceText(view_of("aborted")).interlocks(), 79)
     assert "nothing may move" in line
     assert re.search(r"move {3,}no verdict: 8 of 21 points", line)
-    assert "08:00:25 UTC" in drawn(devices.interlocks(view_of("aborted"), UNICODE), 119)
-    assert end_note(view_of("done")) == end_note(view_of("running")) == ""
+    assert "08:00:25 UTC" in drawn(DeviceText(view_of("aborted")).interlocks(), 119)
+    assert DeviceText(view_of("done")).end_note() == DeviceText(view_of("running")).end_note() == ""
 
 
 def test_a_finished_run_that_judged_nothing_says_so() -> None:
     view = view_of("done")
     view.log.end = Ended(state="finished", exit=0)
     view.log.verdicts.clear()
-    assert end_note(view) == "measured"
+    assert DeviceText(view).end_note() == "measured"
 
 
 # -- air -------------------------------------------------------------------------------------------
@@ -335,14 +338,14 @@ def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
     view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=22.5 + drift_k)
-    assert devices.air(view, UNICODE).plain.startswith("▲ ") == warns
+    assert DeviceText(view).air().plain.startswith("▲ ") == warns
 
 
 def test_a_tracker_without_a_weather_station_is_reported() -> None:
     view = view_of("running")
     assert view.last is not None
     view.last = msgspec.structs.replace(view.last, temperature_c=None)
-    assert devices.air(view, UNICODE).plain == "air not measured"
+    assert DeviceText(view).air().plain == "air not measured"
 
 
 # -- ASCII -----------------------------------------------------------------------------------------
@@ -381,6 +384,6 @@ def test_a_point_that_is_re_measured_has_no_time_left() -> None:
     """It is beyond the plan: the row said "0:00 left"."""
     view = view_of("running")
     view.remaining_s = 65.0
-    assert "1:05 left" in drawn(run_text.progress(view), 79)
+    assert "1:05 left" in drawn(RunText(view).progress(), 79)
     view.remaining_s = 0.0
-    assert "left" not in drawn(run_text.progress(view), 79)
+    assert "left" not in drawn(RunText(view).progress(), 79)

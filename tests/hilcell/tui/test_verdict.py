@@ -17,7 +17,7 @@ from hilcell.tui.layout import large_rows
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.finished import decode_verdict
-from hilcell.tui.text.run import banner
+from hilcell.tui.text.run import RunText
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import drawn, view_of
 
@@ -141,8 +141,8 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     found = decode_verdict(view)
     assert found is not None
     assert found.words == ("UNDECIDED", "neither pass nor fail")
-    assert "UNDECIDED" in drawn(banner(view, UNICODE))
-    assert "OUT OF TOLERANCE" not in drawn(banner(view, UNICODE))
+    assert "UNDECIDED" in drawn(RunText(view).banner())
+    assert "OUT OF TOLERANCE" not in drawn(RunText(view).banner())
     lines = drawn(found.lines(view, UNICODE), 78, ROWS).split("\n")
     assert not any("FAIL" in line for line in lines)
     assert "UNDECIDED" in lines[2]
