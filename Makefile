@@ -56,9 +56,10 @@ lint: $(VENV)/more  ## style, types and the import contract
 types: $(VENV)/more  ## types once more, by mypy
 	$(BIN)/mypy
 
-docs: $(VENV)/ready  ## the manual's pages that are written from the code
+docs: $(VENV)/docs  ## the manual as a site in site/, with the pages that are written from the code
 	$(BIN)/python -m hilcell.alarms.page > docs/alarms.md
 	$(BIN)/python -m hilcell.commands.manual > docs/cli.md
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --clean
 
 gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
 	@$(PYTHON) benchmarks/gauges.py
@@ -85,12 +86,18 @@ $(VENV)/more: requirements.lock requirements-more.lock $(VENV)/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-more.lock
 	touch $@
 
+# What only the site needs.
+$(VENV)/docs: requirements-docs.lock $(VENV)/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	touch $@
+
 bundle: $(VENV)/ready  ## one archive in dist/ that installs on a PC without a network
 	sh .ci/bundle/make.sh $(BIN)/python
 
 lock:  ## pin every dependency by hash, for all supported pythons; those of a run by themselves
 	$(COMPILE) --extra dev --extra build --output-file requirements.lock
 	$(COMPILE) --extra dev --extra pandas --extra study --extra plant --constraint requirements.lock --output-file requirements-more.lock
+	$(COMPILE) --extra docs --constraint requirements-more.lock --output-file requirements-docs.lock
 	$(COMPILE) --extra offline --extra build --constraint requirements.lock --output-file requirements-run.lock
 
 clean:

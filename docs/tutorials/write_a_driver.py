@@ -1,4 +1,4 @@
-"""Write a driver: a laser tracker that answers lines of text over TCP.
+"""Try a driver: a laser tracker that answers lines of text over TCP.
 
     python docs/tutorials/write_a_driver.py
 

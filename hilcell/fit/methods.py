@@ -351,9 +351,10 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     do not choose. The robot's base and its reflectors are estimated with the errors. Raises
     `FitError` for rows that cannot be learnt from.
 
-    >>> fit = fit_robot(read_robot("irb120.toml"), read_measurements("train.csv"))
-    >>> fit.chosen in fit.result["methods"], sorted(fit.result["methods"])
-    (True, ['elastic', 'gp', 'idw', 'mdh', 'nominal', 'tool'])
+    Examples:
+        >>> fit = fit_robot(read_robot("irb120.toml"), read_measurements("train.csv"))
+        >>> fit.chosen in fit.result["methods"], sorted(fit.result["methods"])
+        (True, ['elastic', 'gp', 'idw', 'mdh', 'nominal', 'tool'])
     """
     start_s = time.perf_counter()
     arm = robot.arm

@@ -252,9 +252,10 @@ def read_robot(path: Path | str, tip: str = "") -> Robot:
     ``tip`` names the link that ends the arm, where a URDF has several. Raises `SettingsError`
     with all problems of the file.
 
-    >>> robot = read_robot("irb120.toml")
-    >>> robot.name, robot.arm.a_mm.tolist()
-    ('IRB 120', [0.0, 270.0, 70.0, 0.0, 0.0, 0.0])
+    Examples:
+        >>> robot = read_robot("irb120.toml")
+        >>> robot.name, robot.arm.a_mm.tolist()
+        ('IRB 120', [0.0, 270.0, 70.0, 0.0, 0.0, 0.0])
     """
     file = Path(path)
     if file.suffix.lower() == URDF:

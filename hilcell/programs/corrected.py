@@ -123,10 +123,11 @@ class UsableCalibration:
     ``accepted`` says why it is out of tolerance, where that was accepted; ``status`` is None
     where it is not known, ``cell`` the cell as it was calibrated, None likewise.
 
-    >>> used = open_calibration("small")
-    >>> targets = np.array([[0.0, 0.0, 1250.0, 0.0, 75.0, 0.0]])
-    >>> used.corrected("S1100", ["A1"], targets).command.shape
-    (1, 6)
+    Examples:
+        >>> used = open_calibration("small")
+        >>> targets = np.array([[0.0, 0.0, 1250.0, 0.0, 75.0, 0.0]])
+        >>> used.corrected("S1100", ["A1"], targets).command.shape
+        (1, 6)
     """
 
     calibration: Calibration

@@ -66,10 +66,11 @@ class CorrectedPoses:
 class PoseCorrection:
     """Corrects poses of a reflector, the tool point, by the chosen method of a fit.
 
-    >>> fit = fit_robot(read_robot("irb120.toml"), read_measurements("train.csv"))
-    >>> corrected = PoseCorrection.of(fit, "SMR1").of_joints(fit.train.joints_rad[:4])
-    >>> corrected.command.shape, corrected.bound95_mm.shape
-    ((4, 4, 4), (4,))
+    Examples:
+        >>> fit = fit_robot(read_robot("irb120.toml"), read_measurements("train.csv"))
+        >>> corrected = PoseCorrection.of(fit, "SMR1").of_joints(fit.train.joints_rad[:4])
+        >>> corrected.command.shape, corrected.bound95_mm.shape
+        ((4, 4, 4), (4,))
     """
 
     method: Method

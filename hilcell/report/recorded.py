@@ -122,13 +122,14 @@ def open_run(name: str | Path = "last", runs: Path | str | None = None) -> Run:
     ``last`` is the newest; without ``runs`` the folder is that of the command ``hilcell``. Raises
     `HilcellError` where no run or several are meant, and where the journal is damaged.
 
-    >>> run = open_run("small")
-    >>> run.procedure, run.state, run.simulated
-    ('calibrate', 'finished', True)
-    >>> run.frames["base"].T.shape
-    (4, 4)
-    >>> {verdict.outcome.value for verdict in run.verdicts.values()}
-    {'accepted'}
+    Examples:
+        >>> run = open_run("small")
+        >>> run.procedure, run.state, run.simulated
+        ('calibrate', 'finished', True)
+        >>> run.frames["base"].T.shape
+        (4, 4)
+        >>> {verdict.outcome.value for verdict in run.verdicts.values()}
+        {'accepted'}
     """
     folder = find_run(usual_runs(os.environ)[0] if runs is None else Path(runs), str(name))
     return Run(folder, read_facts(folder))
