@@ -21,8 +21,8 @@ from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_style
 from hilcell.tui.text.actions import ACTS, VIEWS, FooterKey, footer_lines
 from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
-from hilcell.tui.text.finished import Result, decode_verdict, result_of
 from hilcell.tui.text.devices import DeviceText
+from hilcell.tui.text.finished import Result, decode_verdict, result_of
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.run import RunText, Shown, block_rows, rows_for

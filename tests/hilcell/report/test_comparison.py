@@ -299,7 +299,7 @@ def test_settings_are_compared_key_by_key(first: Log, records: list[Record]) -> 
     assert found.pop("robot.joint[3].d_mm")[1] == "-1.0"
     assert found.pop("versions.hilcell")[1] == "9.9.9"
     assert found.pop("machine_seed")[1] == ""  # of a cell that ran already
-    slide = first.cell.layout.standing[0].name
+    slide = first.cell.layout.slide[0].name
     assert {key.split(".")[1].split("[")[1][:-1] for key in found} == {slide, "P9"}
     assert all("" in pair for pair in found.values())
 

@@ -166,7 +166,7 @@ def test_a_folder_without_permission_is_reported_at_each_look(
         raise PermissionError
 
     monkeypatch.setattr(feeds, "read_journal", refuse)
-    monkeypatch.setattr(feeds, "is_there", unknown)
+    monkeypatch.setattr(feeds, "is_regular_file", unknown)
     screen = Screen(tmp_path)
     assert [screen.next().trouble for _ in range(2)] == ["permission denied"] * 2
     screen.close()

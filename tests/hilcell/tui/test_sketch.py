@@ -17,7 +17,7 @@ CELLS = ("paper", "six-r", "hard", "replay")
 def site(cell_name: str, wanted: str, done: str = "") -> Site:
     cell = load_cell(cell_name)
     layout, base = cell.layout, cell.layout.nominal_base(cell.station[-1].rail_mm)
-    slide = {n.name: _xy(apply(base, n.xyz_mm[None])[0]) for n in layout.standing}
+    slide = {n.name: _xy(apply(base, n.xyz_mm[None])[0]) for n in layout.slide}
     standing = {n.name: _xy(n.xyz_mm) for n in layout.standing}
     nests = slide if wanted in slide else standing
     return Site(
@@ -39,7 +39,7 @@ def drawn(found: Site, columns: int = 46, rows: int = 11) -> list[str]:
 @pytest.mark.parametrize("name", CELLS)
 def test_every_nest_is_named_once_and_the_wanted_one_is_there(name: str) -> None:
     layout = load_cell(name).layout
-    for nests in (layout.standing, layout.standing):
+    for nests in (layout.standing, layout.slide):
         for nest in nests:
             lines = drawn(site(name, nest.name))
             assert len(lines) == 11
