@@ -82,12 +82,12 @@ def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
     at_mm = truth.reflectors_in_world()
     base = cell.layout.nominal_base(truth.rail.slide_mm())
     assert set(at_mm) == {
-        *(nest.name for nest in cell.layout.standing + cell.layout.standing),
+        *(nest.name for nest in cell.layout.standing + cell.layout.slide),
         FLANGE,
     }
     for nest in cell.layout.floor:
         assert 0 < np.linalg.norm(at_mm[nest.name] - nest.xyz_mm) < cell.layout.nest_tolerance_mm
-    for nest in cell.layout.standing:
+    for nest in cell.layout.slide:
         off = np.linalg.norm(at_mm[nest.name] - apply(base, nest.xyz_mm[None])[0])
         assert 0 < off < 10.0
     nominal = base @ forward(cell.robot.arm(), np.radians(cell.robot.home_deg))
@@ -120,7 +120,7 @@ def test_slide_nests_and_robot_ride_rigidly(cell: Cell) -> None:
     rail_of(truth).move(1000.0, 250.0, 200.0)
     truth.time.advance(60.0)
     after, base_after = truth.reflectors_in_world(), truth.base_in_world()
-    names = [nest.name for nest in cell.layout.standing] + [FLANGE]
+    names = [nest.name for nest in cell.layout.slide] + [FLANGE]
     shapes = [
         apply(inverse(base), np.array([at[name] for name in names]))
         for at, base in ((before, base_before), (after, base_after))

@@ -45,7 +45,7 @@ def test_a_quick_plan_takes_at_most_twenty_minutes_of_robot() -> None:
     assert plan.duration_s <= MOST_S
     assert plan.duration_s == pytest.approx(sum(step.duration_s for step in plan.steps))
     validate = next(step for step in plan.steps if step.name == "validate")
-    assert validate.points == 3 * (8 + 32 + QUICK.touch.poses) + 2 * len(QUICK.layout.standing)
+    assert validate.points == 3 * (8 + 32 + QUICK.touch.poses) + 2 * len(QUICK.layout.slide)
 
 
 @pytest.mark.parametrize("decided", [8, 40, 96])

@@ -128,7 +128,7 @@ def test_a_nest_that_moved_is_seen_by_a_total_station_too() -> None:
     """By 6 mm along its beam: the limit there is 3 to 4 mm, and by the seating alone across it."""
     for seed in range(2):
         bench = by_total_station(seed)
-        nest = CELL.layout.standing[3]
+        nest = CELL.layout.slide[3]
         at_mm = apply(bench.base(bench.cell.station_named("S300")), nest.xyz_mm[None])[0]
         bench.moved_mm["S300", nest.name] = 6.0 * at_mm / np.linalg.norm(at_mm)
         assert left_out(bench) == {nest.name}
@@ -174,7 +174,7 @@ def test_a_nest_that_moved_is_left_out_and_named(nest: str) -> None:
 def test_too_few_nests_that_agree_refuse_the_station() -> None:
     nests = "[" + ", ".join(
         f'{{ name = "{n.name}", x_mm = {n.x_mm}, y_mm = {n.y_mm}, z_mm = {n.z_mm} }}'
-        for n in CELL.layout.standing[:4]
+        for n in CELL.layout.slide[:4]
     ) + "]"  # fmt: skip
     bench = bench_of(slide=nests)
     bench.moved_mm["S300", "P2"] = np.array([0.15, -0.2, 0.1])

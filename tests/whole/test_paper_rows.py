@@ -284,7 +284,7 @@ def test_a_nest_that_was_moved_between_stations_stays_in_the_fit(
     paper: PaperRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log, cell = paper.log, paper.log.cell
-    all_kept = Moved((), tuple(range(len(cell.layout.standing))), 0.0, 0.0)
+    all_kept = Moved((), tuple(range(len(cell.layout.slide))), 0.0, 0.0)
     monkeypatch.setattr(station_frames, "moved_nests", lambda *_: all_kept)
     nest = log.points["slide/S300/P4"]
     other = changed(log, [placed(nest, np.array(nest.xyz_mm) + [0.0, 0.0, 0.1])])

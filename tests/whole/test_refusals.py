@@ -26,7 +26,7 @@ def free_port() -> int:
         (["--set", "tracker.max_range_mm=4000.0"], "range"),
         (["--set", "rail.driver=canopeen"], "canopen"),
         (["calibrat"], "calibrate"),
-        (["--set", "layout.standing=" + "[" + ", ".join(
+        (["--set", "layout.slide=" + "[" + ", ".join(
             f'{{name="P{n}", x_mm={n + 1}00.0, y_mm=0.0, z_mm=0.0}}' for n in range(3)
         ) + "]"], "layout"),
     ],

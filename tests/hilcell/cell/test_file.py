@@ -135,8 +135,8 @@ def test_the_first_three_nests_form_a_triangle(table: str) -> None:
 
 def test_nests_have_names_and_places_of_their_own() -> None:
     for row in (("F1", 0.0, -100.0, 0.0), ("P4", 110.0, 10.0, 0.0)):
-        (problem,) = refused({"layout.standing": nests(*TRIANGLE, row)})
-        assert problem.startswith("layout.standing[3]")
+        (problem,) = refused({"layout.slide": nests(*TRIANGLE, row)})
+        assert problem.startswith("layout.slide[3]")
 
 
 def test_a_byte_order_mark_is_no_problem(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def test_one_station_at_0_and_no_nests_on_a_slide() -> None:
     assert not FIXED.has_rail
     assert load_cell("paper").has_rail
     assert [(each.name, each.rail_mm) for each in FIXED.station] == [("BASE", 0.0)]
-    assert (FIXED.grid.station, FIXED.layout.standing, FIXED.touch.poses) == ("BASE", [], 0)
+    assert (FIXED.grid.station, FIXED.layout.slide, FIXED.touch.poses) == ("BASE", [], 0)
     assert np.array_equal(FIXED.layout.nominal_base(0.0), FIXED.layout.base.matrix())
 
 
@@ -56,19 +56,19 @@ def test_its_station_may_have_a_name(tmp_path: Path) -> None:
 def test_what_belongs_to_a_rail_is_refused_without_one(tmp_path: Path) -> None:
     rail = "[[station]]\nname = 'S1'\nrail_mm = 300.0\n[[station]]\nname = 'S2'\n[grid]\n"
     nests = "".join(
-        f"[[layout.standing]]\nname = 'P{n}'\nx_mm = {x}\ny_mm = {y}\nz_mm = 60.0\n"
+        f"[[layout.slide]]\nname = 'P{n}'\nx_mm = {x}\ny_mm = {y}\nz_mm = 60.0\n"
         for n, (x, y) in enumerate([(0.0, 0.0), (300.0, 0.0), (0.0, 300.0)])
     )
     text = TEXT.replace("[grid]\n", rail) + nests + "[touch]\nposes = 4\n"
     text = text.replace("[layout]\n", "[layout]\nrail_direction = [0.0, 1.0, 0.0]\n")
     found = file_problems(tmp_path, text)
-    for key in ("station: ", "300.0 of S1", "layout.standing: ", "touch.poses: "):
+    for key in ("station: ", "300.0 of S1", "layout.slide: ", "touch.poses: "):
         assert key in found
 
 
 def test_a_rail_needs_nests_on_its_slide() -> None:
     with pytest.raises(SettingsError, match="slide"):
-        load_cell("paper", {"layout.standing": "[]"})
+        load_cell("paper", {"layout.slide": "[]"})
 
 
 def test_nonsense_is_refused(tmp_path: Path) -> None:

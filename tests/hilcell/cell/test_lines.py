@@ -18,7 +18,7 @@ WRONG = [  # the line as it is, as it becomes, and the problem
     ("reflector = ", "reflektor = ", "tracker.reflektor: "),
     ("pointing_s = 0.6", 'pointing_s = "fast"', "tracker.pointing_s: "),
     ('{ name = "F2"', '{ name = "F1"', "layout.floor[1].name: "),
-    ('{ name = "P5"', '{ name = "P6"', "layout.standing[5].name: "),
+    ('{ name = "P5"', '{ name = "P6"', "layout.slide[5].name: "),
     ("rail_mm = 1900.0", "rail_mm = 9900.0", "station[2].rail_mm: "),
     ('[grid]\nstation = "S1100"', '[grid]\nstation = "S1"', "grid.station: "),
 ]  # fmt: skip
@@ -106,5 +106,5 @@ def test_a_value_from_the_command_line_has_no_line(tmp_path: Path) -> None:
 def test_a_table_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
     text = PAPER.replace("speed_mm_s = 250.0", 'speed_mm_s = "x"').replace("[grid]", "[gird]")
     problems = refused(tmp_path / "cell.toml", text.replace('name = "P6"', 'name = "P5"'))
-    for part in ("rail.speed_mm_s: ", "gird: ", "grid: ", "layout.standing[5].name: "):
+    for part in ("rail.speed_mm_s: ", "gird: ", "grid: ", "layout.slide[5].name: "):
         assert any(part in problem for problem in problems), part

@@ -26,7 +26,7 @@ def slide(session: CellSession, number: int) -> None:
     """Measure P1 at two stations in turn, before the floor's first nest."""
     station = (S1100, S1900)[number % 2]
     id = PointId("s", number=number)
-    session.slide_point(id, station, BY_HAND.layout.standing[0], samples=1)
+    session.slide_point(id, station, BY_HAND.layout.slide[0], samples=1)
 
 
 def test_it_is_asked_for_once_a_place_and_where_it_rode_to(bed: Bed) -> None:
