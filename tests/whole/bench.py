@@ -14,8 +14,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -32,6 +34,7 @@ from tests.whole.outputs import Outputs
 
 Words = tuple[str | Path, ...]
 HILCELL = [sys.executable, "-m", "hilcell"]
+PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 OUTPUTS = Outputs()
 LIMIT_S = 200.0  # a busy machine may take long, and is not at fault
 LOOK_S = 0.02  # between two looks at what lasts: without a wait they keep a processor busy
@@ -56,7 +59,7 @@ SEATS = {
 }
 
 
-def sets(values: dict[str, str]) -> list[str]:
+def sets(values: Mapping[str, str]) -> list[str]:
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
 
 
@@ -102,6 +105,71 @@ def command(
             code = int(refused.code or 0)
     said = [each.buffer.getvalue().decode() for each in (out, err)]
     return subprocess.CompletedProcess(words, code, *said)
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A run that was performed: its folder, and the output of its command."""
+
+    folder: Path
+    done: subprocess.CompletedProcess[str]
+
+    @property
+    def runs(self) -> Path:
+        return self.folder.parent
+
+    @cached_property
+    def events(self) -> list[dict[str, Any]]:
+        return events(self.done.stdout)
+
+    @property
+    def end(self) -> dict[str, Any]:
+        return end_of(self.done)
+
+    @property
+    def result(self) -> dict[str, Any]:
+        result: dict[str, Any] = self.end["result"]
+        return result
+
+
+def ran(
+    runs: Path,
+    procedure: str,
+    values: Mapping[str, str] = MappingProxyType({}),
+    *words: str | Path,
+    name: str = "x",
+    hear: Callable[[dict[str, Any]], object] | None = None,
+) -> Ran:
+    """Perform a procedure in this process, unattended; ``values`` are those of its cell file."""
+    where = ("--unattended", "--json", "--runs", runs, "--name", name)
+    return Ran(runs / name, command("run", procedure, *where, *sets(values), *words, hear=hear))
+
+
+def corrected(
+    calibration: str | Path, targets: Path, station: str, out: Path, *words: str | Path
+) -> subprocess.CompletedProcess[str]:
+    """Correct a list or a program by a calibration."""
+    return command("compensate", calibration, targets, "--station", station, "-o", out, *words)
+
+
+def shop_cell(folder: Path) -> Path:
+    """Write the paper's cell as one of real devices: a cell file without a simulator."""
+    cell = folder / "shop.toml"
+    cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
+    return cell
+
+
+def shop_values(rail: str, robot: object, tracker: object) -> dict[str, str]:
+    """Return values of that cell file: the rail's channel, and ports of robot and tracker."""
+    return {
+        "name": "shop",
+        "serial": "HC-7",
+        "rail.options.channel": rail,
+        "robot.options.port": str(robot),
+        "tracker.options.port": str(tracker),
+        "settle.rail_s": "0.0",
+        "rail.standstill_dwell_s": "0.05",
+    }
 
 
 def events(text: str) -> list[dict[str, Any]]:
@@ -167,6 +235,16 @@ class Simulation:
 
     addresses: Mapping[str, Any]
     control: str
+
+    @property
+    def shop(self) -> dict[str, str]:
+        """Return values by which a cell file of real devices reaches the simulated ones."""
+        at = self.addresses
+        return shop_values(at["rail"]["channel"], at["robot"]["port"], at["tracker"]["port"])
+
+    def strike(self, name: str, value: object = True, **more: object) -> None:
+        """Let a fault strike."""
+        assert self.ask(do="fault", name=name, value=value, **more)["ok"]
 
     def ask(self, **request: object) -> dict[str, Any]:
         """Send one request over the control channel."""

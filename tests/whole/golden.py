@@ -10,13 +10,10 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from hilcell.journal.runs import JOURNAL
-from tests.whole.bench import SEATS, SMALL, command, end_of, events, sets
+from tests.whole.bench import SEATS, SMALL, Ran, command, sets
 
 PAPER = ("--seed", "2", "--unattended")
 # Fewer of what the paper's rows average over: they hold all the same.
@@ -39,29 +36,8 @@ RUNS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class GoldenRun:
-    """A finished run: its folder, and the output of its command."""
-
-    folder: Path
-    done: subprocess.CompletedProcess[str]
-
-    @property
-    def runs(self) -> Path:
-        return self.folder.parent
-
-    @cached_property
-    def events(self) -> list[dict[str, Any]]:
-        return events(self.done.stdout)
-
-    @property
-    def end(self) -> dict[str, Any]:
-        return end_of(self.done)
-
-    @property
-    def result(self) -> dict[str, Any]:
-        result: dict[str, Any] = self.end["result"]
-        return result
+class GoldenRun(Ran):
+    """A finished run that tests share."""
 
     def copied_to(self, runs: Path) -> Path:
         """Copy the run into another folder of runs; return its folder there.

@@ -26,14 +26,12 @@ from hilcell.commands import run as run_command
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
 from hilcell.run.control import order
-from tests.whole.bench import Engine, command, sets, simulation
+from tests.whole.bench import Engine, command, sets, shop_cell, simulation
 from tests.whole.terminal import Terminal
 from tests.whole.threaded import Event, ThreadedRun, is_state
 
 pytestmark = pytest.mark.wall
 
-FAST = math.inf
-PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 QUESTION = 'type "yes" to go on'
 FIRST_MM, SECOND_MM = 320.0, 300.0  # where the first two motions take the slide
 OTHER_WORDS = ("yess", "y", "no", "", "go")
@@ -42,8 +40,7 @@ OTHER_WORDS = ("yess", "y", "no", "", "go")
 @contextmanager
 def machines(folder: Path, speed: float) -> Iterator[list[str]]:
     """Yield the words that name a cell of machines, and a slow one."""
-    cell = folder / "shop.toml"
-    cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
+    cell = shop_cell(folder)
     with pytest.MonkeyPatch.context() as plates:
         for module in (rail_server, wire):
             plates.setattr(module, "IDENTITY", replace(module.IDENTITY, name="of the plant"))
@@ -52,25 +49,14 @@ def machines(folder: Path, speed: float) -> Iterator[list[str]]:
             "fakes.leica.emscon_server.wide", lambda text: wide(text.replace(" (simulated)", ""))
         )
         with simulation(speed) as simulated:
-            where = simulated.addresses
-            values = {
-                "name": "shop",
-                "serial": "HC-7",
-                "rail.options.channel": where["rail"]["channel"],
-                "robot.options.port": str(where["robot"]["port"]),
-                "tracker.options.port": str(where["tracker"]["port"]),
-                "settle.rail_s": "0.0",
-                "rail.standstill_dwell_s": "0.05",
-                "robot.speed_percent": "10",
-                "rail.speed_mm_s": "25",
-            }
-            yield ["--cell", str(cell), *sets(values)]
+            slow = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
+            yield ["--cell", str(cell), *sets(simulated.shop | slow)]
 
 
 @pytest.fixture
 def shop(tmp_path: Path, faster_than_a_drive: None) -> Iterator[list[str]]:
     """Return the words for machines that run fast, for an engine of this process."""
-    with machines(tmp_path, FAST) as words:
+    with machines(tmp_path, math.inf) as words:
         yield words
 
 

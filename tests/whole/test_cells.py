@@ -1,4 +1,4 @@
-"""Cells of other makes, run to the end with a quick plan."""
+"""Other cells, run to the end: other makes, and a robot on the floor without a rail."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import pytest
 
 from hilcell.calibration.file import read_calibration
 from hilcell.geometry.frames import pose_from_zyx, to_rotvec
+from hilcell.journal.runs import read_log
 from hilcell.programs.holes import NORMALS
-from tests.whole.bench import command, end_of, sets
+from tests.whole.bench import SMALL, command, corrected, ran, sets
+from tests.whole.trace import judge
 
 QUICK = {
     "plan.quick": "true",
@@ -20,40 +22,39 @@ QUICK = {
     "layout.nest_samples": "2",
 }
 
-# A total station's noise, and limits within which few targets tell.
-COARSE = {
+# A total station's noise, and limits within which few targets decide.
+COARSE = QUICK | {
     "base_frame.points": "8",
     "layout.nest_samples": "4",
     "touch.poses": "3",
     "validation.mean_tolerance_mm": "2.0",
     "validation.max_tolerance_mm": "4.0",
 }
+FIXED = ("--cell", "fixed")
 
 
 @pytest.mark.nightly  # by day: the lab, below; a quick plan's decisions in tests/procedures
 def test_another_make_is_calibrated(tmp_path: Path) -> None:
-    words = ("--json", "--cell", "six-r", "--runs", tmp_path, "--machine-seed", "4")
-    end = end_of(command("run", *words, *sets(QUICK)))
-    assert end["exit"] == 0
-    figures = end["result"]["validation"]["S800"]
+    run = ran(tmp_path, "calibrate", QUICK, "--cell", "six-r", "--machine-seed", "4")
+    assert run.end["exit"] == 0
+    result = run.result
+    figures = result["validation"]["S800"]
     assert figures["chosen"]["mean"] < 0.3 * figures["before"]["mean"]
     assert set(figures["chosen"]) >= set(figures["before"]) > {"mean", "max"}
     for name in ("S800", "others"):
-        decision = end["result"]["validation"][name]["decision"]
+        decision = result["validation"][name]["decision"]
         assert decision["outcome"] == "accepted"
         assert max(decision["targets"]) <= 32
-    assert end["result"]["points"]["validate_before"] == 8 * len(end["result"]["stations"])
-    bounds_mm = end["result"]["chosen_poses"]["bounds_mm"]
-    assert len(bounds_mm) == 1 + end["result"]["points"].get("pose", 0)
-    assert 0.025 < end["result"]["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
+    assert result["points"]["validate_before"] == 8 * len(result["stations"])
+    assert len(result["chosen_poses"]["bounds_mm"]) == 1 + result["points"].get("pose", 0)
+    assert 0.025 < result["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
 
 
 @pytest.mark.waits
 def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
-    words = ("--json", "--cell", "lab", "--runs", tmp_path)
-    end = end_of(command("run", *words, *sets(QUICK | COARSE)))
-    assert end["state"] == "finished"
-    figures = end["result"]["validation"]["S750"]
+    run = ran(tmp_path, "calibrate", COARSE, "--cell", "lab")
+    assert run.end["state"] == "finished"
+    figures = run.result["validation"]["S750"]
     assert figures["chosen"]["mean"] < 0.5 * figures["before"]["mean"]
     assert figures["decision"]["outcome"] == "accepted"
     check_programs(tmp_path)
@@ -68,8 +69,8 @@ def check_programs(runs: Path) -> None:
     turn = ", ".join(f"{each:.9f}" for each in to_rotvec(T_B_T[:3, :3]))
     tcp = "p[0.09, 0.0, 0.07, 0.0, 0.0, 0.0]"
     source.write_text(f"def d():\n  set_tcp({tcp})\n  movel(p[0.7, 0.0, 0.42, {turn}])\nend\n")
-    cell: tuple[str | Path, ...] = ("--cell", "lab", "--runs", runs, *sets(QUICK | COARSE))
-    done = command("compensate", "last", source, "--station", "S750", "-o", out, *cell)
+    cell: tuple[str | Path, ...] = ("--cell", "lab", "--runs", runs, *sets(COARSE))
+    done = corrected("last", source, "S750", out, *cell)
     assert done.returncode == 0, done.stderr
     (written,) = [line for line in out.read_text().splitlines() if "movel" in line]
     assert written.endswith(f", {turn}])")
@@ -83,3 +84,48 @@ def check_programs(runs: Path) -> None:
     text = (runs / "out" / "S750.script").read_text("ascii")
     assert text.startswith("def S750():\n  # hilcell: ")
     assert text.count("movej([") == 4
+
+
+# -- without a rail ---------------------------------------------------------------------------
+
+
+def test_the_grid_is_measured_without_a_rail(tmp_path: Path) -> None:
+    short = SMALL | {"grid.pitch_mm": "900.0", "base_frame.points": "4"}
+    run = ran(tmp_path, "robot-grid", short, *FIXED)
+    assert run.end["state"] == "finished", run.done.stderr
+    assert judge(run.events) == []
+    log = read_log(run.folder)
+    assert {each.kind for each in log.assets} == {"robot", "tracker"}
+    assert len(log.select("grid")) == 8
+    assert not [event for event in log.events if event.body["what"] == "station held"]
+    report = tmp_path / "report.html"
+    assert command("report", "x", "--runs", tmp_path, "-o", report).returncode == 0
+    assert "on the floor, without a rail" in report.read_text("utf-8")
+
+
+def test_a_procedure_of_a_rail_is_refused(tmp_path: Path) -> None:
+    done = command("run", "touch", *FIXED, "--runs", tmp_path)
+    assert done.returncode == 2
+    assert "touch refused before anything moves: cell fixed has no rail" in done.stderr
+
+
+@pytest.mark.nightly
+def test_a_robot_on_the_floor_is_calibrated_and_tested_with_its_correction(tmp_path: Path) -> None:
+    quick, machine = {"plan.quick": "true"}, (*FIXED, "--machine-seed", "7")
+    made = ran(tmp_path, "calibrate", quick, *FIXED, "--seed", "7", name="made")
+    figures = made.result["validation"]
+    assert (made.end["exit"], list(figures)) == (0, ["BASE"])
+    assert figures["BASE"]["chosen"]["mean"] < 0.1 * figures["BASE"]["before"]["mean"]
+    worst_mm = []
+    for name, used in (("as-it-is", {}), ("corrected", {"iso9283.calibration": "made"})):
+        cycles = {"iso9283.cycles": "5"} | used
+        tested = ran(tmp_path, "iso9283", cycles, *machine, "--seed", "8", name=name)
+        worst_mm.append(tested.result["iso9283"]["worst"]["ap_mm"])
+    assert tested.result["iso9283"]["corrected_by"] == "made"
+    assert worst_mm[1] < 0.2 * worst_mm[0]
+    holes, out = tmp_path / "holes.csv", tmp_path / "out.csv"
+    holes.write_text("name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,1250,0,75,0\n")
+    assert corrected("made", holes, "BASE", out, "--runs", tmp_path).returncode == 0
+    again = ran(tmp_path, "calibrate", quick, *machine, "--seed", "9", name="again")
+    assert (again.end["exit"], again.result["suspicions"]) == (0, [])
+    assert command("compare", "made", "last", "--runs", tmp_path).returncode == 0

@@ -6,39 +6,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import command, end_of, events, sets, sim_command
+from tests.whole.bench import command, ran, shop_cell, shop_values, sim_command
 from tests.whole.test_refusals import free_port
-
-PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 
 
 @pytest.mark.wall
 @pytest.mark.usefixtures("faster_than_a_drive")
 def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Path) -> None:
     ports = {name: free_port() for name in ("rail", "robot", "tracker")}
-    cell = tmp_path / "shop.toml"
-    cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    words = {
-        "name": "shop",
-        "serial": "HC-7",
-        "rail.options.channel": f"socket://localhost:{ports['rail']}",
-        "robot.options.port": str(ports["robot"]),
-        "tracker.options.port": str(ports["tracker"]),
-        "settle.rail_s": "0.0",
-        "rail.standstill_dwell_s": "0.05",
-    }
+    values = shop_values(f"socket://localhost:{ports['rail']}", ports["robot"], ports["tracker"])
     asked = ",".join(f"{name}={port}" for name, port in ports.items())
     with sim_command("--speed", "max", "--ports", asked) as simulated:
         assert simulated.addresses["rail"] == {"channel": f"socket://127.0.0.1:{ports['rail']}"}
         assert simulated.addresses["robot"]["port"] == ports["robot"]
-        done = command(
-            *("run", "home", "--json", "--cell", cell, "--name", "r", "--runs", tmp_path),
-            *sets(words),
-        )
-    end = end_of(done)
-    assert end["exit"] == 0, done.stderr
-    assert end["result"]["simulated"] is True
-    first, *rest = events(done.stdout)
+        run = ran(tmp_path, "home", values, "--cell", shop_cell(tmp_path), name="r")
+    assert run.end["exit"] == 0, run.done.stderr
+    assert run.result["simulated"] is True
+    first, *rest = run.events
     assert first["simulated"] is False  # the plan states what is known before anything is opened
     (connected,) = [e for e in rest if e["kind"] == "event" and e["what"] == "connected"]
     assert [each["simulated"] for each in connected["devices"]] == [True] * 4

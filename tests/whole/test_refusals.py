@@ -5,7 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import command, end_of, events, sets, simulation
+from tests.whole.bench import (
+    PAPER,
+    command,
+    end_of,
+    events,
+    ran,
+    sets,
+    shop_cell,
+    shop_values,
+    simulation,
+)
 from tests.whole.threaded import ThreadedRun
 
 
@@ -53,36 +63,22 @@ def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
 
 def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
     """All three devices are tried and all failures reported, before anything moves."""
-    cell = tmp_path / "real.toml"
-    built_in = Path("hilcell/cells/paper.toml")
-    text = (Path(__file__).parents[2] / built_in).read_text("utf-8")
-    cell.write_text(text.split("[simulation]")[0])
-    words = {
-        "name": "shop",
-        "serial": "HC-7",
-        "rail.options.channel": f"socket://127.0.0.1:{free_port()}",
-        "robot.options.port": str(free_port()),
-        "tracker.options.port": str(free_port()),
-    }
-    done = command("run", "--json", "--cell", cell, "--runs", tmp_path, *sets(words))
-    end = end_of(done)
-    assert end["exit"] == 3
-    assert end["state"] == "faulted"
+    values = shop_values(f"socket://127.0.0.1:{free_port()}", free_port(), free_port())
+    run = ran(tmp_path, "calibrate", values, "--cell", shop_cell(tmp_path))
+    assert (run.end["exit"], run.end["state"]) == (3, "faulted")
     for name in ("Rail", "Robot", "Tracker"):
-        assert name in end["reason"]
-    assert not [e for e in events(done.stdout) if e["kind"] == "intent"]
+        assert name in run.end["reason"]
+    assert not [event for event in run.events if event["kind"] == "intent"]
 
 
 def test_a_device_of_the_wrong_identity(tmp_path: Path) -> None:
     faults = tmp_path / "faults.toml"
     faults.write_text('[[fault]]\nname = "robot.wrong_identity"\ncount = 1000\n')
     with simulation(faults=str(faults)) as cell:
-        words = {"simulation.address": cell.control}
-        done = command("run", "--json", "--runs", tmp_path, *sets(words))
-    end = end_of(done)
-    assert end["exit"] == 2, done.stderr
-    assert "Robot" in end["reason"]
-    assert not [e for e in events(done.stdout) if e["kind"] == "intent"]
+        run = ran(tmp_path, "calibrate", {"simulation.address": cell.control})
+    assert run.end["exit"] == 2, run.done.stderr
+    assert "Robot" in run.end["reason"]
+    assert not [event for event in run.events if event["kind"] == "intent"]
 
 
 def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
@@ -97,26 +93,21 @@ def test_a_second_run_on_the_same_cell(tmp_path: Path) -> None:
 def test_a_real_cell_copied_from_paper_needs_a_name_and_a_serial_of_its_own(
     tmp_path: Path,
 ) -> None:
-    text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
-    cell = tmp_path / "real.toml"
-    cell.write_text(text.split("[simulation]")[0])
+    cell = shop_cell(tmp_path)
     refused: list[list[str | Path]] = [["run", "--runs", tmp_path, "--cell", cell], ["check", cell]]
     for words in refused:
         done = command(*words)
         assert done.returncode == 2
         assert "name: 'paper'" in done.stderr
-    cell.write_text(text.replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
+    cell.write_text(PAPER.read_text("utf-8").replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
     done = command("check", cell)
     assert done.returncode == 0
     assert "serial: 'HC-2014'" in done.stderr
 
 
 def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "hilcell/cells/paper.toml").read_text("utf-8")
-    cell = tmp_path / "real.toml"
-    cell.write_text(text.split("[simulation]")[0])
-    done = command("run", "--cell", cell, "--speed", "2", "--runs", tmp_path)
-    assert done.returncode == 2
+    words = ("--cell", shop_cell(tmp_path), "--speed", "2", "--runs", tmp_path)
+    assert command("run", *words).returncode == 2
 
 
 @pytest.mark.parametrize(

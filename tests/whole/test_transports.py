@@ -7,13 +7,11 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import nodes
-from hilcell.journal.index import find_run
 from hilcell.journal.runs import read_log
-from tests.whole.bench import command, end_of, sets, simulation
+from tests.whole.bench import command, ran, sets, shop_cell, simulation
 
 pytestmark = pytest.mark.waits
 
-PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 OWN_BUS = {"rail.options.strip.driver": "canopen"}
 # A cell file that names a serial line has its simulated gateway at the end of a pseudo terminal.
 ON_LINES = {
@@ -28,7 +26,6 @@ OF_THE_KERNEL = OWN_BUS | {
     "rail.options.strip.channel": "can1",
 }
 E1 = {"rail.driver": "kuka-e1"} | OWN_BUS
-HOME = ("run", "home", "--json", "--unattended")
 
 
 @pytest.mark.parametrize(
@@ -45,9 +42,9 @@ HOME = ("run", "home", "--json", "--unattended")
 def test_a_run_reaches_drive_and_strip(
     tmp_path: Path, values: dict[str, str], drive_at: str, strip_at: str
 ) -> None:
-    done = command(*HOME, "--runs", tmp_path, *sets(values))
-    assert end_of(done)["exit"] == 0, done.stderr
-    assets = {each.kind: each for each in read_log(find_run(tmp_path, "last")).assets}
+    run = ran(tmp_path, "home", values)
+    assert run.end["exit"] == 0, run.done.stderr
+    assets = {each.kind: each for each in read_log(run.folder).assets}
     assert assets["drive"].address.startswith(drive_at)
     assert assets["strip"].address.startswith(strip_at)
     buses = {assets[kind].address.split()[0] for kind in ("drive", "strip")}
@@ -62,35 +59,26 @@ def test_a_strip_whose_bus_falls_silent_is_named(
     monkeypatch.setattr(nodes, "FIND_S", 1.0)  # it is never heard
     values = drive | OWN_BUS
     with simulation(values=values) as cell:
-        cell.ask(do="fault", name="rail.strip_silent", value=True, count=0)
-        words = sets(values | {"simulation.address": cell.control})
-        done = command(*HOME, "--runs", tmp_path, *words)
-    assert end_of(done)["exit"] == 3
-    assert "node 6 (strip)" in done.stderr + done.stdout
+        cell.strike("rail.strip_silent", count=0)
+        run = ran(tmp_path, "home", values | {"simulation.address": cell.control})
+    assert run.end["exit"] == 3
+    assert "node 6 (strip)" in run.done.stderr + run.done.stdout
 
 
 @pytest.mark.wall
 @pytest.mark.usefixtures("faster_than_a_drive")
-def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
-    cell = tmp_path / "shop.toml"
-    cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
+def test_a_real_cell_file_names_serial_lines(tmp_path: Path) -> None:
+    cell = shop_cell(tmp_path)
     with simulation(values=ON_LINES) as simulated:
-        where = simulated.addresses
-        values = {
-            "name": "shop",
-            "serial": "HC-7",
-            "rail.options.channel": f"{where['rail']['channel']}@115200",
+        rail = simulated.addresses["rail"]
+        values = simulated.shop | {
+            "rail.options.channel": f"{rail['channel']}@115200",
             "rail.options.strip.driver": "canopen",
-            "rail.options.strip.channel": f"{where['rail']['strip']['channel']}@115200",
-            "robot.options.port": str(where["robot"]["port"]),
-            "tracker.options.port": str(where["tracker"]["port"]),
-            "settle.rail_s": "0.0",
-            "rail.standstill_dwell_s": "0.05",
+            "rail.options.strip.channel": f"{rail['strip']['channel']}@115200",
         }
-        words = ["--cell", str(cell), "--runs", str(tmp_path), *sets(values)]
-        for _ in range(2):  # a line has no connection: the gateway's channel may still be open
-            done = command(*HOME, *words)
-            assert end_of(done)["exit"] == 0, done.stderr
+        for name in "ab":  # a line has no connection: the gateway's channel may still be open
+            run = ran(tmp_path, "home", values, "--cell", cell, name=name)
+            assert run.end["exit"] == 0, run.done.stderr
     assert command("check", cell, *sets(values | {"rail.options.interface": "usb"})).returncode == 2
     socketcan = {"rail.options.interface": "socketcan", "rail.options.channel": "can0"}
     assert command("check", cell, *sets(values | socketcan)).returncode == 0

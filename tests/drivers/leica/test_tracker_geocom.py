@@ -460,7 +460,7 @@ def lost(tracker: Quick) -> None:
 def test_a_reply_that_is_none_ends_the_connection(
     tracker: Quick, peer: GeocomPeer, reply: Callable[[int], bytes]
 ) -> None:
-    peer.reply = lambda number, _: reply(number)
+    peer.reply = lambda number, answer: reply(number)
     lost(tracker)
 
 
