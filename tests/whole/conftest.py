@@ -57,4 +57,4 @@ def faster_than_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
 
     The guard of a drive's speed compares its positions with that clock, and is told nothing.
     """
-    monkeypatch.setattr(SpeedGuard, "take", lambda self, *look: None)
+    monkeypatch.setattr(SpeedGuard, "add", lambda self, *look: None)
