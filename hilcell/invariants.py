@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from hilcell.decoding import Json, typed
-from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.statistics import coverage_factor
+from hilcell.geometry.statistics import beam_noise, coverage_factor
 from hilcell.identity import Identity
 from hilcell.journal.journal import RESTORE_ADVICE, Record, StorageError
 from hilcell.journal.log import PROOFS, UNWATCHED_STATES, changed_asset_kinds

@@ -11,8 +11,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
+from hilcell.calibration.from_run import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.lookup import calibration_in, calibration_named, record_of
 from hilcell.calibration.recheck import (
     KIND,

@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.file import compensate_targets
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration, compensate_targets
 from hilcell.calibration.lookup import calibration_named
 from hilcell.calibration.target_pass import (
     KIND,

@@ -17,7 +17,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.grid import grid_of
 from hilcell.calibration.lookup import NoCalibration, calibration_in, calibration_named, used
 from hilcell.calibration.touch import (

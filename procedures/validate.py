@@ -18,7 +18,7 @@ from hilcell.calibration.decision_rule import (
     tolerance_limits,
 )
 from hilcell.calibration.diagnosis import suspected_causes
-from hilcell.calibration.file import learnt_so_far
+from hilcell.calibration.from_run import learnt_so_far
 from hilcell.calibration.grid import grid_of, measured_errors
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.orientation import (

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.arguments import HOLES, TARGETS
-from hilcell.compensation.provenance import COLUMN
-from hilcell.compensation.targets import HEADER
+from hilcell.compensation.targets import COLUMN, HEADER
 from hilcell.programs.corrected import BOUNDS
 from hilcell.programs.holes import NORMALS
 

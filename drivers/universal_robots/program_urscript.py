@@ -43,7 +43,7 @@ from drivers.program_text import (
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import StatedTool, StationProgram
-from hilcell.compensation.provenance import Stamp
+from hilcell.compensation.targets import Stamp
 from hilcell.geometry.frames import (
     from_rotvec,
     from_zyx,

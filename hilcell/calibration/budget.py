@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_as_framed
 from hilcell.calibration.influence import (
     ASSUMED,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.cell.robot import RobotTable
 from hilcell.geometry.frames import to_rotvec
 from hilcell.geometry.jacobian import KINDS, PARAMETERS, moved, parameter_jacobian

@@ -1,16 +1,18 @@
 """The calibration file: a finished calibration for others, one JSON schema with a version.
 
-All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
-hold at every station. One changed digit corrects every target wrongly, so the file is sealed, and
-judged by `hilcell.calibration.file`, before it is used.
+All lengths mm, frames as homogeneous matrices; the errors of the grid are in {B}, so that they are
+valid at every station. One changed digit corrects every target wrongly, so the file has a seal, and
+is checked before it is used.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 
@@ -18,139 +20,193 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell import __version__
 from hilcell.atomic_files import write_whole
-from hilcell.calibration.budget import target_uncertainty
 from hilcell.calibration.decision_rule import judged_again
-from hilcell.calibration.form import Calibration, ModelEntry, Validity, written_now
-from hilcell.calibration.frames import Frames
-from hilcell.calibration.grid import measured_errors
-from hilcell.calibration.influence import SIZE
-from hilcell.calibration.lost_motion import lost_motion
+from hilcell.calibration.influence import SIZE, NoBound, Uncertainty
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
-from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_file
 from hilcell.compensation.correction import corrected_poses
+from hilcell.compensation.grid import Grid
+from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.model_choice import MODELS
+from hilcell.compensation.residual import Pass, TargetResiduals, WithTargetResiduals
 from hilcell.decoding import Json, decoded, typed
 from hilcell.geometry.frames import (
     apply,
-    from_zyx,
     inverse,
     is_rotation,
+    matrix,
     poses_from_zyx,
+    turned_deg,
     zyx_from_pose,
 )
-from hilcell.journal.log import Log
-from hilcell.model.calibration import Device, Provenance, StationEntry
-from hilcell.model.frame import MeasuredStation
-from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
+from hilcell.geometry.kinematics import Bools
+from hilcell.model.calibration import Provenance, StationEntry
+from hilcell.model.verdicts import Judged
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
 SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
 SEAL = "seal"
-ORIENTATION_TOLERANCE_DEG = 2.0
 NAMED = 5  # targets that one message names
 
 
-def calibration_from_log(log: Log, run: str) -> Calibration:
-    """Compute the calibration from the log of a run that reached the fit."""
-    cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
-    grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
-    if fit is None:
-        raise LookupError("the run has not reached the fit")
-    method = fit.method
-    devices = [
-        Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
-        for each in log.assets
-    ]
-    points = log.select("grid")
-    celsius = [point.temperature_c for point in points if point.temperature_c is not None]
-    high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
-    # A model that knows turns holds at more orientations than the grid's.
-    others = cell.plan.grid_orientations if MODELS[method].any_orientation else []
-    further = [from_zyx(angles).tolist() for angles in others]
-    values = {
-        "schema": SCHEMA,
-        "provenance": Provenance(
-            run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
-            log.inputs.job, f"hilcell {__version__}", written_now(),
-            sign is not None and sign.holds,
-            log.inputs.versions, devices, [point.key for point in points], fit.loocv,
-            links="factory" if log.by_factory_links else "cell file",
-        ),
-        "validity": Validity(
-            tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
-            cell.grid.centre.matrix()[:3, :3].tolist(),
-            orientation_tolerance_deg(cell, method),
-            (min(celsius), max(celsius)) if celsius else None,
-            further,
-        ),
-        "stations": {
-            station.name: _entry(log, frames.base_in_world(station), station.name)
-            for station in cell.station
-        },
-        "pitch_mm": grid.pitch_mm,
-        "grid_errors_mm": measured.grid.errors_mm.tolist(),
-        "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
-        "uncertainty": target_uncertainty(log),
-        "lost_motion": lost_motion(log),
-        "verdicts": validation_verdicts(log),
-        "failed": other_failed_verdicts(log),
-    }  # fmt: skip
-    return typed(msgspec.to_builtins(values), Calibration)
+class Validity(msgspec.Struct, frozen=True):
+    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures.
+
+    ``temperature_c`` is None where the tracker had no weather station, ``orientations`` are those
+    that were measured besides.
+    """
+
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+    orientation: list[list[float]]
+    orientation_tolerance_deg: float
+    temperature_c: tuple[float, float] | None
+    orientations: list[list[list[float]]] = []
+
+    def turned_deg(self, poses: Array) -> Array:
+        """Return by how much poses (N, 4, 4) in {B} are turned from the nearest of all (N,)."""
+        known = (self.orientation, *self.orientations)
+        angles_deg = [turned_deg(np.array(R), poses) for R in known]
+        return np.asarray(np.min(angles_deg, axis=0))
+
+    def points_back(self, poses: Array) -> Bools:
+        """Return which poses (N, 4, 4) in {B} have z against every calibrated one's, (N,).
+
+        Within the tolerance of the axis: the turn about it does not matter.
+        """
+        axes = np.array([self.orientation, *self.orientations])[:, :, 2]
+        against = np.clip(-(poses[:, :3, 2] @ axes.T), -1.0, 1.0).max(axis=1)
+        return np.asarray(np.degrees(np.arccos(against)) <= self.orientation_tolerance_deg)
 
 
-def validation_verdicts(log: Log) -> dict[str, Judged]:
-    """Return the verdicts of a run's validation by place; none where it was not made."""
-    return {
-        key.removeprefix(VALIDATION): verdict
-        for key, verdict in log.verdicts.items()
-        if isinstance(verdict, Judged) and key.startswith(VALIDATION)
-    }
+class LostMotion(msgspec.Struct, frozen=True):
+    """The lost motion of axes 1 to 6 when they reverse, and 1 sigma of it, in rad.
+
+    An axis that comes from above stands lower by it than one that comes from below. ``measured``
+    says that the run measured it, of axes 1 to 3.
+    """
+
+    lost_rad: list[float]
+    u_rad: list[float]
+    measured: bool
 
 
-def other_failed_verdicts(log: Log) -> dict[str, str]:
-    """Return the verdicts besides the validation's that do not hold, in words."""
-    return {
-        key: verdict.why
-        for key, verdict in log.verdicts.items()
-        if not (verdict.holds or key.startswith(VALIDATION))
-    }
+class ModelEntry(msgspec.Struct, frozen=True):
+    """The model by its name, with its own parameters: typed by `LearntModel.restore`."""
+
+    name: str
+    parameters: Json
 
 
-def orientation_tolerance_deg(cell: Cell, method: str) -> float:
-    """Return by how much targets may turn away from the grid's orientation."""
-    tilt_deg = cell.plan.tilt_deg if MODELS[method].any_orientation else 0.0
-    return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
+class TargetPass(msgspec.Struct, frozen=True):
+    """Targets measured in one run: names, commanded poses x, y, z (mm), a, b, c (deg) in {B}, what
+    the model left of the error there (N, 3) in mm, its covariance (N, 3, 3) from visit and reading,
+    and that of the frames (7, 7) as in `Influence`, about the origin of {B}.
+    """
+
+    run: str
+    names: list[str]
+    poses: list[tuple[float, float, float, float, float, float]]
+    remainders_mm: list[tuple[float, float, float]]
+    own_mm2: list[list[list[float]]]
+    common: list[list[float]]
+
+    def without(self, names: Collection[str]) -> TargetPass:
+        kept = [n for n, name in enumerate(self.names) if name not in names]
+        return msgspec.structs.replace(
+            self,
+            names=[self.names[n] for n in kept],
+            poses=[self.poses[n] for n in kept],
+            remainders_mm=[self.remainders_mm[n] for n in kept],
+            own_mm2=[self.own_mm2[n] for n in kept],
+        )
+
+    def measured(self) -> Pass:
+        return Pass(
+            poses_from_zyx(np.array(self.poses, dtype=float).reshape(-1, 6)),
+            np.array(self.remainders_mm, dtype=float).reshape(-1, 3),
+            np.array(self.own_mm2, dtype=float).reshape(-1, 3, 3),
+            np.array(self.common, dtype=float),
+        )
 
 
-def calibration_so_far(log: Log, run: str) -> Calibration | None:
-    """Return the calibration of a log that has reached the fit, nothing before."""
-    return log.once(calibration_from_log, run) if _fitted(log) else None
+class Targets(msgspec.Struct, frozen=True):
+    """Passes over targets, and the variance of one coordinate by which they are folded in."""
+
+    variance_mm2: float
+    passes: list[TargetPass]
+
+    def remainder(self) -> TargetResiduals:
+        return TargetResiduals([each.measured() for each in self.passes], self.variance_mm2)
 
 
-def learnt_so_far(log: Log) -> Calibration | None:
-    """Return the same for what it was learnt from; verdicts that came since may be missing."""
-    if not _fitted(log):
-        return None
-    return log.once_measured(_learnt, log.judged["fit"].seq)
+class Calibration(msgspec.Struct, frozen=True, dict=True):
+    """The file. ``targets`` are those that later runs have measured.
+
+    ``verdicts`` are the validation's by place, none where it was not made. ``failed`` are other
+    verdicts of the same run that do not hold, each in words, suspicions among them.
+    """
+
+    schema: int
+    provenance: Provenance
+    validity: Validity
+    stations: dict[str, StationEntry]
+    pitch_mm: float
+    grid_errors_mm: list[list[list[tuple[float, float, float]]]]
+    model: ModelEntry
+    uncertainty: Uncertainty
+    lost_motion: LostMotion
+    verdicts: dict[str, Judged]
+    failed: dict[str, str]
+    targets: Targets | None = None
+
+    @property
+    def budget(self) -> Uncertainty:
+        """Return the budget of corrected targets; raises `NoBound` where it states none."""
+        if self.uncertainty.missing:
+            raise NoBound(self.uncertainty.missing)
+        return self.uncertainty
+
+    def grid(self) -> Grid:
+        """Return the grid in {B}."""
+        errors = np.array(self.grid_errors_mm)
+        shape = (errors.shape[0], errors.shape[1], errors.shape[2])
+        return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
+
+    def base(self, station: str) -> Array:
+        """Return {B} in {W} (4, 4) at a station."""
+        return np.array(self.stations[station].T_W_B)
+
+    def poses_at(self, places_mm: Array) -> Array:
+        """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
+        return matrix(np.array(self.validity.orientation), places_mm)
+
+    def error_model(self) -> ErrorModel:
+        """Return the model, targets folded in; raises `HilcellError` for parameters of none."""
+        return self._error_model
+
+    @cached_property
+    def orients(self) -> bool:
+        """Whether it corrects the tool's orientation as well: several reflectors were measured."""
+        middle_mm = (np.array(self.validity.low_mm) + np.array(self.validity.high_mm)) / 2
+        return self.error_model().predict(self.poses_at(middle_mm[None])).orientation is not None
+
+    @cached_property
+    def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms
+        model = self.learnt_model()
+        return (
+            model if self.targets is None else WithTargetResiduals(model, self.targets.remainder())
+        )
+
+    def learnt_model(self) -> ErrorModel:
+        errors_mm = np.array(self.grid_errors_mm)
+        return MODELS[self.model.name].restore(self.grid(), errors_mm, self.model.parameters)
 
 
-def _learnt(log: Log, fit: int) -> Calibration:
-    return calibration_from_log(log, "")
-
-
-def _fitted(log: Log) -> bool:
-    expected = {"base", *(f"station.{station.name}" for station in log.cell.station)}
-    return expected <= log.frames.keys() and "fit" in log.verdicts
-
-
-def _entry(log: Log, base: Array, station: str) -> StationEntry:
-    frame = log.frame(MeasuredStation, f"station.{station}")
-    tool_mm, strip_mm = frame.tool_uncertainty_mm, frame.strip_mm
-    return StationEntry(base.tolist(), frame.matrix, frame.covariance, tool_mm, strip_mm)
+def written_now() -> str:
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -253,11 +309,6 @@ def _refuse_orientations(calibration: Calibration, poses: Array, names: list[str
             "their orientation, or for more than one with plan.tilt_deg or plan.grid_orientations"
         )
 
-
-# -- checks of a calibration file before a single target is corrected by it ------------------------
-
-# A damaged number still reads as a number; a frame that stretches, or a pitch that does
-# not fit its grid, moves every target and looks sound.
 
 MOST_MM = 1e6
 

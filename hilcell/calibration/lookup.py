@@ -26,8 +26,7 @@ import numpy as np
 
 from hilcell.calibration.budget import temperature
 from hilcell.calibration.decision_rule import tolerance_limits
-from hilcell.calibration.file import read_calibration
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration, read_calibration
 from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError

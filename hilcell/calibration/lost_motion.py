@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.causes import zero_columns
-from hilcell.calibration.form import LostMotion
+from hilcell.calibration.file import LostMotion
 from hilcell.calibration.position_errors import block_diagonal, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Arm

@@ -19,7 +19,7 @@ import numpy as np
 
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION, stated_mm2
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.influence import Influence, NoBound

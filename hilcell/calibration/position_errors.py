@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply
-from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
+from hilcell.geometry.statistics import BeamNoise, Figures, figures_of, lengths_mm
 from hilcell.journal.log import Log, noise_at, of_measured, positions_mm, repeated_visits, run_noise
 from hilcell.model.point import Point, Sent
 from hilcell.model.verdicts import OTHERS

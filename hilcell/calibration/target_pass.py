@@ -1,4 +1,4 @@
-"""A pass over targets as its journal proves it, and the calibration that a run ends with.
+"""A pass over targets: errors as measured, and their residuals folded into the calibration.
 
 Targets that no others support, by more than `GROSS` standard deviations, are left out and named.
 Errors that share a motion which the calibration does not predict are not its targets': nothing is
@@ -12,24 +12,20 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from hilcell.calibration.budget import target_bounds, touched
+from hilcell.calibration.budget import target_bounds
 from hilcell.calibration.decision_rule import judged_errors
-from hilcell.calibration.file import calibration_from_log
-from hilcell.calibration.form import Calibration, TargetPass, Targets, written_now
-from hilcell.calibration.influence import MEASURED, Influence, moved_frame
+from hilcell.calibration.file import Calibration, TargetPass, Targets
 from hilcell.calibration.lookup import used, visited
-from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged, rechecked_run
+from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.residual import TargetResiduals
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm
 from hilcell.journal.log import Log, commanded_rad
-from hilcell.model.calibration import Update
 from hilcell.model.events import TargetsListed
-from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point
-from hilcell.model.verdicts import Fitted, Judged, Touched
+from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
 
 KIND = "targets"
@@ -210,58 +206,3 @@ def _stated_mm2(calibration: Calibration, poses: Array) -> float:
     """Return the mean variance of one coordinate that the model states at poses."""
     covariance_mm2 = _predicted(calibration, poses).covariance_mm2
     return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3
-
-
-# -- the calibration that a run ends with ---------------------------------------------------------
-
-# A re-check that found the base moved keeps model and volume of the old one and turns its base
-# frames. The robot stands rigidly on the slide, so the motion is the same in {B} at each station.
-
-
-def calibration_after(log: Log, run: str) -> Calibration:
-    """Return the calibration of a log for which `Log.calibrates` holds."""
-    if log.verdict(Fitted) is not None:
-        return calibration_from_log(log, run)
-    if (touched := log.verdict(Touched)) is not None:
-        return _touched(used(log), log, run, touched.station)
-    if log.verdict(Judged, "targets") is not None:
-        after = folded(log, run)
-        return _updated(after, Update(run, "targets", written_now(), len(target_points(log))))
-    return _rebased(used(log), rechecked_run(log), run)
-
-
-def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
-    """Return the calibration with its base frames where the re-check found the base."""
-    stations = {
-        name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
-        for name, entry in calibration.stations.items()
-    }
-    motion, covariance = found.motion.tolist(), found.covariance.tolist()
-    update = Update(run, "base", written_now(), len(found.left_mm), motion, covariance)
-    uncertainty = calibration.uncertainty
-    base_update = "Base frame, updated"
-    if not uncertainty.missing:
-        how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
-        line = Influence(base_update, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
-        lines = [each for each in uncertainty.lines if each.name != base_update]
-        uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
-    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
-
-
-def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
-    """Return the calibration with the base of a station as touched on the run's visit."""
-    frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
-    entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
-    update = Update(run, "touch", written_now(), frame.poses)
-    stations = calibration.stations | {name: entry}
-    uncertainty, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
-    if not uncertainty.missing and line is not None:
-        placed = uncertainty.stations | {name: [msgspec.structs.replace(line, counts="always")]}
-        uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
-    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
-
-
-def _updated(calibration: Calibration, update: Update, **changes: object) -> Calibration:
-    made, replace = calibration.provenance, msgspec.structs.replace
-    after = replace(made, written=update.written, updates=[*made.updates, update])
-    return replace(calibration, provenance=after, **changes)

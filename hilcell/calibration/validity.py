@@ -15,7 +15,7 @@ from datetime import UTC, datetime, timedelta
 import msgspec
 
 from hilcell.calibration.decision_rule import tolerance_limits
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_status import CalibrationStatus

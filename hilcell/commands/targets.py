@@ -15,7 +15,7 @@ from hilcell.errors import bounded
 from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
 from hilcell.fit.robot_file import Measurements, read_measurements
 from hilcell.fit.urdf_file import URDF, read_robot
-from hilcell.programs.arm_targets import ArmTargets
+from hilcell.programs.pose_correction import ArmTargets
 from hilcell.programs.target_jobs import StationTargets
 
 

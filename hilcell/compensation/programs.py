@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from hilcell.atomic_files import NotWritten, is_stream, write_together
 from hilcell.cell.devices import load_entry
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.provenance import Stamp, refuse_corrected
+from hilcell.compensation.targets import Stamp, refuse_corrected
 from hilcell.decoding import Json
 from hilcell.geometry.kinematics import Arm, Ints
 from hilcell.ports import Array

@@ -1,14 +1,17 @@
 """CSV files of named rows in {W}: strict reading, as spreadsheets write them, and whole writing.
 
-Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python takes ``1_0`` for
-10, digits of any script, and ``nan`` for a number; all are refused here. So is a list that was
-corrected before: it has a stamp in a column of its own.
+Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python reads ``1_0`` as 10,
+digits of any script, and ``nan`` as a number; all are refused here.
 
 Our own form has commas between fields and decimal points, in UTF-8. German and French spreadsheets
 write semicolons and decimal commas, older ones in CP1252. Some state the separator in a first line
-of its own, ``sep=;``, or end each line with separators of columns that were empty. 1,234 is 1.234
-there and 1234 where commas group thousands. One number of the file that cannot be grouped
-thousands, such as 0,5 or 1234,5, proves the sign for all; without one the file is refused.
+of its own, ``sep=;``, or end each line with separators of empty columns. 1,234 is 1.234 there and
+1234 where commas group thousands. One number of the file that cannot be grouped thousands, such as
+0,5 or 1234,5, decides the sign for all; without one the file is refused.
+
+Corrected targets must not be corrected again: the robot's error would be subtracted twice. So each
+corrected list has a column with a stamp, each corrected program a comment, and every reader of
+targets looks for it first.
 """
 
 from __future__ import annotations
@@ -27,9 +30,53 @@ import numpy as np
 
 from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import SettingsError, read_file
-from hilcell.compensation.provenance import COLUMN, Stamp, refuse_corrected
-from hilcell.ports import Array
-from hilcell.sanitize import LONGEST, UNSAFE
+from hilcell.ports import Array, HilcellError
+from hilcell.sanitize import LONGEST, UNSAFE, clean
+
+COLUMN = "corrected_by"
+MARK = "hilcell: corrected by "
+
+
+class CorrectedBefore(HilcellError):
+    """Targets that have the stamp of a correction."""
+
+    code = "HC-C10"
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """The mark of corrected targets: the run, or what else corrected them, UTC, and warnings."""
+
+    by: str
+    written: str
+    station: str = ""
+    simulated: bool = False
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Return it on one line, without commas."""
+        at = f" for {self.station}" if self.station else ""
+        parts = [f"{MARK}{self.by}{at} on {self.written}"]
+        parts += ["SIMULATION"] if self.simulated else []
+        return "; ".join(clean(each.replace(",", " ")) for each in (*parts, *self.remarks))
+
+
+def refuse_corrected(source: str, texts: Iterable[str]) -> None:
+    """Raise `CorrectedBefore` where one of the texts of a file is a stamp, or names its column."""
+    stamp = ""
+    for text in texts:
+        if MARK.strip() in text:
+            stamp = text[text.index(MARK.strip()) :]
+            break
+        if text.strip() == COLUMN:
+            stamp = f"it has a column {COLUMN}"
+    if stamp:
+        raise CorrectedBefore(
+            f"{source} was corrected before ({clean(stamp)}); a second correction would move "
+            "every target by the error once more: give the nominal targets"
+        )
+
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 BOUND = "bound95_mm"

@@ -27,9 +27,8 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.decoding import Json, learn, typed
-from hilcell.geometry.beam_noise import BeamNoise, beam_noise
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import reading_variances_mm2
+from hilcell.geometry.statistics import BeamNoise, beam_noise, reading_variances_mm2
 from hilcell.identity import Identity
 from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record

@@ -23,16 +23,14 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from hilcell.calibration.budget import target_bounds, with_drill
-from hilcell.calibration.file import compensate_targets
-from hilcell.calibration.form import Calibration, written_now
+from hilcell.calibration.file import Calibration, compensate_targets, written_now
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.lookup import CalibrationFile
 from hilcell.calibration.orientation import orientation_bounds_deg
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.calibration.validity import check_usable
 from hilcell.cell.file import Cell
-from hilcell.compensation.provenance import CorrectedBefore, Stamp
-from hilcell.compensation.targets import BOUND, csv_content
+from hilcell.compensation.targets import BOUND, CorrectedBefore, Stamp, csv_content
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.geometry.kinematics import Bools

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.grid import ROUNDING_MM
 from hilcell.compensation.targets import unit_hint

@@ -13,7 +13,7 @@ import numpy as np
 
 from hilcell.atomic_files import CSV, NotWritten, check_output, write_whole
 from hilcell.calibration.controller_pose import check_links
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip, tip_named, tip_of_program
 from hilcell.cell.devices import rides_on_robot

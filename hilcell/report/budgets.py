@@ -20,7 +20,7 @@ from hilcell.calibration.budget import (
     validated,
     validation_points,
 )
-from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.from_run import calibration_so_far
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
 from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.measurement_budget import Budget, Contribution

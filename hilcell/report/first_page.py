@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.file import calibration_so_far, validation_verdicts
+from hilcell.calibration.from_run import calibration_so_far, validation_verdicts
 from hilcell.calibration.grid import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.orientation import validated_orientation_errors

@@ -9,8 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hilcell.calibration.file import read_calibration
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration, read_calibration
 from hilcell.cell.file import Cell
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError

@@ -21,7 +21,7 @@ import msgspec
 from hilcell import __version__
 from hilcell.atomic_files import NotWritten
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.target_pass import calibration_after
+from hilcell.calibration.from_run import calibration_after
 from hilcell.cell.devices import build_devices, device_places, is_replay, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.clock import WallClock

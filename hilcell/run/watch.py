@@ -30,9 +30,8 @@ import numpy as np
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import coverage_factor, lengths_mm
+from hilcell.geometry.statistics import BeamNoise, coverage_factor, lengths_mm
 from hilcell.journal.log import PROOFS, noise_at, positions_mm, run_noise, world_key
 from hilcell.model.events import (
     RetakeAsked,

@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from hilcell.compensation.provenance import Stamp
-from hilcell.compensation.targets import HEADER, target_rows, write_rows
+from hilcell.compensation.targets import HEADER, Stamp, target_rows, write_rows
 from hilcell.ports import Array
 
 

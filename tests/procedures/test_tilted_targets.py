@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG, orientation_tolerance_deg
-from hilcell.calibration.form import Validity
+from hilcell.calibration.from_run import (
+    ORIENTATION_TOLERANCE_DEG,
+    Validity,
+    orientation_tolerance_deg,
+)
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import from_zyx, matrix, to_rotvec, turned_deg
 from hilcell.geometry.kinematics import forward

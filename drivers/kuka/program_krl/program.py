@@ -34,7 +34,7 @@ from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import Places, StatedBase, StatedTool, StationProgram, Stroke
-from hilcell.compensation.provenance import Stamp
+from hilcell.compensation.targets import Stamp
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from hilcell.geometry.kinematics import Arm

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from hilcell.calibration.decision_rule import tolerance_limits
-from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.from_run import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.position_errors import Errors, grid_errors, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K

@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
-from hilcell.calibration.file import SCHEMA
-from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity
+from hilcell.calibration.file import SCHEMA, Calibration, LostMotion, ModelEntry, Validity
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
 from hilcell.compensation.grid import Grid

@@ -18,7 +18,7 @@ from hilcell.calibration.budget import (
     temperature,
     validated,
 )
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, motion
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.statistics import bounds95_mm

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilcell.calibration.drift import Series, drift_cause
+from hilcell.calibration.diagnosis import Series, drift_cause
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array

@@ -9,14 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.file import (
-    SCHEMA,
-    other_failed_verdicts,
-    read_calibration,
-    validation_verdicts,
-    write_calibration,
-)
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import SCHEMA, Calibration, read_calibration, write_calibration
+from hilcell.calibration.from_run import other_failed_verdicts, validation_verdicts
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.interpolation import Trilinear
 from hilcell.journal.log import Log

@@ -9,8 +9,7 @@ import msgspec
 import pytest
 
 from hilcell.calibration import lookup
-from hilcell.calibration.file import write_calibration
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration, write_calibration
 from hilcell.calibration.lookup import (
     CalibrationFile,
     NoCalibration,

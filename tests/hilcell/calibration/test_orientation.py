@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import ASSUMED, Frame, Influence, Uncertainty, motion
 from hilcell.calibration.orientation import (
     MOVED_MM,

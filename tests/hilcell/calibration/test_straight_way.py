@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.calibration.form import LostMotion
+from hilcell.calibration.file import LostMotion
 from hilcell.calibration.lost_motion import TAKE_UP_RAD, straight_path
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx

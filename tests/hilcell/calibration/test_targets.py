@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.calibration.file import compensate_targets
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration, compensate_targets
 from hilcell.compensation.model import PredictedOrientation, Prediction
 from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx, to_rotvec, zyx_from_pose
 from hilcell.ports import Array, HilcellError

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hilcell.calibration.drift import tracker_drift
+from hilcell.calibration.diagnosis import tracker_drift
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import load_cell
 from hilcell.journal.calibration_status import CalibrationStatus

@@ -7,8 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
-from hilcell.calibration.form import Calibration, TargetPass, Targets
+from hilcell.calibration.file import (
+    Calibration,
+    TargetPass,
+    Targets,
+    compensate_targets,
+    read_calibration,
+    write_calibration,
+)
 from hilcell.calibration.influence import Influence
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, motion_levers, pose_from_zyx, zyx_from_pose

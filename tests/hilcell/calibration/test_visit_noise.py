@@ -13,7 +13,7 @@ import pytest
 
 from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
 from hilcell.calibration.position_errors import block_diagonal, scatter_besides, visit_noise
-from hilcell.geometry.beam_noise import BeamNoise
+from hilcell.geometry.statistics import BeamNoise
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import JOURNAL

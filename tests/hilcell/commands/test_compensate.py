@@ -19,8 +19,7 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.compensation.provenance import COLUMN, Stamp
-from hilcell.compensation.targets import HEADER
+from hilcell.compensation.targets import COLUMN, HEADER, Stamp
 from hilcell.geometry.frames import apply, inverse
 from hilcell.programs.holes import NORMALS
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration

@@ -23,7 +23,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.inverse import refined
 from hilcell.geometry.kinematics import Array, forward
-from hilcell.programs.arm_targets import JOINT_HEADER, joint_rows
+from hilcell.programs.pose_correction import JOINT_HEADER, joint_rows
 from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.chains import chain_forward

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.geometry.beam_noise import BeamNoise, beam_noise
-from hilcell.geometry.statistics import coverage_factor
+from hilcell.geometry.statistics import BeamNoise, beam_noise, coverage_factor
 from hilcell.ports import Array
 
 STATION = BeamNoise(0.36, (4.85e-3) ** 2, np.inf)  # a total station: 0.6 mm, 1 second of arc

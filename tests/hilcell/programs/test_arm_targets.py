@@ -11,8 +11,13 @@ from hilcell.compensation.targets import write_rows
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
-from hilcell.programs.arm_targets import JOINT_HEADER, joint_rows, read_list
-from hilcell.programs.pose_correction import Reach, with_tool_point
+from hilcell.programs.pose_correction import (
+    JOINT_HEADER,
+    Reach,
+    joint_rows,
+    read_list,
+    with_tool_point,
+)
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
 from tests.hilcell.lists import write_targets
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.compensation.provenance import CorrectedBefore
+from hilcell.compensation.targets import CorrectedBefore
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import Array
 from hilcell.programs.corrected import Memory

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.programs.bound import Cut, Separation, _Program, cut_bound, lower_bound
-from hilcell.programs.route import route
+from hilcell.programs.route import Cut, Separation, _Program, cut_bound, lower_bound, route
 from tests.hilcell.programs.test_route import least, raster, scattered
 
 seeds = st.integers(0, 2**32 - 1)

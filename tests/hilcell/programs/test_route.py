@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
 
-from hilcell.programs.bound import _evaluated, lower_bound
-from hilcell.programs.route import _Search, route
+from hilcell.programs.route import _evaluated, _Search, lower_bound, route
 from tests.whole.bench import sweep
 
 seeds = st.integers(0, 2**32 - 1)

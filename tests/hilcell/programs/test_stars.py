@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.programs.bound import Cut, Separation, _Growth, _Program, star
+from hilcell.programs.route import Cut, Separation, _Growth, _Program, star
 from tests.hilcell.programs.test_route import raster
 
 

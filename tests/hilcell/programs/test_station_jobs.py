@@ -10,7 +10,7 @@ import pytest
 from hilcell.atomic_files import NotWritten
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.provenance import CorrectedBefore
+from hilcell.compensation.targets import CorrectedBefore
 from hilcell.programs.station_jobs import SHEET, SUMMARY, StationJobs
 from hilcell.run.order import Release
 from tests.hilcell.commands.test_prepare import INSIDE, holes, made

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from drivers.program_text import ENCODING
 from hilcell.compensation.programs import StationProgram
-from hilcell.compensation.provenance import Stamp
+from hilcell.compensation.targets import Stamp
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
 from hilcell.sanitize import clean

@@ -24,7 +24,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
 from hilcell.compensation.programs import Places, StationProgram, load_program, program_writer
-from hilcell.compensation.provenance import Stamp
+from hilcell.compensation.targets import Stamp
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import DeviceError, Robot
 

@@ -10,7 +10,7 @@ from hilcell.atomic_files import NotWritten
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import write_program
-from hilcell.compensation.provenance import CorrectedBefore, Stamp
+from hilcell.compensation.targets import CorrectedBefore, Stamp
 from tests.drivers.kuka.program_krl.samples import DAT, SRC
 
 STAMP = Stamp("a-run", "2026-11-22T14:00:00Z", "S1100")

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.kuka.program_krl.files import load_program, read_program
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.file import Calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array

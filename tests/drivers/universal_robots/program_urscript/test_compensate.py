@@ -12,7 +12,7 @@ from hilcell.calibration.influence import Influence
 from hilcell.calibration.tool_point import tool_tips
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.provenance import CorrectedBefore, Stamp, refuse_corrected
+from hilcell.compensation.targets import CorrectedBefore, Stamp, refuse_corrected
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.programs.drilling import Drilling, Part, station_program

@@ -1,0 +1,180 @@
+"""The calibration that a run makes: of its own grid, or a change of the one that it used.
+
+A re-check that measured a moved base keeps model and volume and changes the base frames. The robot
+stands rigidly on the slide, so the motion is the same in {B} at each station.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from hilcell import __version__
+from hilcell.calibration.budget import target_uncertainty, touched
+from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, written_now
+from hilcell.calibration.frames import Frames
+from hilcell.calibration.grid import measured_errors
+from hilcell.calibration.influence import MEASURED, Influence, moved_frame
+from hilcell.calibration.lookup import used
+from hilcell.calibration.lost_motion import lost_motion
+from hilcell.calibration.recheck import Judgement, rechecked_run
+from hilcell.calibration.target_pass import folded, target_points
+from hilcell.cell.file import Cell
+from hilcell.compensation.model_choice import MODELS
+from hilcell.decoding import typed
+from hilcell.geometry.frames import from_zyx
+from hilcell.journal.log import Log
+from hilcell.model.calibration import Device, Provenance, StationEntry, Update
+from hilcell.model.frame import MeasuredStation, TouchedBase
+from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked, Touched
+from hilcell.ports import Array
+
+ORIENTATION_TOLERANCE_DEG = 2.0
+
+
+def calibration_from_log(log: Log, run: str) -> Calibration:
+    """Compute the calibration from the log of a run that reached the fit."""
+    cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
+    grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
+    if fit is None:
+        raise LookupError("the run has not reached the fit")
+    method = fit.method
+    devices = [
+        Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
+        for each in log.assets
+    ]
+    points = log.select("grid")
+    celsius = [point.temperature_c for point in points if point.temperature_c is not None]
+    high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
+    # A model that knows turns holds at more orientations than the grid's.
+    others = cell.plan.grid_orientations if MODELS[method].any_orientation else []
+    further = [from_zyx(angles).tolist() for angles in others]
+    values = {
+        "schema": SCHEMA,
+        "provenance": Provenance(
+            run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
+            log.inputs.job, f"hilcell {__version__}", written_now(),
+            sign is not None and sign.holds,
+            log.inputs.versions, devices, [point.key for point in points], fit.loocv,
+            links="factory" if log.by_factory_links else "cell file",
+        ),
+        "validity": Validity(
+            tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
+            cell.grid.centre.matrix()[:3, :3].tolist(),
+            orientation_tolerance_deg(cell, method),
+            (min(celsius), max(celsius)) if celsius else None,
+            further,
+        ),
+        "stations": {
+            station.name: _entry(log, frames.base_in_world(station), station.name)
+            for station in cell.station
+        },
+        "pitch_mm": grid.pitch_mm,
+        "grid_errors_mm": measured.grid.errors_mm.tolist(),
+        "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
+        "uncertainty": target_uncertainty(log),
+        "lost_motion": lost_motion(log),
+        "verdicts": validation_verdicts(log),
+        "failed": other_failed_verdicts(log),
+    }  # fmt: skip
+    return typed(msgspec.to_builtins(values), Calibration)
+
+
+def validation_verdicts(log: Log) -> dict[str, Judged]:
+    """Return the verdicts of a run's validation by place; none where it was not made."""
+    return {
+        key.removeprefix(VALIDATION): verdict
+        for key, verdict in log.verdicts.items()
+        if isinstance(verdict, Judged) and key.startswith(VALIDATION)
+    }
+
+
+def other_failed_verdicts(log: Log) -> dict[str, str]:
+    """Return the verdicts besides the validation's that do not hold, in words."""
+    return {
+        key: verdict.why
+        for key, verdict in log.verdicts.items()
+        if not (verdict.holds or key.startswith(VALIDATION))
+    }
+
+
+def orientation_tolerance_deg(cell: Cell, method: str) -> float:
+    """Return by how much targets may turn away from the grid's orientation."""
+    tilt_deg = cell.plan.tilt_deg if MODELS[method].any_orientation else 0.0
+    return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
+
+
+def calibration_so_far(log: Log, run: str) -> Calibration | None:
+    """Return the calibration of a log that has reached the fit, nothing before."""
+    return log.once(calibration_from_log, run) if _fitted(log) else None
+
+
+def learnt_so_far(log: Log) -> Calibration | None:
+    """Return the same for what it was learnt from; verdicts that came since may be missing."""
+    if not _fitted(log):
+        return None
+    return log.once_measured(_learnt, log.judged["fit"].seq)
+
+
+def _learnt(log: Log, fit: int) -> Calibration:
+    return calibration_from_log(log, "")
+
+
+def _fitted(log: Log) -> bool:
+    expected = {"base", *(f"station.{station.name}" for station in log.cell.station)}
+    return expected <= log.frames.keys() and "fit" in log.verdicts
+
+
+def _entry(log: Log, base: Array, station: str) -> StationEntry:
+    frame = log.frame(MeasuredStation, f"station.{station}")
+    tool_mm, strip_mm = frame.tool_uncertainty_mm, frame.strip_mm
+    return StationEntry(base.tolist(), frame.matrix, frame.covariance, tool_mm, strip_mm)
+
+
+def calibration_after(log: Log, run: str) -> Calibration:
+    """Return the calibration of a log for which `Log.calibrates` holds."""
+    if log.verdict(Fitted) is not None:
+        return calibration_from_log(log, run)
+    if (touched := log.verdict(Touched)) is not None:
+        return _touched(used(log), log, run, touched.station)
+    if log.verdict(Judged, "targets") is not None:
+        after = folded(log, run)
+        return _updated(after, Update(run, "targets", written_now(), len(target_points(log))))
+    return _rebased(used(log), rechecked_run(log), run)
+
+
+def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
+    """Return the calibration with its base frames where the re-check found the base."""
+    stations = {
+        name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
+        for name, entry in calibration.stations.items()
+    }
+    motion, covariance = found.motion.tolist(), found.covariance.tolist()
+    update = Update(run, "base", written_now(), len(found.left_mm), motion, covariance)
+    uncertainty = calibration.uncertainty
+    base_update = "Base frame, updated"
+    if not uncertainty.missing:
+        how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
+        line = Influence(base_update, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
+        lines = [each for each in uncertainty.lines if each.name != base_update]
+        uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
+    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
+
+
+def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
+    """Return the calibration with the base of a station as touched on the run's visit."""
+    frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
+    entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
+    update = Update(run, "touch", written_now(), frame.poses)
+    stations = calibration.stations | {name: entry}
+    uncertainty, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
+    if not uncertainty.missing and line is not None:
+        placed = uncertainty.stations | {name: [msgspec.structs.replace(line, counts="always")]}
+        uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
+    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
+
+
+def _updated(calibration: Calibration, update: Update, **changes: object) -> Calibration:
+    made, replace = calibration.provenance, msgspec.structs.replace
+    after = replace(made, written=update.written, updates=[*made.updates, update])
+    return replace(calibration, provenance=after, **changes)
