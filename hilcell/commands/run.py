@@ -49,7 +49,7 @@ def resume(args: Resume) -> int:
     if live_engine(folder) is not None:
         return _resume_live(folder, args)
     operator = can_ask(args.attendance)
-    plan = args.check(folder, read_log(folder), somebody=operator)
+    plan = args.check(folder, read_log(folder), operator_present=operator)
     with ResumedEngine(args, plan, print_message) as engine:
         log, plan = engine.journal.log, engine.plan
         if plan.goes_on and not operator:

@@ -1,9 +1,9 @@
 """Locks of a cell: two runs never command the same devices.
 
-Locks are of the operating system (flock): they vanish with their process, however it dies. Those
-of devices lie in one folder for all users of this machine, which belongs to root or to this user,
-and where nobody removes another's file. Another user may have put files there: no link is followed,
-nothing is truncated, and only a plain file with no second name is written.
+Locks are those of the operating system (flock): they end with their process, however it dies.
+Device locks are in one folder for all users of this machine; it belongs to root or to this user and
+is sticky, so no user removes another's file. Another user may have put files there: no link is
+followed, nothing is truncated, and only a regular file with a single name is written.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hilcell.journal.journal import StorageError
 
 OVERRIDE = "HILCELL_LOCKS"  # names another folder, which all users of this machine must share
 USUAL = Path("/run/lock/hilcell")
-BEFORE_SET_UP = Path("/tmp/hilcell-locks")  # noqa: S108 - sticky; see the module's words
-FOR_ALL = 0o1777  # everybody may add a file, nobody may remove another's
+BEFORE_SET_UP = Path("/tmp/hilcell-locks")  # noqa: S108 - sticky; see the module docstring
+FOR_ALL = 0o1777  # sticky: every user may add files and remove only their own
 HOLDER_BYTES = 256  # written in place: a file that is no lock loses no more than its beginning
 
 
@@ -35,7 +35,6 @@ class CellLocked(HilcellError):
 
 
 def lock_of_name(runs: Path, cell: str) -> Path:
-    """Return the lock of a cell's name among the runs of one folder."""
     return runs / f".{cell}.lock"
 
 
@@ -48,10 +47,7 @@ def lock_of_device(known_by: str) -> Path:
 
 
 def locks_folder() -> tuple[Path, str]:
-    """Return the folder of the devices' locks, and what its user has to know; "" for nothing.
-
-    Raises `StorageError` where none can be used.
-    """
+    """Return the folder of the device locks and a warning, "" for none; raises `StorageError`."""
     if override := os.environ.get(OVERRIDE):
         folder = Path(override)
         _make_for_all(folder)
@@ -63,15 +59,14 @@ def locks_folder() -> tuple[Path, str]:
         _make_for_all(BEFORE_SET_UP)
         _check_trusted(BEFORE_SET_UP)
         return BEFORE_SET_UP, (
-            f"{error}; the devices' locks lie in {BEFORE_SET_UP}, which excludes nobody who can "
-            f"use {USUAL}: set it up with `{_set_up(USUAL)}`"
+            f"{error}; device locks are in {BEFORE_SET_UP} and do not exclude users of {USUAL}: "
+            f"set it up with `{_set_up(USUAL)}`"
         )
     _check_trusted(USUAL)
     return USUAL, ""
 
 
 def _make_for_all(folder: Path) -> None:
-    """Make a folder in which every user can lock, unless it is there."""
     with _storage_errors(folder, "locks"):
         before = os.umask(0)  # else another user could find it closed for a moment
         try:
@@ -87,10 +82,7 @@ def _make_for_all(folder: Path) -> None:
 
 
 def _check_trusted(folder: Path, *, of_anybody: bool = False) -> None:
-    """Raise `StorageError` where another user could remove a lock that is held.
-
-    There is no way round: a lock of that user would be seen by nobody who looks elsewhere.
-    """
+    """Raise `StorageError` where another user could remove a lock in use."""
     found = folder.lstat()
     mode, problem = stat.S_IMODE(found.st_mode), ""
     if not of_anybody and found.st_uid not in (0, os.getuid()):
@@ -100,12 +92,11 @@ def _check_trusted(folder: Path, *, of_anybody: bool = False) -> None:
     if problem:
         raise StorageError(
             f"locks folder {folder} cannot be used: {problem}, so another user could remove a lock "
-            f"that is held; set it up with `{_set_up(folder)}`"
+            f"in use; set it up with `{_set_up(folder)}`"
         )
 
 
 def _set_up(folder: Path) -> str:
-    """Return the command that makes a folder of locks for all users, or puts one right."""
     return f"sudo install -d -o root -g root -m {FOR_ALL:o} {folder}"
 
 
@@ -113,8 +104,8 @@ def _set_up(folder: Path) -> str:
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
     """Hold the lock at ``path``; raises `CellLocked` with its holder, and `StorageError`."""
     kind = "runs" if path.suffix == ".lock" else "locks"
-    act = "; name another with --runs DIR or HILCELL_RUNS" if kind == "runs" else ""
-    with _storage_errors(path.parent, kind, act):
+    advice = "; name another with --runs DIR or HILCELL_RUNS" if kind == "runs" else ""
+    with _storage_errors(path.parent, kind, advice):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         file = _held(path, what)
     try:
@@ -127,7 +118,7 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
 
 
 def _held(path: Path, what: str) -> int:
-    """Open and lock the file at a path; one that was removed meanwhile excludes nobody."""
+    """Open and lock the file at a path; a file that was removed meanwhile is opened again."""
     while True:
         file = _opened(path)
         try:
@@ -152,10 +143,7 @@ def _take(file: int, what: str) -> None:
 
 
 def _opened(path: Path) -> int:
-    """Open a lock's file, and make it only where there is none; raises `OSError`.
-
-    In a sticky folder a system may refuse to create what another user has created.
-    """
+    """Open a lock file; create it only where there is none (sticky folders); raises `OSError`."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     while True:
         try:
@@ -176,11 +164,11 @@ def _opened(path: Path) -> int:
 
 
 @contextmanager
-def _storage_errors(folder: Path, kind: str, act: str = "") -> Iterator[None]:
-    """Raise `StorageError` where a folder cannot be used; ``act`` is the next step."""
+def _storage_errors(folder: Path, kind: str, advice: str = "") -> Iterator[None]:
+    """Raise `StorageError` where a folder cannot be used."""
     try:
         yield
     except OSError as error:
         raise StorageError(
-            f"{kind} folder {folder} cannot be used: {error.strerror}{act}"
+            f"{kind} folder {folder} cannot be used: {error.strerror}{advice}"
         ) from error

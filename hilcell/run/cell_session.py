@@ -1,9 +1,8 @@
-"""The face of a run that procedures see: motions and points, guarded.
+"""The interface of a run for procedures: guarded motions and points.
 
-It stands on layers, each of which adds to the one below and knows no other: `RunContext` has cell,
-devices and journal, `Mover` moves slide and robot, `Meter` measures where they stand, `Watch`
-proves that tracker, slide and room are as they were. A point that the journal already holds is
-returned as it is: that, and nothing else, is what makes a run resumable.
+Its layers each know only the one below: `RunContext` has cell, devices and journal, `Mover` moves
+slide and robot, `Meter` measures, `Watch` verifies tracker, slide and ambient temperature. A point
+that the journal already has is returned unchanged, which makes a run resumable.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ class CellSession(Watch):
 
     @property
     def seed(self) -> int:
-        """Return the run's seed, from which random targets are drawn."""
         return self.log.inputs.seed
 
     def sweep(self, order: SweepCommand) -> StreamRecorded:
@@ -52,14 +50,13 @@ class CellSession(Watch):
         seats: bool = False,
         straight: StraightApproach | None = None,
     ) -> Point:
-        """Send the reflector on the flange to joints (6,) and measure it, once in a run's life.
+        """Move the reflector on the flange to joints (6,) and measure it, once a run.
 
-        Every axis comes from below, or from above where the point's ``side`` is +1, or all come
-        ``straight`` from another pose.
-        ``retake`` re-measures it; the later point supersedes, the earlier stays journalled.
-        ``seats``: the other reflectors on the flange are measured there as well, each a point of
-        its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
-        Points that wait to be re-measured come first, and a room that is as it was.
+        Every axis comes from below, from above where the point's ``side`` is +1, or ``straight``
+        from another pose. ``retake`` re-measures it; the later point supersedes the earlier.
+        ``seats``: the other reflectors on the flange are measured as points of their own.
+        ``nominal_deg`` (3,) are A, B, C of the target in {W}; they are recorded with several
+        reflectors. The ambient temperature is checked and waiting points are re-measured first.
         """
         self.check_ambient_temperature()
         self.retake_waiting()
@@ -74,9 +71,9 @@ class CellSession(Watch):
         return self.log.point(id)
 
     def retake_waiting(self) -> bool:
-        """Re-measure the points that wait for it; return whether there were any.
+        """Re-measure the waiting points; return whether there were any.
 
-        Only where nothing is assumed about where slide and robot stand.
+        Afterwards slide and robot may be elsewhere.
         """
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
@@ -90,7 +87,6 @@ class CellSession(Watch):
         return bool(waiting)
 
     def flange_at(self, station: Station) -> None:
-        """Hold ``station`` and have the reflector on the flange."""
         self.checkpoint()
         self.hold_station(station)
         if self.cell.layout.by_hand:
@@ -108,8 +104,8 @@ class CellSession(Watch):
         retake: bool,
         straight: StraightApproach | None = None,
     ) -> None:
-        """Go to joints (6,) and measure reflectors on the flange there; only of the tool point is a
-        ``nominal`` target known, mm and deg, None where it is not.
+        """Move to joints (6,) and measure reflectors on the flange; ``nominal`` is the tool
+        point's target, mm and deg, or None.
         """
         self.checkpoint()
         self.verify_tracker_if_due()
@@ -138,9 +134,9 @@ class CellSession(Watch):
             )
 
     def pose_points(self, joints_rad: Array, targets: Sequence[tuple[PointId, Array]]) -> None:
-        """Go to joints (6,) where the slide stands and measure several reflectors there.
+        """Move to joints (6,) without moving the slide and measure several reflectors.
 
-        ``targets`` gives each one's identity and its expected position (3,), tracker's frame.
+        ``targets`` are identities and expected positions (3,), tracker's frame.
         """
         missing = [target for target in targets if not self.log.find(target[0])]
         if not missing:
@@ -166,7 +162,7 @@ class CellSession(Watch):
         return self.record_point(id, station.name, reading)
 
     def slide_now(self, id: PointId, name: str) -> Point:
-        """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
+        """Measure a slide nest, or ``flange``, at any slide position with the robot parked."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
@@ -184,7 +180,7 @@ class CellSession(Watch):
         return self.record_point(id, "", reading)
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
-        """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""
+        """Return the flange reflector (3,) in {W} at the robot's safe pose."""
         robot = self.cell.robot
         T_B_T = forward(robot.arm(), np.radians(robot.safe_deg))
         at_mm: Array = apply(T_W_B, T_B_T[:3, 3][None])[0]

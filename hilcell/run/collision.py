@@ -1,12 +1,12 @@
-"""Whether the arm's ways are clear of the cell's volumes: asked by plans, and before every motion.
+"""Collision checks of the arm's paths against the cell's volumes, in plans and before each motion.
 
-A way is a PTP motion, all axes in step; between two postures within the joints' limits it stays
-within them. Wherever the robot stands, it goes to its next pose directly, or by its safe pose where
-that way is clear and the direct one is not. So a plan that proves the ways between the safe pose
-and each of its poses holds in any order, after a resume too.
+A path is a PTP motion, all axes synchronous; between two postures within the joint limits it stays
+within them. The robot moves to its next pose directly, or by its safe pose where only that path is
+clear. So a plan that proves the paths between the safe pose and each of its poses is valid in any
+order, also after a resume.
 
-A cell that states no volumes is as good as unknown beyond the places that its operator has stated:
-the grid's cube and the circles of the base frame. There, and nowhere else, the robot may go.
+Without volumes in the cell file the robot may move only in the places that the operator has given:
+the grid's cube and the circles of the base frame.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from hilcell.geometry.kinematics import Bools, forward
 from hilcell.ports import Array
 from hilcell.run.interlocks import Blocked, check_joint_limits
 
-PLANNED_MM = 10.0  # by which a plan is stricter: corrections, the base as measured, the held place
+PLAN_MARGIN_MM = 10.0  # for corrections, the measured base, the held position
 
 
 # -- for plans ------------------------------------------------------------------------------------
 
 
 def clear(cell: Cell, station: Station, from_rad: Array, to_rad: Array) -> Bools:
-    """Return which ways between joints (N, 6) a plan may take at ``station``, (N,).
+    """Return which paths between joints (N, 6) a plan may use at ``station``, (N,).
 
-    In a cell that states no volumes, those between finite joints.
+    In a cell without volumes: those between finite joints.
     """
     if cell.surroundings is None:
-        return np.array([bool(np.isfinite(way).all()) for way in from_rad + to_rad])
+        return np.array([bool(np.isfinite(path).all()) for path in from_rad + to_rad])
     start, end = posture(station.rail_mm, from_rad), posture(station.rail_mm, to_rad)
-    return cell.surroundings.prove(start, end, PLANNED_MM).clear
+    return cell.surroundings.prove(start, end, PLAN_MARGIN_MM).clear
 
 
 def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
-    """Return which poses (N, 6) a plan may drive to at ``station``, and back, (N,)."""
+    """Return which poses (N, 6) a plan may move to at ``station``, and back, (N,)."""
     ok = _within(joints_rad, *cell.robot.margin_limits_rad)
     if cell.surroundings is None:
         return ok & ~leaves_cube(cell, joints_rad)
@@ -49,12 +49,12 @@ def clear_poses(cell: Cell, station: Station, joints_rad: Array) -> Bools:
 def check_planned_path(
     cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str
 ) -> None:
-    """Refuse a plan's ways between joints (6,) or (N, 6) at ``station``; raises `Blocked`."""
-    check_path(cell, station.rail_mm, from_rad, to_rad, what, PLANNED_MM)
+    """Raise `Blocked` for a plan's paths between joints (6,) or (N, 6) at ``station``."""
+    check_path(cell, station.rail_mm, from_rad, to_rad, what, PLAN_MARGIN_MM)
 
 
 def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
-    """Refuse poses (N, 6) that a plan cannot drive to at ``station``, or back; raises `Blocked`."""
+    """Raise `Blocked` for poses (N, 6) that a plan cannot move to at ``station``, or back."""
     for joints in joints_rad[~_within(joints_rad, *cell.robot.margin_limits_rad)]:
         check_joint_limits(cell, joints, what)
     if not bool(np.all(~leaves_cube(cell, joints_rad))):
@@ -67,41 +67,43 @@ def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> N
 
 
 def check_sweep(cell: Cell, station: Station, from_rad: Array, to_rad: Array, what: str) -> None:
-    """Refuse a plan's motion of one axis between joints (6,) at ``station``; raises `Blocked`."""
+    """Raise `Blocked` for a plan's motion of one axis between joints (6,) at ``station``."""
     check_volumes_known(cell, what)
     check_poses(cell, station, np.array([from_rad, to_rad]), f"ends of {what}")
     check_planned_path(cell, station, from_rad, to_rad, what)
 
 
 def check_volumes_known(cell: Cell, what: str) -> None:
-    """Refuse what leaves the cube in a cell that does not state its volumes; raises `Blocked`."""
+    """Raise `Blocked` outside the cube in a cell without volumes."""
     if cell.surroundings is None:
         raise Blocked(
             "HC-B35",
             "Robot",
             what,
-            "it leaves the grid's cube, and nothing is stated of what stands around the arm",
+            "it leaves the grid's cube, and the cell file has no volumes around the arm",
             expected="robot.envelope and keep_out",
         )
 
 
 def check_slide_travel(cell: Cell) -> None:
-    """Refuse a safe pose with which the slide cannot ride along its travel; raises `Blocked`."""
+    """Raise `Blocked` for a safe pose with which the slide cannot cover its travel."""
     safe_rad = np.radians(cell.robot.safe_deg)
     ends_mm = (cell.rail.travel_min_mm, cell.rail.travel_max_mm)
     start, end = (posture(end_mm, safe_rad) for end_mm in ends_mm)
-    _refuse_ways(cell, start[None], end[None], "ride at the safe pose", PLANNED_MM)
+    _refuse_paths(cell, start[None], end[None], "slide travel at the safe pose", PLAN_MARGIN_MM)
 
 
 def leaves_cube(cell: Cell, joints_rad: Array) -> Bools:
-    """Return which poses (N, 6) are where no operator has stated that the robot may go, (N,).
+    """Return which poses (N, 6) are outside the places that the operator has given, (N,).
 
-    Stated are the grid's cube, with the tool turned as the grid has it, and the base's circles.
+    These are the grid's cube, with the grid's tool orientation, and the circles of the base frame.
     """
     cube_mm, cube_rad = 20.0, np.radians(1.0)  # corrected poses are a little outside, too
-    found, centre = forward(cell.robot.arm(), joints_rad), cell.grid.centre.matrix()
-    off_mm = np.abs(found[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
-    cosine = (np.einsum("nij,ij->n", found[:, :3, :3], centre[:3, :3]) - 1.0) / 2.0  # of the turn
+    poses, centre = forward(cell.robot.arm(), joints_rad), cell.grid.centre.matrix()
+    off_mm = np.abs(poses[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
+    cosine = (
+        np.einsum("nij,ij->n", poses[:, :3, :3], centre[:3, :3]) - 1.0
+    ) / 2.0  # of the rotation
     stated = (off_mm <= cube_mm).all(axis=-1) & (cosine >= np.cos(cube_rad))
     if not bool(stated.all()):
         table = cell.base_frame
@@ -127,7 +129,7 @@ def _within(joints_rad: Array, low: Array, high: Array) -> Bools:
 
 
 def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
-    """Return the ways between the safe pose and poses (N, 6): there from below, and back."""
+    """Return the paths between the safe pose and poses (N, 6): there from below, and back."""
     safe_rad = np.broadcast_to(np.radians(cell.robot.safe_deg), joints_rad.shape)
     below_rad = below(cell, joints_rad)
     return [(safe_rad, below_rad), (below_rad, joints_rad), (joints_rad, safe_rad)]
@@ -137,7 +139,7 @@ def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
 
 
 def below(cell: Cell, joints_rad: Array) -> Array:
-    """Return from where every axis comes to joints (..., 6)."""
+    """Return the joints from which every axis approaches joints (..., 6)."""
     beside: Array = joints_rad - np.radians(cell.robot.approach_deg)
     return beside
 
@@ -145,56 +147,57 @@ def below(cell: Cell, joints_rad: Array) -> Array:
 def check_path(
     cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, more_mm: float = 0.0
 ) -> None:
-    """Refuse motions between joints (6,) or (N, 6) with the slide at ``rail_mm``.
+    """Raise `Blocked` for motions between joints (6,) or (N, 6) with the slide at ``rail_mm``.
 
-    Raises `Blocked`. A plan is stricter by ``more_mm``.
+    ``more_mm`` is added to the required clearance.
     """
     start, end = posture(rail_mm, np.atleast_2d(from_rad)), posture(rail_mm, np.atleast_2d(to_rad))
-    _refuse_ways(cell, start, end, what, more_mm)
+    _refuse_paths(cell, start, end, what, more_mm)
 
 
 def waypoints(
     cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str, *, above: bool = False
 ) -> list[Array]:
-    """Return where to go from joints (6,) to others, in turn: below or above them, and there.
+    """Return the waypoints from joints (6,) to others: below or above them, then there.
 
-    First to the safe pose, where that way is clear and the direct one is not. Raises `Blocked`
-    where neither is.
+    The safe pose comes first where only that path is clear. Raises `Blocked` where none is.
     """
     side_rad = np.radians(cell.robot.approach_deg)
     beside_rad = to_rad + (side_rad if above else -side_rad)
     safe_rad = np.radians(cell.robot.safe_deg)
-    around = cell.surroundings
-    if around is None or bool(np.all(_proven(around, rail_mm, from_rad, beside_rad, to_rad))):
+    surroundings = cell.surroundings
+    if surroundings is None or bool(
+        np.all(_proven(surroundings, rail_mm, from_rad, beside_rad, to_rad))
+    ):
         return [beside_rad, to_rad]
-    if bool(np.all(_proven(around, rail_mm, from_rad, safe_rad, beside_rad, to_rad))):
+    if bool(np.all(_proven(surroundings, rail_mm, from_rad, safe_rad, beside_rad, to_rad))):
         return [safe_rad, beside_rad, to_rad]
     check_path(cell, rail_mm, beside_rad, to_rad, what)
     check_path(cell, rail_mm, from_rad, beside_rad, what)
     return [beside_rad, to_rad]
 
 
-def _proven(around: Surroundings, rail_mm: float, *stops_rad: Array) -> Bools:
-    """Return which ways between one stop (6,) and the next are proven clear."""
+def _proven(surroundings: Surroundings, rail_mm: float, *stops_rad: Array) -> Bools:
+    """Return which paths between successive stops (6,) are proven clear."""
     stops = posture(rail_mm, np.array(stops_rad))
-    return around.prove(stops[:-1], stops[1:]).clear
+    return surroundings.prove(stops[:-1], stops[1:]).clear
 
 
-def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float) -> None:
-    """Refuse motions between postures (N, 7) that are not all proven clear."""
-    around = cell.surroundings
-    if around is None:
+def _refuse_paths(cell: Cell, start: Array, end: Array, what: str, more_mm: float) -> None:
+    """Raise `Blocked` for motions between postures (N, 7) that are not all proven clear."""
+    surroundings = cell.surroundings
+    if surroundings is None:
         return
-    proof = around.prove(start, end, more_mm)
+    proof = surroundings.prove(start, end, more_mm)
     if bool(np.all(proof.clear)):
         return
     first, count = int(np.argmin(proof.clear)), int(np.sum(~proof.clear))
     from_posture, to_posture = start[first], end[first]
-    nearest = around.nearest(from_posture, to_posture, float(proof.share[first]))
-    wanted_mm = around.wanted_mm + more_mm
+    nearest = surroundings.nearest(from_posture, to_posture, float(proof.share[first]))
+    wanted_mm = surroundings.wanted_mm + more_mm
     at = from_posture + nearest.share * (to_posture - from_posture)
     axes = ", ".join(f"A{axis} {deg:.1f}" for axis, deg in enumerate(np.degrees(at[1:]), 1))
-    of = f" (way {first + 1}, and {count - 1} more of {len(start)})" if len(start) > 1 else ""
+    of = f" (path {first + 1}, and {count - 1} more of {len(start)})" if len(start) > 1 else ""
     inside = nearest.clearance_mm < 0.0
     near = "is in" if inside else f"comes within {nearest.clearance_mm:.0f} mm of"
     raise Blocked(
@@ -215,34 +218,33 @@ def _refuse_ways(cell: Cell, start: Array, end: Array, what: str, more_mm: float
     )
 
 
-# -- before motions that come in turn -------------------------------------------------------------
+# -- before motions in sequence -------------------------------------------------------------------
 
-# The proof knows where each way begins if nothing comes between, and keeps a reserve. Where the
-# slide and the robot then are read elsewhere, no point of the arm is farther from its proven way
-# than the levers allow (`Body.travel_mm`): joints go in step, so along two ways to the same pose
-# they differ nowhere by more than at their ends. Within the reserve the way is clear. Any other
-# way is none of these, and is proven by itself.
+# The proof assumes where each path begins and leaves a reserve. Where slide and robot are then read
+# elsewhere, no point of the arm is farther from its proven path than the levers allow
+# (`Body.travel_mm`): axes are synchronous, so two paths to the same pose differ most at their
+# beginnings. Within the reserve the path is clear; any other path is proven by itself.
 
-RESERVE_MM = 5.0  # beyond the wanted clearance; a plan's legs have 10
+RESERVE_MM = 5.0  # beyond the required clearance; a plan has 10
 
 
 class UpcomingPoses:
-    """Knows the poses by their joints, to the last bit."""
+    """Poses whose paths are proven in advance, by their joints to the last bit."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        # From which posture (7,) its ways are proven, if they are; whether it leaves the cube.
+        # The posture (7,) from which its paths are proven, if they are; whether it leaves the cube.
         self._upcoming: dict[bytes, tuple[Array | None, bool]] = {}
 
     def expect(self, rail_mm: float, joints_rad: Array) -> None:
-        """Prove the ways from the safe pose to joints (N, 6) in turn, each from below."""
+        """Prove the paths from the safe pose to joints (N, 6) in sequence, each from below."""
         cell = self._cell
         if cell.surroundings is None:
             return
         before_rad = np.vstack([np.radians(cell.robot.safe_deg), joints_rad])[:-1]
         stops = posture(rail_mm, np.array([before_rad, below(cell, joints_rad), joints_rad]))
-        ways = stops[:-1].reshape(-1, 7), stops[1:].reshape(-1, 7)
-        proof = cell.surroundings.prove(*ways, RESERVE_MM)
+        paths = stops[:-1].reshape(-1, 7), stops[1:].reshape(-1, 7)
+        proof = cell.surroundings.prove(*paths, RESERVE_MM)
         to_below, from_there = proof.clear.reshape(2, -1)
         clear = to_below & from_there
         self._upcoming = {
@@ -253,12 +255,12 @@ class UpcomingPoses:
         }
 
     def clear(self, rail_mm: float, from_rad: Array, to_rad: Array) -> bool:
-        """Whether the ways from joints (6,) to others, from below, are within the reserve."""
+        """Whether the paths from joints (6,) to others, from below, are within the reserve."""
         start, _ = self._upcoming.get(to_rad.tobytes(), (None, True))
-        around = self._cell.surroundings
-        if start is None or around is None:
+        surroundings = self._cell.surroundings
+        if start is None or surroundings is None:
             return False
-        return around.apart_mm(start, posture(rail_mm, from_rad)) <= RESERVE_MM
+        return surroundings.apart_mm(start, posture(rail_mm, from_rad)) <= RESERVE_MM
 
     def leaves_cube(self, joints_rad: Array) -> bool:
         if (coming := self._upcoming.get(joints_rad.tobytes())) is not None:

@@ -1,18 +1,16 @@
 """The control of a live run from other processes: the protocol, its server and its client.
 
-Each line is one request or one answer, in JSON. A request may arrive late, when its sender has
-already reported that it failed: the engine's process stood still, and reads now what was sent then.
-So an order states until when it holds.
+Each line is one request or one answer, in JSON. A request may arrive late, after its sender has
+reported a failure, where the engine's process was suspended; so a command states when it expires.
 
-The server listens at a local socket, mode 0600. It lies in a private folder of its own, because a
-run's folder may be on a disk that knows no sockets or under a path too long for one;
-``engine.json`` beside the journal says where. A connection lives as long as its client: one that
-attends and ends without a ``leave`` was lost.
+The server listens at a local socket, mode 0600, in a private folder of its own: a run's folder may
+be on a disk without sockets or under a path too long for one. ``engine.json`` beside the journal
+has its path. A connection lives as long as its client; one that attends and ends without a
+``leave`` was lost.
 
-The client has one connection that asks, and one that only ever says stop. The stop has a socket of
-its own, open from the start, so that it is one `sendall` away whatever else is under way. An answer
-may come late, and must not be taken for the next request's: it is waited for, and dropped, before
-anything else is asked.
+The client has one connection for requests and one for stops alone, open from the start, so that a
+stop is one `sendall` away in any state. A late answer must not be taken for the next request's: it
+is awaited and dropped before the next request.
 """
 
 from __future__ import annotations
@@ -39,19 +37,19 @@ from hilcell.journal.runs import ENGINE, EngineFile, read_engine_file
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import AlarmsAcknowledged
 
-ANSWER_S = 2.0  # a screen waits so long, which asks again and again
-ORDER_S = 5.0  # a command waits so long, which asks once
+ANSWER_S = 2.0  # of a screen, which asks repeatedly
+ORDER_S = 5.0  # of a command, which asks once
 
 Command = Literal[
     "status", "pause", "proceed", "stop", "abort", "answer", "retake", "acknowledge", "attend",
     "leave",
 ]  # fmt: skip
 COMMANDS: tuple[Command, ...] = get_args(Command)
-TIMELESS = ("stop", "status", "acknowledge", "attend", "leave")  # the others are orders: grow old
+TIMELESS = ("stop", "status", "acknowledge", "attend", "leave")  # the others expire
 
 
 class Subject(TypedDict, total=False):
-    """The parts of a `Request` that name its subject."""
+    """The fields of a `Request` that name its subject."""
 
     key: str
     codes: tuple[str, ...]
@@ -61,10 +59,9 @@ class Subject(TypedDict, total=False):
 class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     """A client's request: ``key`` names the point of a ``retake``.
 
-    ``codes`` and ``until`` are the alarms of an ``acknowledge``, and the last record it has seen;
-    a ``proceed`` agrees to what was asked at its ``until``, where it states one.
-    ``before`` is until when an order holds, in seconds of CLOCK_MONOTONIC, which is one clock for
-    all processes of a machine; an order without it holds for ever.
+    ``codes`` and ``until`` are the alarms of an ``acknowledge`` and its last known record; a
+    ``proceed`` with an ``until`` agrees to the question of that record. ``before`` is the expiry in
+    seconds of CLOCK_MONOTONIC, one clock for all processes of a machine; None never expires.
     """
 
     command: Command
@@ -75,7 +72,7 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @classmethod
     def within(cls, timeout_s: float, command: Command, **subject: Unpack[Subject]) -> Self:
-        """Return a request that holds for ``timeout_s`` from now; to be sent at once."""
+        """Return a request that expires in ``timeout_s``; to be sent at once."""
         before = None if command in TIMELESS else str(time.monotonic() + timeout_s)
         return cls(command, before=before, **subject)
 
@@ -84,7 +81,7 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
         return msgspec.json.encode(self) + b"\n"
 
     def too_late(self) -> str:
-        """Return why the order holds no more; "" where it holds."""
+        """Return the refusal of an expired request, else ""."""
         if self.command in TIMELESS or self.before is None:
             return ""
         try:
@@ -98,7 +95,7 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class DeviceStatus(msgspec.Struct, frozen=True):
-    """A device's last reading and its age; ``reason`` is why it is lost."""
+    """A device's last reading and its age; ``reason`` states why it is lost."""
 
     state: str = "unknown"  # or fresh, moving, lost
     age_s: float | None = None
@@ -107,7 +104,7 @@ class DeviceStatus(msgspec.Struct, frozen=True):
 
 
 class Interlock(msgspec.Struct, frozen=True):
-    """One condition of motion; ``blocked`` says why it does not hold, ``code`` is its alarm's."""
+    """One condition of motion; ``blocked`` states why it is not met, ``code`` is its alarm's."""
 
     name: str
     blocked: str = ""
@@ -115,7 +112,7 @@ class Interlock(msgspec.Struct, frozen=True):
 
 
 class PromptStatus(msgspec.Struct, frozen=True):
-    """The question to the operator, and the tracker's look at it (tracker's frame)."""
+    """The prompt to the operator and its last verification, tracker's frame."""
 
     title: str
     text: str
@@ -129,7 +126,7 @@ class PromptStatus(msgspec.Struct, frozen=True):
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
-    """The state of a run; every answer carries it that is no refusal."""
+    """The state of a run: the answer to every request that is not refused."""
 
     run: str = ""
     state: str
@@ -172,24 +169,24 @@ class _Runner(Protocol):
 
 
 class Control:
-    """Listens for commands and hands them to the engine.
+    """Listens for commands and passes them to the engine.
 
-    Raises `StorageError`, and leaves nothing behind, where its files find no place.
+    Raises `StorageError`, and leaves nothing behind, where its files cannot be written.
     """
 
     def __init__(self, folder: Path, engine: _Runner) -> None:
         self._file = folder / ENGINE
         with ExitStack() as undo:
             path = self._listen(engine, undo)
-            # By a name that is no text no folder is found: a copy is then not recognised.
+            # A name that is not UTF-8 matches no folder: a copy is then not recognized.
             place = os.fsencode(folder.resolve()).decode(errors="replace")
             where = msgspec.json.encode(EngineFile(os.getpid(), str(path), place))
             try:
                 write_whole(self._file, where)  # a reader of half a file takes the engine for gone
             except NotWritten as error:
                 raise StorageError(
-                    f"the engine could not say where it listens: {error}; make room or mend the "
-                    f"disk, then `{command_on(folder, 'resume')}`",
+                    f"{ENGINE} could not be written: {error}; make room or repair the disk, "
+                    f"then `{command_on(folder, 'resume')}`",
                     code="HC-J01",
                 ) from error
             undo.pop_all()
@@ -223,13 +220,13 @@ class Control:
         self._server.end_connections()
         self._thread.join()
         shutil.rmtree(self._private, ignore_errors=True)
-        with suppress(OSError):  # a file that nobody listens behind says the same as none
+        with suppress(OSError):  # a file without a listener counts as none
             self._file.unlink()
 
 
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
-    request_queue_size = 128  # while the process stands still
+    request_queue_size = 128  # while the process is suspended
 
     def __init__(self, path: str, engine: _Runner) -> None:
         self.engine, self.connections = engine, set[socket.socket]()
@@ -237,7 +234,7 @@ class _Server(socketserver.ThreadingUnixStreamServer):
 
     def end_connections(self) -> None:
         for connection in tuple(self.connections):
-            with suppress(OSError):  # it has ended by itself
+            with suppress(OSError):  # already ended
                 connection.shutdown(socket.SHUT_RDWR)
 
 
@@ -257,7 +254,7 @@ class _Handler(socketserver.StreamRequestHandler):
             while line := self.rfile.readline(self.LONGEST_REQUEST):
                 self.wfile.write(msgspec.json.encode(self._answer(line)) + b"\n")
                 if not line.endswith(b"\n"):
-                    return  # what follows is the rest of a line too long
+                    return  # the rest of a line that is too long
 
     def finish(self) -> None:
         self.server.connections.discard(self.connection)
@@ -279,7 +276,7 @@ class _Handler(socketserver.StreamRequestHandler):
         return engine.status().answer()
 
     def _do(self, request: Request) -> str:
-        """Do what is asked; return why that is refused."""
+        """Perform a request; return its refusal, else ""."""
         engine = self.server.engine
         match request.command:
             case "proceed" if request.until and (refused := engine.proceed_refusal(request.until)):
@@ -304,19 +301,19 @@ class _Handler(socketserver.StreamRequestHandler):
 
 
 class EngineSilent(HilcellError):
-    """The engine's process lives, and has not answered in time."""
+    """The engine's process lives but has not answered in time."""
 
     code = "HC-J08"
 
 
 class EngineLost(HilcellError):
-    """The engine has hung up, or answers nonsense; the client is closed."""
+    """The engine has hung up or sent an invalid answer; the client is closed."""
 
     code = "HC-J08"
 
 
 class OrderRefused(HilcellError):
-    """The engine refuses what was asked, with its reason."""
+    """The engine refuses the request, with its reason."""
 
 
 class EngineClient:
@@ -325,7 +322,7 @@ class EngineClient:
     LONGEST_ANSWER = 1 << 16
 
     def __init__(self, engine: EngineFile, timeout_s: float | None = None) -> None:
-        """Connect; raises `OSError`. ``timeout_s``: how long it waits for an answer."""
+        """Connect; raises `OSError`. ``timeout_s`` is that of each answer."""
         self._lock = threading.Lock()
         self._patience_s = ANSWER_S if timeout_s is None else timeout_s
         self._asking = self._connect(engine.socket, self._patience_s)
@@ -336,13 +333,13 @@ class EngineClient:
             self._asking.close()
             raise
         self._read = b""
-        self._owed = 0  # answers that are still to come
+        self._pending = 0  # answers still expected
 
     @classmethod
     def of_run(cls, folder: Path, timeout_s: float | None = None) -> Self | None:
         """Return a client of the engine of a run, or None where none lives.
 
-        Raises `EngineSilent` where an engine lives that takes no connection any more.
+        Raises `EngineSilent` where an engine lives but accepts no connection.
         """
         engine = read_engine_file(folder)
         try:
@@ -353,9 +350,9 @@ class EngineClient:
             return None
 
     def stop(self) -> bool:
-        """Ask for a stop now, waiting for nothing; return whether the words went out."""
+        """Request a stop without waiting; return whether it was sent."""
         try:
-            with suppress(BlockingIOError):  # else the engine stands still over its next answer
+            with suppress(BlockingIOError):  # else the engine blocks on its next answer
                 while self._stopping.recv(self.LONGEST_ANSWER):
                     pass
             self._stopping.sendall(Request("stop").line)
@@ -364,26 +361,26 @@ class EngineClient:
         return True
 
     def leave(self) -> None:
-        """Say that the next client to hang up is not lost.
+        """Report that this client does not get lost when it hangs up.
 
-        What is owed is waited for: an engine that answers into a closed line reads no further.
+        Pending answers are awaited: an engine that answers into a closed line reads no further.
         """
-        with suppress(HilcellError):  # the engine is gone, and misses no screen
+        with suppress(HilcellError):  # the engine has ended
             self.ask("leave")
 
     def ask(self, command: Command, **subject: Unpack[Subject]) -> Status:
         """Send a command and return the answer.
 
-        Raises `OrderRefused`, `EngineSilent` where no answer comes in time, `EngineLost` where
-        none can come any more, and `HilcellError` where the answer makes no sense.
+        Raises `OrderRefused`, `EngineSilent` on a timeout, `EngineLost` on a lost connection and
+        `HilcellError` for an invalid answer.
         """
         with self._lock:
             try:
-                while self._owed:
+                while self._pending:
                     self._answer()
                 request = Request.within(self._patience_s, command, **subject)
                 self._asking.sendall(request.line)
-                self._owed += 1
+                self._pending += 1
                 answer = decoded(self._answer(), Json)
             except TimeoutError as error:
                 raise EngineSilent(f"{command}: the engine does not answer") from error
@@ -395,24 +392,24 @@ class EngineClient:
                 raise OrderRefused(typed(answer, Refusal).error)
             return typed(answer, Status)
         except msgspec.ValidationError as error:
-            raise HilcellError(f"engine: {command}: the answer makes no sense: {error}") from error
+            raise HilcellError(f"engine: {command}: invalid answer: {error}") from error
 
     def close(self) -> None:
         """Close both connections; a thread that waits for an answer gets `EngineLost`."""
         for each in (self._asking, self._stopping):
-            with suppress(OSError):  # it has ended by itself
+            with suppress(OSError):  # already ended
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
 
     def _answer(self) -> bytes:
-        """Return the next answer that is owed."""
+        """Return the next pending answer."""
         while b"\n" not in self._read:
             came = self._asking.recv(self.LONGEST_ANSWER)
             if not came or len(self._read) > self.LONGEST_ANSWER:
                 raise ConnectionError("it has hung up" if not came else "it never ends a line")
             self._read += came
         line, _, self._read = self._read.partition(b"\n")
-        self._owed -= 1
+        self._pending -= 1
         return line
 
     @staticmethod
@@ -428,10 +425,7 @@ class EngineClient:
 
 
 def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> Status:
-    """Connect to the engine of the run in ``folder``, ask once and close.
-
-    Raises `HilcellError` where no engine lives, or where it refuses or does not answer.
-    """
+    """Send one command to the engine of the run in ``folder``; raises `HilcellError`."""
     try:
         client = EngineClient.of_run(folder, ORDER_S)
         if client is None:
@@ -443,20 +437,20 @@ def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> S
         process = "" if engine is None else f", process {engine.pid},"
         raise HilcellError(
             f"run {folder.name}: {command}: its engine{process} has not answered within "
-            f"{ORDER_S:.0f} s ({error.__cause__}): it stands still, or the machine has too much to "
-            "do; where anything moves use the E-stop",
+            f"{ORDER_S:.0f} s ({error.__cause__}): it is suspended, or the machine is overloaded; "
+            "if anything moves, use the E-stop",
             code="HC-J08",
         ) from error
     except EngineLost as error:
         raise HilcellError(
-            f"run {folder.name}: the engine has just ended; `hilcell show` tells", code="HC-J08"
+            f"run {folder.name}: the engine has just ended; see `hilcell show`", code="HC-J08"
         ) from error
     except OrderRefused as error:
         raise HilcellError(f"run {folder.name}: {error}") from error
 
 
 def stop_engine(folder: Path) -> bool:
-    """Ask the engine of a run for a stop by a new connection; return whether it was there."""
+    """Request a stop by a new connection; return whether an engine lives."""
     with suppress(EngineSilent):
         if client := EngineClient.of_run(folder):
             with closing(client):
@@ -469,4 +463,4 @@ def _missing(folder: Path) -> str:
         is_regular_file(folder / ENGINE)
     except OSError as error:
         return f"its engine may be running: {ENGINE} cannot be read: {error.strerror}"
-    return "no engine is running; `hilcell show` tells how it ended"
+    return "no engine is running; `hilcell show` shows how it ended"

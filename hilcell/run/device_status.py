@@ -1,7 +1,7 @@
 """The last reading of each device, its age, and whether it moves: for display, never for motion.
 
-The ports of a run are wrapped here, so that no device is asked a second time for the display. A
-displayed reading is no interlock. It may be old; motions take their own.
+The ports of a run are wrapped here, so that no device is read again for the display. A displayed
+reading may be old and admits no motion; motions take their own.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Reading = TypeVar("Reading", ports.RailReading, ports.RobotReading, ports.Tracke
 
 
 class DeviceMonitor(Generic[Reading]):
-    """The known state of one device: written by the worker alone, read by any thread."""
+    """The last known state of one device; written by the worker alone, read by any thread."""
 
     def __init__(self, device: str, kind: type[Reading], clock: Clock) -> None:
         self._device, self._clock = device, clock
@@ -53,11 +53,11 @@ class DeviceMonitor(Generic[Reading]):
 
     @contextmanager
     def watch(self, *, moving: bool = False) -> Iterator[None]:
-        """Watch one call of the device: it may move meanwhile, and it may fail."""
+        """Watch one call of the device, which may move or fail."""
         self.moving = moving
         try:
             yield
-        except NoReading:  # the device is well
+        except NoReading:  # the device answers
             self.reason, self.error = "", None
             raise
         except DeviceError as error:
@@ -78,25 +78,25 @@ class DeviceMonitor(Generic[Reading]):
                 raise DriverDefect(self._device, with_place(error)) from error
 
     def take(self, found: Reading) -> None:
-        """Take what a driver returned as a reading; raises `DriverDefect` where it is none."""
+        """Accept a driver's reading; raises `DriverDefect` for an invalid one."""
         if not isinstance(found, self._kind):
             problem = f"its driver returned {type(found).__name__}, expected {self._kind.__name__}"
             raise DriverDefect(self._device, problem)
         ahead_s = found.taken_s - self._clock.pc_s()
-        if ahead_s > 0.0:  # NaN is refused where its age is judged
+        if ahead_s > 0.0:  # NaN is refused where its age is checked
             problem = f"a reading is {ahead_s:.3f} s ahead of now; taken_s is clock.pc_s()"
             raise DriverDefect(self._device, problem)
         self._reading = found
 
     def identified(self, found: object) -> list[Identity]:
-        """Return the identities; raises `DriverDefect` for anything but a list of them."""
+        """Return the identities; raises `DriverDefect` for any other type."""
         if isinstance(found, list) and all(isinstance(each, Identity) for each in found):
             return found
         problem = f"connect returned {type(found).__name__}, expected a list of Identity"
         raise DriverDefect(self._device, problem)
 
     def known(self, operation: str) -> Reading:
-        """Return the last reading; raises `Blocked` where the device moves or it is old."""
+        """Return the last reading; raises `Blocked` if it is old or the device moves."""
         device, name, reading = self._device, self._device.lower(), self._reading
         if self.moving:
             code = "HC-R41" if device == "Rail" else "HC-B31"
@@ -146,9 +146,9 @@ class CellMonitor:
         self._refreshed_s = 0.0
 
     def refresh(self, *, at_once: bool = False) -> None:
-        """Read rail and robot where the last readings grow old; called while nothing moves.
+        """Read rail and robot again every `REFRESH_S`; called while nothing moves.
 
-        A device that fails is lost, not at fault: the next motion's interlocks judge it.
+        A device that fails is lost, no fault: the next motion's interlocks judge it.
         """
         now_s = time.monotonic()
         if now_s - self._refreshed_s < self.REFRESH_S and not at_once:
@@ -158,16 +158,15 @@ class CellMonitor:
             try:
                 device.read()
             except DeviceError:
-                continue  # its status says so
+                continue  # shown by its status
 
     @property
     def lost(self) -> dict[str, DeviceError]:
-        """Return, by name, the devices that did not answer when they were last asked."""
+        """Return, by name, the devices that failed at their last call."""
         devices = {name: each for name, each in self._monitors.items() if name != "strip"}
         return {name: each.error for name, each in devices.items() if each.error is not None}
 
     def take_rail(self, reading: ports.RailReading) -> ports.RailReading:
-        """Show a reading of the rail, which carries the strip's."""
         self.rail.take(reading)
         how = "power on" if reading.powered else "held"
         moves = "" if reading.still else f", {reading.velocity_mm_s:.1f} mm/s"
@@ -183,7 +182,7 @@ class CellMonitor:
         return reading
 
     def take_tracker(self, reading: ports.TrackerReading) -> ports.TrackerReading:
-        """Show a reading of the tracker; raises `DriverDefect` for other shapes than (3,)."""
+        """Accept a reading; raises `DriverDefect` for other shapes than (3,)."""
         self.tracker.take(reading)
         shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
         if shapes != ((3,), (3,)):
@@ -200,7 +199,7 @@ class CellMonitor:
         return {n: each.status() for n, each in self._monitors.items() if n not in left_out}
 
     def interlocks(self, station: Station | None) -> list[Interlock]:
-        """Return for each interlock what blocks it, as far as it is known; ``station`` is held."""
+        """Return each interlock's state by the last readings; ``station`` is held."""
 
         def held(operation: str) -> None:
             if self._cell.has_rail:
@@ -229,7 +228,7 @@ def _judged(name: str, check: Callable[[], None]) -> Interlock:
 
 
 class _Watched(Generic[D]):
-    """A device as the run uses it. Its statistics, stop and close are not watched."""
+    """A device as the run uses it; statistics, stop and close are not watched."""
 
     def __init__(self, device: D, own: Monitor, monitor: CellMonitor) -> None:
         self._device: D = device

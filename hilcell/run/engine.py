@@ -1,4 +1,4 @@
-"""The engine: one run, with its cell locked and its journal open, from its order to its end."""
+"""The engine: one run with its cell locked and its journal open, from order to end."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ from hilcell.sanitize import encodable
 from hilcell.wire.record import Addresses, WireRecording
 from hilcell.wire.recording import Head, TimedStop
 
-SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
+SWITCH_S = 0.0005  # for the heartbeat's thread; Python's default is 5 ms
 
 
 class _Output(AbstractContextManager[object], Protocol):
-    """Prints a run's records as it goes, and is entered while the run lives."""
+    """Prints a run's records; entered while the run lives."""
 
     def take(self, record: Record) -> None: ...
     def skip_measured(self, keys: Iterable[str]) -> None: ...
 
 
 class Ending(NamedTuple):
-    """How a run ended; ``unclosed`` says, by device, why it could not be left at rest."""
+    """How a run ended; ``unclosed`` are the errors of devices not left at rest, by name."""
 
     code: int
     fault: Exception | None
@@ -80,7 +80,7 @@ class Engine:
 
     def __enter__(self) -> Self:
         folder, cell = self.plan.folder, self.plan.cell
-        runs = folder.resolve().parent  # by whatever path the run is named, it has one lock
+        runs = folder.resolve().parent  # one lock by whatever path
         with ExitStack() as stack:
             lock = lock_of_name(runs, cell.name)
             stack.enter_context(locked(lock, f"cell {cell.name}", folder.name))
@@ -104,14 +104,14 @@ class Engine:
         raise NotImplementedError
 
     def _place(self) -> FolderOrder:
-        """Return the order of a session that begins now, and say where the clock ran back."""
+        """Return the order of a new session; warn where the clock ran back."""
         rows = read_index(self.plan.folder.resolve().parent)
         for note in clock_notes(rows, datetime.now(UTC)):
             self._say(f"warning: {note}")
         return next_order(rows)
 
     def run(self, output: _Output) -> Ending:
-        """Run to an end, and write the calibration."""
+        """Perform the run and write the calibration."""
         journal, log = self.journal, self.journal.log
         journal.listen(output.take)
         self._begin()
@@ -126,7 +126,7 @@ class Engine:
             return self._perform(noted)
 
     def _perform(self, noted: list[signal.Signals]) -> Ending:
-        """Bring up devices and perform; failures before the runner lives are journalled here."""
+        """Connect and perform; failures before the runner exists are journalled here."""
         journal, log = self.journal, self.journal.log
         sys.setswitchinterval(SWITCH_S)
         try:
@@ -134,12 +134,12 @@ class Engine:
                 return self._live(noted, stack)
         except HilcellError as error:
             if isinstance(error, CellLocked) and not log.session:
-                raise  # there is nothing to keep
+                raise  # nothing to record
             code = exit_code(error)
             end = Ended(state=log.state, exit=code, reason=str(error), error=error.facts())
             try:
                 journal.append("end", "", end)
-            except StorageError as unwritten:  # a disk that takes no engine takes no end either
+            except StorageError as unwritten:  # the disk is full
                 return Ending(EXIT_STORAGE, unwritten)
             return Ending(code, error)
 
@@ -147,7 +147,7 @@ class Engine:
         """Perform on devices that ``stack`` closes."""
         cell, folder, journal = self.plan.cell, self.plan.folder, self.journal
         log, inputs, stop = journal.log, journal.log.inputs, TimedStop()
-        with stopped_by_signals(noted):  # it waits for another process
+        with stopped_by_signals(noted):  # waits for another process
             simulated = start_simulation(
                 cell,
                 seed=inputs.machine_seed,
@@ -158,7 +158,7 @@ class Engine:
                 stack.callback(simulated.close)
         addresses: Addresses = simulated.options if simulated is not None else {}
         if simulated is None or (cell.simulation and cell.simulation.address):
-            self._lock_devices(addresses, stack)  # nobody else has our own ones
+            self._lock_devices(addresses, stack)  # a simulator of our own needs no lock
         clock: Clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
         if self._attendance.record_wire:
             recording = self._recording(addresses)
@@ -173,13 +173,13 @@ class Engine:
         except StorageError:
             runner.dismiss()
             raise
-        gc.freeze()  # what was loaded stays: a collection, which holds up a stop, is short
-        # While its engine is there: afterwards a file that is missing is a lost one.
+        gc.freeze()  # keeps collections, which delay a stop, short
+        # Before the engine ends: afterwards a missing file counts as lost.
         code = runner.run(noted)
         return self._with_calibration(Ending(code, runner.fault, runner.unclosed))
 
     def _lock_devices(self, addresses: Addresses, stack: ExitStack) -> None:
-        """Lock the places at which the devices are reached; raises `CellLocked`, `StorageError`."""
+        """Lock the devices' addresses; raises `CellLocked`, `StorageError`."""
         for place, tables in device_places(self.plan.cell, addresses).items():
             what = f"device {' and '.join(tables)} at {place}"
             stack.enter_context(locked(lock_of_device(place), what, self.journal.run))
@@ -187,7 +187,7 @@ class Engine:
             self._say(f"warning: {note}")
 
     def _recording(self, addresses: Addresses) -> WireRecording:
-        """Return the relays that record the devices' wires, and say which are left out."""
+        """Return the relays that record the devices' wires; warn of those left out."""
         cell, folder, log = self.plan.cell, self.plan.folder, self.journal.log
         procedure, seed, stated = log.inputs.procedure, log.inputs.seed, msgspec.to_builtins(cell)
         head = Head(folder.name, procedure, seed, log.session + 1, stated)
@@ -197,7 +197,7 @@ class Engine:
         return recording
 
     def _with_calibration(self, ending: Ending) -> Ending:
-        """Write the calibration that a run has ended with; report a file that is not written."""
+        """Write the run's calibration; a failure is the run's ending."""
         log, path = self.journal.log, self.plan.folder / CALIBRATION
         if log.calibrates:
             try:
@@ -208,7 +208,7 @@ class Engine:
 
 
 class NewEngine(Engine):
-    """Performs a run for the first time; where its cell is locked it leaves nothing behind."""
+    """Performs a new run; leaves nothing behind where its cell is locked."""
 
     plan: NewRun
 
@@ -263,7 +263,7 @@ class NewEngine(Engine):
 
 
 class ResumedEngine(Engine):
-    """Lets a run go on that an engine has left; its plan is checked again behind the lock."""
+    """Continues a run; its plan is checked again under the lock."""
 
     plan: ResumedRun
 
@@ -272,20 +272,22 @@ class ResumedEngine(Engine):
         self._order = order
 
     def _open(self, stack: ExitStack) -> RunJournal:
-        """Open the journal, and say where another folder beside it holds this run as well."""
+        """Open the journal; warn of another folder with the same run."""
         folder = self.plan.folder
         journal = stack.enter_context(
             closing(RunJournal(folder / JOURNAL, encodable(folder.name), create=False))
         )
-        # Only now nobody else writes it: another engine may have gone on.
-        self.plan = self._order.check(folder, journal.log, somebody=self.plan.somebody)
+        # Only now no other engine writes it.
+        self.plan = self._order.check(
+            folder, journal.log, operator_present=self.plan.operator_present
+        )
         runs, origin = folder.resolve().parent, row_of(folder).origin
         same = sorted(row.name for row in read_index(runs) if row.origin == origin)
         if self.plan.goes_on and len(same) > 1:
             self._say(
                 f"warning: {' and '.join(map(encodable, same))} in {runs} are one run; "
-                f"only {encodable(folder.name)} goes on, and the other is then an older copy of "
-                "it: move it elsewhere"
+                f"only {encodable(folder.name)} continues, and the other becomes an older copy: "
+                "move it elsewhere"
             )
         return journal
 
@@ -306,9 +308,9 @@ class ResumedEngine(Engine):
 
 
 def finished_runs(runs: Path, cell: Cell) -> list[str]:
-    """Return the newest five finished runs, by which poses are known, of a cell with volumes.
+    """Return the newest five finished runs of a cell with volumes, whose poses are known.
 
-    Where a simulated cell or a replay went, nothing is known of the real one.
+    Simulated runs and replays count for simulated cells only.
     """
     if cell.surroundings is None:
         return []

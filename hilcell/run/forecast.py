@@ -1,9 +1,9 @@
-"""How long a run will still take, from its plan and its journal.
+"""The remaining duration of a run, from its plan and its journal.
 
-The plan states durations in the cell's time, and a simulated cell's speed is known. Time on top, of
-controllers and computing, is learnt from the intervals between points: each kind of measurement
-learns its own. Pauses, and the time between the sessions of a resumed run, count for nothing. The
-way to the first point of a kind is unlike those between points, and teaches nothing.
+The plan states durations in the cell's time, and a simulated cell's speed is known. Additional time
+of controllers and computing is learnt from the intervals between points, separately for each kind
+of measurement. Pauses and the time between sessions do not count, nor does the motion to the first
+point of a kind, which differs from those between points.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from hilcell.model.plan import PlannedStep, PlanRecord, Span
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import Ended, StateChanged
 
-FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
+FLANGE, READINGS = "flange", " readings"  # kinds of spans: flange points, nests
 
 
 @dataclass(frozen=True, slots=True)
 class RemainingSpan:
-    """A part of one step that is still to come: measurements alike, or a way, and its time."""
+    """The rest of one span of a step: its measurements, or a motion, and its time."""
 
     step: int  # its number, from 1
     kind: str
@@ -35,7 +35,7 @@ class RemainingSpan:
 
 
 class SpanProgress(NamedTuple):
-    """The measurements of the part under way: taken, planned, and whether they are of nests."""
+    """Measurements of the current span: taken, planned, and whether they are of nests."""
 
     taken: int
     planned: int
@@ -48,21 +48,21 @@ class _StepProgress:
     def __init__(self, plan: PlannedStep) -> None:
         self.spans = plan.spans or (Span(plan.name, plan.points, plan.duration_s),)
         self.counts_control = bool(plan.spans)
-        self.at = 0  # the span under way
-        self.taken = [0] * len(self.spans)  # of the measurements of each
-        self.since_s = 0.0  # worked since the last measurement, or since the step began
-        self.alike = False  # whether the way to the next measurement is like those after it
+        self.at = 0  # the current span
+        self.taken = [0] * len(self.spans)  # measurements of each
+        self.since_s = 0.0  # working time since the last measurement or the step's begin
+        self.alike = False  # whether the next interval is representative
         self.done = False
 
     def measure(self, *, again: bool, unlike: str = "") -> tuple[Span, float] | None:
-        """Take one measurement; return its span and interval where that is like the others.
+        """Count one measurement; return its span and interval where that is representative.
 
-        ``unlike`` ends the kind of spans to which it cannot belong. A proof of nests within many
-        points counts for one that is planned after them, and does not end their span.
+        ``unlike`` is the suffix of kinds to which it cannot belong. A tracker verification within
+        many points counts for one that is planned after them and does not end their span.
         """
         interval_s, self.since_s = self.since_s, 0.0
         alike, self.alike = self.alike and not again, True
-        found = None if again else self._room(unlike)
+        found = None if again else self._open_span(unlike)
         if found is None:
             return None
         self.taken[found] += 1
@@ -77,8 +77,8 @@ class _StepProgress:
     def _full(self, number: int) -> bool:
         return self.taken[number] >= self.spans[number].measured
 
-    def _room(self, unlike: str) -> int | None:
-        """Return the number of the first span that can hold a measurement; None: no span can."""
+    def _open_span(self, unlike: str) -> int | None:
+        """Return the number of the first span that is not full, or None."""
         for number in range(self.at, len(self.spans)):
             kind = self.spans[number].kind
             if not self._full(number) and not (unlike and kind.endswith(unlike)):
@@ -86,16 +86,16 @@ class _StepProgress:
         return None
 
     def left(self) -> list[tuple[Span, int]]:
-        """Return the spans to come, each with the number of its measurements that are left."""
+        """Return the remaining spans, each with its number of remaining measurements."""
         ahead = [*zip(self.spans, self.taken, strict=True)][self.at :]
         return [(span, span.measured - taken) for span, taken in ahead]
 
 
 class _Pace:
-    """How many real seconds the planned ones take: so many by the speed, more by what was seen."""
+    """Real seconds of planned ones: by the cell's speed, and extra time as measured."""
 
     def __init__(self, share: float) -> None:
-        self.share = share  # real to planned seconds by the stated speed; 0 where it has no limit
+        self.share = share  # real per planned seconds; 0 without a speed limit
         self._counts: defaultdict[str, int] = defaultdict(int)
         self._extra_s: defaultdict[str, float] = defaultdict(float)
         self._all_planned_s = self._all_extra_s = 0.0
@@ -105,7 +105,7 @@ class _Pace:
         return self.share > 0 or self._all_planned_s > 0
 
     def learn(self, span: Span, real_s: float) -> None:
-        """Take how long one measurement of a span really took."""
+        """Learn from the real duration of one measurement."""
         extra_s = real_s - self.share * span.each_s
         self._counts[span.kind] += 1
         self._extra_s[span.kind] += extra_s
@@ -113,7 +113,7 @@ class _Pace:
         self._all_extra_s += extra_s
 
     def each_s(self, span: Span) -> float:
-        """Return the real seconds of one measurement of a span, or of a lead."""
+        """Return the real seconds of one measurement or motion of a span."""
         count = self._counts.get(span.kind, 0) if span.measured else 0
         if count:
             extra_s = self._extra_s[span.kind] / count
@@ -125,17 +125,15 @@ class _Pace:
 
 
 class Forecast:
-    """Takes a run's records in their order; keeps no time of its own.
-
-    ``now`` is what the caller's clock says, in UTC; a clock that runs back counts as standing.
-    Durations are real seconds: a simulated cell that runs faster takes less of them.
+    """Takes a run's records in sequence. ``now`` is the caller's time, UTC; durations are real
+    seconds.
     """
 
     CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
 
     def __init__(self) -> None:
         self._steps: list[_StepProgress] = []
-        self._number = 0  # of the step under way
+        self._number = 0  # of the current step
         self._pace = _Pace(1.0)
         self._latest: datetime | None = None
         self._worked_s = 0.0
@@ -144,8 +142,8 @@ class Forecast:
     def take(self, record: Record) -> None:
         fact, moment = record.fact, datetime.fromisoformat(record.t)
         begins = isinstance(fact, StateChanged) and fact.to == "checking"
-        if not begins and record.kind != "end":  # a session may end that never began
-            passed_s = self._under_way_s(moment)
+        if not begins and record.kind != "end":  # a session may end without having begun
+            passed_s = self._since_latest_s(moment)
             self._worked_s += passed_s
             if (step := self._step) is not None:
                 step.since_s += passed_s
@@ -167,22 +165,22 @@ class Forecast:
                 self._working = False
 
     def elapsed_s(self, now: datetime) -> float:
-        return self._worked_s + self._under_way_s(now)
+        return self._worked_s + self._since_latest_s(now)
 
     def remaining_s(self, now: datetime) -> float | None:
-        """Return how long it has still to work, or None while that is unknown."""
+        """Return the remaining working time, or None while it is unknown."""
         if not self._steps or not self._pace.known:
             return None
         ahead = [step for step in self._steps if not step.done]
-        here, passed_s = self._step, self._under_way_s(now)
+        here, passed_s = self._step, self._since_latest_s(now)
         rests_s = [self._rest_s(step, passed_s if step is here else 0.0) for step in ahead]
         return sum(rests_s) + (self.CLOSING_S if ahead else 0.0)
 
     def ahead(self, now: datetime) -> list[RemainingSpan]:
-        """Return what is to come, part by part, in real seconds; nothing while that is unknown."""
+        """Return the remaining spans in real seconds; none while that is unknown."""
         if not self._steps or not self._pace.known:
             return []
-        passed_s = self._under_way_s(now)
+        passed_s = self._since_latest_s(now)
         found = []
         for number, step in enumerate(self._steps, start=1):
             if step.done or number < self._number:
@@ -196,7 +194,7 @@ class Forecast:
 
     @property
     def span(self) -> SpanProgress | None:
-        """Return how far the part under way is; None where nothing in it is measured."""
+        """Return the progress of the current span; None where nothing in it is measured."""
         step = self._step
         if step is None or not step.counts_control:
             return None
@@ -206,7 +204,7 @@ class Forecast:
             SpanProgress(step.taken[step.at], found.measured, of_nests) if found.measured else None
         )
 
-    # -- what happened ------------------------------------------------------------------------
+    # -- the records ------------------------------------------------------------------------
 
     @property
     def _step(self) -> _StepProgress | None:
@@ -215,13 +213,13 @@ class Forecast:
     def _enter(self, state: RunState) -> None:
         self._working = state in WORKING
         if not self._working and (step := self._step) is not None:
-            step.alike = False  # the measurement under way may end while nobody counts
+            step.alike = False  # the current measurement may end during the pause
         if state == "finished":
             for step in self._steps:
                 step.done = True
 
     def _begin(self, number: int) -> None:
-        """Begin a step: the one before is done; a new session begins again with the first."""
+        """Begin a step; the one before is done. A new session begins with the first."""
         before = self._step
         if before is not None and number > self._number:
             before.done = True
@@ -230,23 +228,23 @@ class Forecast:
             step.since_s, step.alike = 0.0, False
 
     def _measure(self, group: str, *, again: bool, joints: bool = False) -> None:
-        """Take a measurement; ``joints``: the robot was sent to its place."""
+        """Count a measurement; ``joints``: the robot moved to it."""
         step = self._step
         if step is None or step.done or (group == CONTROL and not step.counts_control):
             return
         unlike = READINGS if joints else FLANGE if group == CONTROL else ""
-        if (seen := step.measure(again=again, unlike=unlike)) is not None:
-            self._pace.learn(*seen)
+        if (learnt := step.measure(again=again, unlike=unlike)) is not None:
+            self._pace.learn(*learnt)
 
-    def _under_way_s(self, now: datetime) -> float:
+    def _since_latest_s(self, now: datetime) -> float:
         if not self._working or self._latest is None:
             return 0.0
         return max(0.0, (now - self._latest).total_seconds())
 
-    # -- what is to come ----------------------------------------------------------------------
+    # -- the rest ----------------------------------------------------------------------
 
     def _rest_s(self, step: _StepProgress, passed_s: float) -> float:
-        """Return the rest of a step; the time since its last measurement counts for the next."""
+        """Return the rest of a step less the time since its last measurement."""
         left_s, next_s, leading = 0.0, 0.0, True
         for span, count in step.left():
             each_s = self._pace.each_s(span)

@@ -1,8 +1,8 @@
 """Conditions before anything moves or is measured; pure checks on fresh readings.
 
-The readings are young enough, and are kept in the journal with the intent that they admit. Each
-check raises `Blocked` with the reason in words; NaN never passes. hilcell is not a safety
-function: these interlocks protect the measurement and the machine's peace, not people.
+The readings are recent and are journalled with the motion that they admit. Each check raises
+`Blocked` with the reason; NaN never passes. hilcell is not a safety function: these interlocks
+protect the measurement and the machine, not people.
 """
 
 from __future__ import annotations
@@ -29,35 +29,32 @@ class Blocked(DeviceError):
 
 # -- readings that admit motions ------------------------------------------------------------------
 
-# A PC that did not run between a reading and its use has an old reading and a device that is
-# well. So it reads again; the interlocks judge the age of the new reading all the same.
-
-TRIES = 5
-SHARE = 0.8  # of the limit: the rest is left until the motion begins
+# A PC that was suspended between a reading and its use has an old reading of a working device. So
+# it reads again; the interlocks check the age of the new reading all the same.
 
 R = TypeVar("R", RailReading, RobotReading)
 
 
 def fresh_reading(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
-    """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
+    """Return ``taken`` if its age is well below ``limit_s``, else one of up to five readings.
 
-    Where none is, the last one is returned.
+    The last one is returned if all are old.
     """
+    tries, share = 5, 0.8  # share of the limit: the rest is left until the motion begins
     reading = read() if taken is None else taken
-    for _ in range(TRIES - 1):
-        if clock.pc_s() - reading.taken_s <= SHARE * limit_s:
+    for _ in range(tries - 1):
+        if clock.pc_s() - reading.taken_s <= share * limit_s:
             break
         reading = read()
     return reading
 
 
 def reading_time(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
-    """Return when a reading was taken, and how old it is."""
     return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
 
 
 def reading_facts(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
-    """Return a reading of the other device: it rests, and is held or where it may be."""
+    """Return the journal's facts of the reading that admits a motion of the other device."""
     facts = msgspec.structs.asdict(reading_time(reading, now_s))
     if isinstance(reading, RobotReading):
         state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}
@@ -70,7 +67,7 @@ def reading_facts(reading: RailReading | RobotReading, now_s: float) -> dict[str
 
 
 def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s: float) -> None:
-    """Refuse a reading older than ``limit_s``, or from the future."""
+    """Raise `Blocked` for a reading older than ``limit_s``, or from the future."""
     age_s = now_s - taken_s
     if not -0.001 <= age_s <= limit_s:
         raise Blocked(
@@ -85,13 +82,13 @@ def check_age(device: str, operation: str, taken_s: float, now_s: float, limit_s
 
 
 def check_rail_may_move(cell: Cell, robot: RobotReading, now_s: float) -> None:
-    """I1: the robot rests at its safe pose, by a reading taken after it stopped."""
+    """I1: the robot is at rest at its safe pose, by a reading taken after it stopped."""
     check_age("Robot", RAIL_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
     check_safe_pose(cell, robot)
 
 
 def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
-    """Refuse a robot that moves or is not at its safe pose."""
+    """Raise `Blocked` for a robot that moves or is not at its safe pose."""
     check_still(robot, RAIL_BLOCKED, expected="at rest at its safe pose")
     off_deg = np.abs(np.degrees(robot.joints_rad) - cell.robot.safe_deg)
     if not bool(np.all(off_deg <= SAFE_POSE_TOLERANCE_DEG)):
@@ -111,13 +108,12 @@ def check_safe_pose(cell: Cell, robot: RobotReading) -> None:
 
 
 def check_robot_rests(cell: Cell, robot: RobotReading, now_s: float) -> None:
-    """Refuse a robot that moves: where its next motion starts is unknown."""
+    """Raise `Blocked` for a robot that moves or was not read recently."""
     check_age("Robot", ROBOT_BLOCKED, robot.taken_s, now_s, cell.settle.reading_age_s)
     check_still(robot, ROBOT_BLOCKED)
 
 
 def check_still(robot: RobotReading, operation: str, expected: str = "at rest") -> None:
-    """Refuse a robot that moves."""
     if not robot.still:
         raise Blocked("HC-B31", "Robot", operation, "the robot is moving", expected=expected)
 
@@ -125,13 +121,13 @@ def check_still(robot: RobotReading, operation: str, expected: str = "at rest") 
 def check_robot_may_move(
     cell: Cell, rail: RailReading, station: Station | None, now_s: float
 ) -> None:
-    """I2: the slide stands, is held, and the strip reads the station's value."""
+    """I2: the slide is at rest and held, and the strip reads the station's value."""
     check_age("Rail", ROBOT_BLOCKED, rail.taken_s, now_s, cell.settle.reading_age_s)
     check_held(cell, rail, station, ROBOT_BLOCKED)
 
 
 def check_held(cell: Cell, rail: RailReading, station: Station | None, operation: str) -> None:
-    """Refuse a slide that moves, has power to move, or does not stand at ``station``."""
+    """Raise `Blocked` for a slide that moves, has power, or is not at ``station``."""
     readings = (rail.position_mm, rail.strip_mm, rail.velocity_mm_s)
     if not (rail.still and all(map(math.isfinite, readings))):
         raise Blocked(
@@ -151,7 +147,7 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
 
 
 def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str) -> None:
-    """Refuse a strip reading that is not the station's, to one count beyond the tolerance."""
+    """Raise `Blocked` for a strip reading more than one count beyond the tolerance."""
     limit_mm = cell.rail.held_within_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(
@@ -170,7 +166,7 @@ def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str)
 
 
 def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
-    """Refuse joints (6,) outside the software limits less the margin."""
+    """Raise `Blocked` for joints (6,) outside the software limits less the margin."""
     low, high = cell.robot.margin_limits_rad
     inside = (joints_rad >= low) & (joints_rad <= high)
     if not inside.all():

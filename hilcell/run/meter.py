@@ -1,6 +1,6 @@
-"""Readings of the tracker: taken at rest, judged, and journalled before anybody sees them.
+"""Readings of the tracker: taken at rest, checked, and journalled before they are used.
 
-A reflector that is carried by hand is asked for; the tracker proves where it sits.
+A reflector that is carried by hand is requested by a prompt; the tracker verifies its position.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from hilcell.run.prompts import FLANGE, Verification, beam_prompt, placement_pro
 
 
 class Meter(Mover):
-    """Measures where slide and robot stand. ``last`` is the newest point of this session."""
+    """Measures at the present pose. ``last`` is the newest point of this session."""
 
-    TRIES = 3  # of a measurement, before anybody is asked
+    TRIES = 3  # of a measurement before the operator is prompted
 
     last: Point | None = None
 
@@ -31,11 +31,11 @@ class Meter(Mover):
     def measure(
         self, key: str, place: str, near_mm: Array, samples: int, *, back: bool = False
     ) -> TrackerReading | None:
-        """Measure the reflector at ``place``, expected at (3,), tracker's frame; in the second face
-        of a tracker that turns over where ``back``.
+        """Measure the reflector at ``place``, expected at (3,), tracker's frame; ``back``: in the
+        second face.
 
-        Tries again, then asks the operator until the beam finds the reflector. Returns None then:
-        the tracker may have moved meanwhile, and is proven before the next measurement.
+        Tries again, then prompts the operator until the tracker measures the reflector. Returns
+        None then: the tracker may have moved and is verified before the next measurement.
         """
         for tries in range(1, self.TRIES + 1):
             try:
@@ -63,13 +63,13 @@ class Meter(Mover):
                 "Tracker",
                 f"measure {key}",
                 f"result is {began_s - reading.taken_s:.3f} s older than its request",
-                act="an answer of an earlier measurement was still under way; resume",
+                act="the answer of an earlier measurement came late; resume",
                 fields={"point": key, "late_s": began_s - reading.taken_s},
             )
         return reading
 
     def _verify_reflector(self, key: str, near_mm: Array) -> Verification:
-        """Verification for the reflector with the beam alone; a tracker that fails sees nothing."""
+        """Measure once; a tracker that fails is a failed verification."""
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
@@ -87,7 +87,7 @@ class Meter(Mover):
         **facts: object,
     ) -> Point:
         """Journal a reading with those of rail and robot; raises `DeviceError` for a slide that
-        left its station meanwhile, and for a pose that is not that of its joints.
+        left its station and for a robot pose that differs from its joints.
         """
         rail = self.devices.rail.read()
         if self.held is not None:
@@ -118,7 +118,7 @@ class Meter(Mover):
         self.last = self.point(id, **body | facts)
         return self.last
 
-    # -- nests on the floor, which prove the tracker ----------------------------------------------
+    # -- floor nests --------------------------------------------------------------------------
 
     def floor_nest_point(self, id: PointId, nest: Nest) -> Point:
         if known := self.log.find(id):
@@ -129,14 +129,14 @@ class Meter(Mover):
         return self._measure_floor_nest(id, nest, samples)
 
     def second_face_point(self, id: PointId, nest: Nest, samples: int) -> Point:
-        """Measure a nest on the floor in the tracker's second face."""
+        """Measure a floor nest in the tracker's second face."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
         return self._measure_floor_nest(id, nest, samples, back=True)
 
     def swapped_point(self, id: PointId, place: str, nest: Nest) -> Point:
-        """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
+        """Measure the reflector of ``place`` in a floor nest after the operator placed it there."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
@@ -144,7 +144,7 @@ class Meter(Mover):
         return self._measure_floor_nest(id, nest, self.cell.nest_samples)
 
     def return_reflectors(self, nest: Nest) -> None:
-        """Have every borrowed reflector put back where it belongs."""
+        """Request that every reflector is returned to its own place."""
         self.checkpoint()
         self._swap(nest.name, nest)
 
@@ -156,28 +156,28 @@ class Meter(Mover):
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
                 return self.record_point(id, "", reading)
 
-    # -- the person who carries reflectors --------------------------------------------------------
+    # -- reflectors carried by hand -----------------------------------------------------------
 
     def request_reflector(self, place: str, nominal_mm: Array) -> None:
-        """Have the one reflector carried to ``place``, nominally (3,) in {W}, unless it is there.
+        """Request the carried reflector at ``place``, nominally (3,) in {W}, unless it is there.
 
-        Robot parked, slide held. Mounted reflectors are where they are.
+        Parks the robot; the slide is held. Nothing to do with mounted reflectors.
         """
         if not self.cell.layout.by_hand or self.log.seated == place:
             return
         self.parked()
         rail = self.devices.rail.read()
-        check_held(self.cell, rail, self.held, f"seat the reflector at {place}")
+        check_held(self.cell, rail, self.held, f"place the reflector at {place}")
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
         prompt = placement_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
-        look = self.ask(prompt, lambda: self._verify_reflector(f"look at {place}", near_mm), None)
-        assert look.xyz_mm is not None  # noqa: S101 - an answer is proven by a look that saw it
-        self.add(Seated(place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm))
+        result = self.ask(prompt, lambda: self._verify_reflector(f"verify {place}", near_mm), None)
+        assert result.xyz_mm is not None  # noqa: S101 - a verified answer has a reading
+        self.add(Seated(place=place, xyz_mm=result.xyz_mm, strip_mm=rail.strip_mm))
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
-        """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
+        """Return the expected position (3,) of a placed reflector, tracker's frame, and its limit.
 
-        Its last position, shifted by the slide's motion where it rides on the slide, is used first.
+        The last position, shifted by the slide's motion for nests on the slide, else the nominal.
         """
         layout = self.cell.layout
         if place in self.log.sights:
@@ -195,8 +195,8 @@ class Meter(Mover):
         return near_mm, limit_mm
 
     def _swap(self, place: str, nest: Nest) -> None:
-        """Have the reflector of ``place`` carried to ``nest``; the robot is parked."""
+        """Request the reflector of ``place`` in ``nest``; the robot is parked."""
         self.parked()
         near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
         prompt = swap_prompt(self.cell, place, nest.name, near_mm)
-        self.ask(prompt, lambda: self._verify_reflector(f"look at {nest.name}", near_mm), None)
+        self.ask(prompt, lambda: self._verify_reflector(f"verify {nest.name}", near_mm), None)

@@ -1,7 +1,4 @@
-"""Motions of slide and robot: each passes the interlocks with readings taken for it.
-
-Among them is the slow sweep of one axis with the tracker streaming.
-"""
+"""Motions of slide and robot, each admitted by the interlocks with readings taken for it."""
 
 from __future__ import annotations
 
@@ -35,15 +32,15 @@ from hilcell.run.interlocks import (
 from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.run_context import RunContext
 
-# The trap: the drive's encoder is blind to backlash. So the last motion always comes from the
-# same side, and only the strip, read at rest, says where the slide is.
+# The trap: the drive's encoder does not show backlash. So the last motion always comes from the same
+# side, and only the strip, read at rest, gives the slide's position.
 
 
 def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
-    """Bring the slide to ``station`` from below; return how many approaches that took.
+    """Bring the slide to ``station`` from below; return the number of approaches.
 
-    Every approach must shrink the error; the side of approach never changes. Raises `DeviceError`
-    when it does not hold, `StripLost` for a strip that does not follow at all.
+    Every approach must reduce the error. Raises `DeviceError` where the station is not reached,
+    `StripLost` for a strip that does not follow the drive.
     """
     command_mm = station.rail_mm
     error_mm = float("inf")
@@ -53,13 +50,13 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
         rail.move_to(command_mm)
         reading = rail.settle()
         _check_strip_follows(table, station, before, reading)
-        found_mm = station.strip_mm - reading.strip_mm
-        if abs(found_mm) <= table.strip_tolerance_mm + 1e-9:
+        off_mm = station.strip_mm - reading.strip_mm
+        if abs(off_mm) <= table.strip_tolerance_mm + 1e-9:
             return tries
-        if not abs(found_mm) < abs(error_mm):
+        if not abs(off_mm) < abs(error_mm):
             break
-        error_mm = found_mm
-        command_mm += found_mm
+        error_mm = off_mm
+        command_mm += off_mm
     raise DeviceError(
         "HC-S04",
         "Rail",
@@ -109,12 +106,12 @@ def _check_strip_follows(
 
 
 FROZEN = "HC-S02"
-SAME_POSE_RAD = 1e-4  # of joints read back: the robot stands at that pose
+SAME_POSE_RAD = 1e-4  # of joints read back
 
 
 @dataclass(frozen=True, slots=True)
 class StraightApproach:
-    """An approach directly from another pose (6,), as in a test cycle, at a speed of its own."""
+    """An approach directly from another pose (6,), at a speed of its own."""
 
     from_rad: Array
     speed_percent: float
@@ -122,7 +119,7 @@ class StraightApproach:
 
 @dataclass(frozen=True)
 class SweepCommand:
-    """From joints (6,) one axis (0 to 5) to its end; the reflector begins at (3,) mm."""
+    """A sweep of one axis (0 to 5) from joints (6,); the reflector begins at (3,) mm."""
 
     key: str
     start_rad: Array
@@ -134,7 +131,6 @@ class SweepCommand:
 
     @property
     def target_rad(self) -> Array:
-        """Return the joints (6,) at the end."""
         joints_rad = self.start_rad.copy()
         joints_rad[self.axis] = self.end_rad
         return joints_rad
@@ -143,9 +139,8 @@ class SweepCommand:
 class RobotMotion:
     """A motion of the robot while the slide is held at ``station``.
 
-    A reading that has grown old, by a pause, a commit or the stop before, is taken again when it is
-    used next, and judged at each use. Since ``robot`` was read the robot has not moved; None where
-    it may have. ``began``: the rail's reading by which it last began to move.
+    Old readings are taken again before use and checked at each use. ``robot`` is None where the
+    robot may have moved since. ``began``: the rail's reading by which it last began to move.
     """
 
     def __init__(
@@ -158,44 +153,43 @@ class RobotMotion:
 
     @property
     def strip_mm(self) -> float:
-        """Return where the slide is held."""
         return self.slide()[0].strip_mm
 
     def slide(self) -> tuple[RailReading, float]:
-        """Return the slide's reading and when it was judged; raises `Blocked`."""
+        """Return the slide's reading and when it was checked; raises `Blocked`."""
         run = self._run
         self._rail = rail = run.fresh(run.devices.rail.read, self._rail)
-        judged_s = run.clock.pc_s()
-        check_robot_may_move(run.cell, rail, self._station, judged_s)
-        return rail, judged_s
+        checked_s = run.clock.pc_s()
+        check_robot_may_move(run.cell, rail, self._station, checked_s)
+        return rail, checked_s
 
     def resting_rad(self) -> Array:
-        """Return the joints (6,) where the robot rests; raises `Blocked`."""
+        """Return the joints (6,) of the robot at rest; raises `Blocked`."""
         run = self._run
         self.robot = robot = run.fresh(run.devices.robot.read, self.robot)
         check_robot_rests(run.cell, robot, run.clock.pc_s())
         return robot.joints_rad
 
     def check_path(self, joints_rad: Array, what: str) -> None:
-        """Refuse a way from where the robot rests to joints (6,) that is not clear."""
+        """Raise `Blocked` where the path to joints (6,) is not clear."""
         if self._run.cell.surroundings is not None:
             check_path(self._run.cell, self.strip_mm, self.resting_rad(), joints_rad, what)
 
     def begin(self, joints_rad: Array, what: str) -> None:
-        """Judge both readings immediately before the robot moves to joints (6,).
+        """Check both readings immediately before the robot moves to joints (6,).
 
-        A robot that was read again may stand elsewhere: its way is checked again.
+        If the robot had to be read again, its path is checked again.
         """
         if self._run.cell.surroundings is not None:
-            proven = self.robot
+            checked = self.robot
             self.resting_rad()
-            if self.robot is not proven:
+            if self.robot is not checked:
                 self.check_path(joints_rad, what)
         self.began = reading_time(*self.slide())
         self.robot = None
 
     def drive(self, stops: list[Array], speed_percent: float, what: str) -> RobotReading:
-        """Go to joints (6,) in turn; return the reading at the last of them."""
+        """Move to joints (6,) in sequence; return the reading at the last."""
         for stop in stops:
             self.begin(stop, what)
             reading = self.robot = self._run.devices.robot.move_to(stop, speed_percent)
@@ -203,7 +197,7 @@ class RobotMotion:
 
 
 class Mover(RunContext):
-    """Moves one of both at a time.
+    """Moves slide or robot, one at a time.
 
     ``held`` is the station at which the slide is held, ``began`` the rail's reading by which the
     robot's last motion began.
@@ -223,7 +217,7 @@ class Mover(RunContext):
     # -- the rail -----------------------------------------------------------------------------
 
     def home_rail(self) -> None:
-        """Find the drive's reference; the robot goes to its safe pose first."""
+        """Reference the drive; the robot moves to its safe pose first."""
         if not self.cell.has_rail:
             self.parked()
             return
@@ -241,8 +235,8 @@ class Mover(RunContext):
     def hold_station(self, station: Station, *, again: bool = False) -> None:
         """Bring the slide to ``station`` by the strip and hold it there.
 
-        A slide that a resumed run finds at the station, by the strip, stays there. Without a rail
-        the robot is always found at its station.
+        In a resumed run a slide that is at the station, by the strip, stays there. Without a rail
+        the robot is always at its station.
         """
         if self.held == station and not again:
             return
@@ -276,22 +270,21 @@ class Mover(RunContext):
         return at_rest and off_mm <= self.cell.rail.strip_tolerance_mm
 
     def rail_referenced(self) -> bool:
-        """Whether drive and absolute strip agree, which proves the drive's reference."""
+        """Whether drive and absolute strip agree, which verifies the drive's reference."""
         reading = self.devices.rail.read()
         return abs(reading.position_mm - reading.strip_mm) <= self.cell.rail.slip_limit_mm
 
     def await_strip(self, lost: StripLost) -> None:
-        """Hold the slide where it is, and suspend the run until its strip reads well.
+        """Hold the slide and suspend the run until the strip reads well.
 
-        Somebody may have had his hands at it, so no station counts as held afterwards: the next act
-        that needs one approaches it and proves it by a nest.
+        It may have been moved by hand, so no station counts as held afterwards.
         """
         self.held = None
         self._hold_rail()
         prompt = Prompt(
             title="The strip cannot be read",
-            text=f"{lost.summary}. The slide is held. Clean the strip at the head, see that the "
-            "head is fixed and near enough to it, and look at its cable.",
+            text=f"{lost.summary}. The slide is held. Clean the strip at the head, check "
+            "the head's mount and distance, and its cable.",
             place="the strip",
             expected_mm=None,
             limit_mm=self.cell.rail.slip_limit_mm,
@@ -301,9 +294,9 @@ class Mover(RunContext):
         self.add(events.StripBack())
 
     def _verify_strip(self, lost: StripLost) -> Verification:
-        """Read the strip; one that was frozen must be where the drive is, as far as may slip.
+        """Read the strip; a frozen one must agree with the drive within the slip limit.
 
-        One that was in alarm may be read before the drive has its reference.
+        After an alarm of the strip the drive may have no reference yet.
         """
         try:
             reading = self.devices.rail.read()
@@ -323,10 +316,10 @@ class Mover(RunContext):
         robot, _ = self._check_parked(self.parked())  # read at rest, after its motion ended
         self.held = None
         self.intend("", action, **facts, seen=reading_facts(robot, self.clock.pc_s()))
-        return reading_time(*self._check_parked(robot))  # the commit may have taken long
+        return reading_time(*self._check_parked(robot))  # the commit may have been slow
 
     def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
-        """Return a young reading of a robot that lets the slide move, and when it was judged."""
+        """Return a recent reading of a parked robot and when it was checked."""
         robot = self.fresh(self.devices.robot.read, taken)
         now_s = self.clock.pc_s()
         check_rail_may_move(self.cell, robot, now_s)
@@ -342,7 +335,7 @@ class Mover(RunContext):
     def admitted(self) -> Iterator[RobotMotion]:
         """Admit one motion of the robot; raises `Blocked` where the slide is not held.
 
-        Nobody knows where one that fails has ended, so the robot is read again before the next.
+        After a failure the robot's pose is unknown, and it is read again before the next one.
         """
         motion, self._robot = RobotMotion(self, self.held, self._robot), None
         motion.slide()
@@ -355,15 +348,15 @@ class Mover(RunContext):
         self.parked()
 
     def parked(self) -> RobotReading:
-        """Return a reading of the robot at its safe pose, to which it goes unless it is there.
+        """Return a reading of the robot at its safe pose, to which it moves unless it is there.
 
-        A slide that has left the station at which it is held stops the run: a resumed one, which
-        holds none yet, parks wherever the slide rests. Here, before the first motion, the
-        controller's kinematics are compared with the cell file's.
+        A slide that has left its held station stops the run; a resumed run, which holds none yet,
+        parks at any slide position. Here, before the first motion, the controller's kinematics are
+        compared with the cell file's.
         """
         safe_rad = np.radians(self.cell.robot.safe_deg)
         now = self.devices.robot.read()
-        if now.still:  # a pose that was read under way is not that of its joints
+        if now.still:  # while moving, pose and joints differ
             kinematics = check_pose(self.cell.robot, now, "park")
             if not (kinematics.holds or self.log.by_factory_links):
                 self.add(events.FactoryLinks(off_mm=kinematics.off_mm))
@@ -383,10 +376,10 @@ class Mover(RunContext):
         above: bool = False,
         straight: StraightApproach | None = None,
     ) -> RobotReading:
-        """Go to joints (6,), every axis from below, or from ``above``, or ``straight``, and settle.
+        """Move to joints (6,), every axis from below, ``above`` or ``straight``, and settle.
 
-        Coming from one side on every axis takes the joints' backlash out of the error. A speed that
-        is stated does not hold for a first pass.
+        Approaching from one side on every axis takes the joints' backlash out of the error. The
+        speed of a ``straight`` approach does not apply to a first pass.
         """
         usual_percent = self.cell.robot.speed_percent
         check_joint_limits(self.cell, joints_rad, what)
@@ -398,21 +391,20 @@ class Mover(RunContext):
                 stops = self._straight_stops(motion, straight, joints_rad, what)
                 if speed_percent == usual_percent:
                     speed_percent = straight.speed_percent
-            rail, judged_s = motion.slide()
+            rail, checked_s = motion.slide()
             place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
             if straight is not None:
                 place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
-            self.intend(what, "robot.move", **place, seen=reading_facts(rail, judged_s))
+            self.intend(what, "robot.move", **place, seen=reading_facts(rail, checked_s))
             reading = motion.drive(stops, speed_percent, what)
         self.clock.wait(self.cell.settle.robot_s)
         return reading
 
     def expect(self, station: Station, joints_rad: Array) -> None:
-        """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
+        """Prove the paths to the next joints (N, 6), in sequence, at once."""
         self._upcoming.expect(station.strip_mm, joints_rad)
 
     def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
-        """Return where to go, in turn, on the way to joints (6,)."""
         now_rad = joints_rad if self.cell.surroundings is None else motion.resting_rad()
         if not above and self._upcoming.clear(motion.strip_mm, now_rad, joints_rad):
             return [below(self.cell, joints_rad), joints_rad]
@@ -421,7 +413,7 @@ class Mover(RunContext):
     def _straight_stops(
         self, motion: RobotMotion, straight: StraightApproach, joints_rad: Array, what: str
     ) -> list[Array]:
-        """Return where to go, in turn: to the pose to come from, unless the robot rests there."""
+        """Return the waypoints, from the start of the approach unless the robot is there."""
         before_rad = straight.from_rad
         there = bool(np.all(np.abs(motion.resting_rad() - before_rad) < SAME_POSE_RAD))
         if self.cell.surroundings is not None:
@@ -429,16 +421,12 @@ class Mover(RunContext):
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
 
-    # Outside of the cube the volumes are only as right as the cell file. So the robot goes there
-    # slowly the first time, and an attended run pauses before the first such pose, unless the cell
-    # file says otherwise. A pose is known once this run, or one of those finished before it, was
-    # driven there.
+    # Outside the cube the volumes are only as right as the cell file. So the robot moves there slowly
+    # the first time, and an attended run pauses before the first such pose unless the cell file
+    # disables that. A pose is known once this or an earlier finished run has moved there.
 
     def _speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
-        """Return the speed to joints (6,) with the slide there.
-
-        The first pose that is not known is announced; an attended run then pauses here.
-        """
+        """Return the speed to joints (6,); announce the first unknown pose and pause."""
         usual = self.cell.robot.speed_percent
         if self.cell.surroundings is None or not self._upcoming.leaves_cube(joints_rad):
             return usual
@@ -451,14 +439,14 @@ class Mover(RunContext):
             self.add(events.FirstPassBegun(key=what, speed_percent=slow))
             if self.cell.pauses_at_first_pass:
                 self.pause(
-                    f"{what}: the robot leaves the grid's cube, to where it was never driven in "
-                    f"this cell, at {slow:g} %; clear the cell and stay at the E-stop"
+                    f"{what}: the robot leaves the grid's cube at {slow:g} % speed, for a pose "
+                    "that is new in this cell; clear the cell and stay at the E-stop"
                 )
         return slow
 
     @cached_property
     def _visited_before(self) -> list[VisitedPoses]:
-        """Return where the runs before this one were driven; a deleted one proves nothing."""
+        """Return the poses of earlier runs; a deleted run has none."""
         found, plan = [], self.log.plan
         for name in plan.driven_by if plan else []:
             try:
@@ -467,14 +455,14 @@ class Mover(RunContext):
                 self.add(events.EarlierRunUnreadable(run=name, reason=str(error)))
         return found
 
-    # -- both, a reflector followed ------------------------------------------------------------
+    # -- sweeps with the tracker streaming ------------------------------------------------------
 
     def sweep(self, order: SweepCommand) -> events.StreamRecorded:
-        """Go to the start, sweep where the slide stands, and return what the journal keeps of it.
+        """Move to the start, sweep with the slide at rest, and return the journal's record of it.
 
-        Tracker and robot have no clock in common. So samples keep the tracker's own time and the
-        window of the cell's clock in which they arrived, joints the cell's clock before and after
-        they were asked for; the reader of the stream pairs them.
+        Tracker and robot have no common clock. So samples have the tracker's time and the window of
+        the cell's clock in which they arrived, joints the cell's clock before and after each
+        request; the reader of the stream pairs them.
         """
         tracker, robot = streams_of(self.devices.tracker), sweeps_of(self.devices.robot)
         check_joint_limits(self.cell, order.target_rad, order.key)

@@ -1,4 +1,4 @@
-"""Orders: of a new run, of one that goes on, of who attends it, of the calibration to be used."""
+"""Orders: a new run, a resumed run, its attendance, and the calibration to use."""
 
 from __future__ import annotations
 
@@ -143,11 +143,9 @@ class Resume(Signature):
     )
     json: bool = JSON_LINES
 
-    def check(self, folder: Path, log: Log, *, somebody: bool) -> ResumedRun:
-        """Return the run that goes on; raises `HilcellError` where nothing is left to be done, or
-        where it must not go on. Nothing is opened, nothing moves.
-
-        ``somebody`` is there to be asked.
+    def check(self, folder: Path, log: Log, *, operator_present: bool) -> ResumedRun:
+        """Return the run to continue; raises `HilcellError` where it is finished or must not
+        continue. Nothing is opened, nothing moves. ``operator_present``: can be prompted.
         """
         # `--help` does without these.
         from hilcell.cell.devices import check_options, load_entry
@@ -176,13 +174,13 @@ class Resume(Signature):
                 check_options(log.cell)
             except SettingsError as error:
                 raise HilcellError(
-                    f"run {folder.name} cannot go on here; it is as it was. {error}\n"
-                    "  it keeps the cell that it began with: install here what is missing, then "
+                    f"run {folder.name} cannot continue here; it is unchanged. {error}\n"
+                    "  it keeps the cell that it began with: install what is missing, then "
                     f"`{command_on(folder, 'resume')}`",
                     code=error.code,
                 ) from error
             found = changed_inputs(log, procedure.used_in(log.cell))
-            can_ask = somebody or (attendance.screen and not attendance.unattended)
+            can_ask = operator_present or (attendance.screen and not attendance.unattended)
             changes = Changes(found, self.accept_changes, can_ask)
             changes.check(found)
         return ResumedRun(
@@ -193,7 +191,7 @@ class Resume(Signature):
             changes=changes,
             goes_on=goes_on,
             retakes=retakes,
-            somebody=somebody,
+            operator_present=operator_present,
         )
 
 

@@ -139,7 +139,7 @@ def refusal(prompt: Prompt, result: Verification, lost: Mapping[str, DeviceError
     """Return the refusal of an answer; ``lost`` are the devices that do not answer, by name."""
     if lost:
         found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
-        return f"{found}; mend that; where it stays lost, stop the run and resume it"
+        return f"{found}; repair that; if it stays lost, stop the run and resume it"
     if prompt.by_itself or prompt.expected_mm is None:
         return f"{prompt.place} is not as it was: {result.reason}"
     if result.seen_mm is None:
@@ -169,7 +169,7 @@ FLANGE = "flange"
 
 
 def where(cell: Cell, place: str) -> str:
-    """Return where a nest is, for a person who looks for it."""
+    """Return a description of a nest's position for the operator."""
     layout = cell.layout
     for nests, on in ((layout.floor, "floor"), (layout.bar, "bar"), (layout.slide, "slide")):
         for nest in nests:
@@ -186,7 +186,7 @@ def where(cell: Cell, place: str) -> str:
 def placement_prompt(
     cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float
 ) -> Prompt:
-    """Return what is asked before ``place`` is measured while the reflector is ``at`` another."""
+    """Return the prompt to carry the reflector from ``at`` to ``place``."""
     take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
     on = "on the flange" if place == FLANGE else f"in {place}"
     return Prompt(
@@ -201,8 +201,8 @@ def placement_prompt(
 
 
 def swap_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
-    """Return what is asked before the reflector of ``place`` is measured in a floor nest; of the
-    nest's own ``place``, before it is measured there again.
+    """Return the prompt to place the reflector of ``place`` in a floor nest; to return all
+    reflectors if it is the nest's own.
     """
     into = where(cell, nest)
     text = f"Take out the reflector of {into}, and seat in it that of {where(cell, place)}."
@@ -221,10 +221,9 @@ def swap_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt
 def beam_prompt(
     cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, error: NoReading
 ) -> Prompt:
-    """Return what is asked when the tracker gives no good reading of a reflector.
+    """Return the prompt after failed readings of a reflector.
 
-    The error's own advice stands alone: a driver knows best, and not every cause is in the beam.
-    The driver's own words, with the status codes of its device, are in the alarm and the journal.
+    It shows the driver's own advice; the driver's message is in the alarm and the journal.
     """
     entry = entry_of(error.code, error.device)
     found = entry.title if entry.specific else error.found

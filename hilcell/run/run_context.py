@@ -1,4 +1,4 @@
-"""A run as its parts share it: cell, devices, clock, log, and the journal that keeps its facts."""
+"""The shared state of a run: cell, devices, clock, log, and the journal of its facts."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Ask = Callable[[Prompt, Callable[[], Verification], NoReading | None], Verificat
 class RunContext:
     """Used by the worker thread alone.
 
-    ``checkpoint`` pauses the run where it was asked to, ``pause`` pauses an attended run, ``ask``
-    suspends it until the operator's answer, or a cause that is gone, is proven by a look.
+    ``checkpoint`` pauses the run if requested, ``pause`` pauses an attended run, ``ask`` suspends
+    it until the operator's answer, or that the cause is gone, is verified.
     """
 
     def __init__(
@@ -47,12 +47,12 @@ class RunContext:
         self._calibration = StateMachine(CALIBRATION, journal)
 
     def reached(self, state: str) -> bool:
-        """Whether the journal proves this state of the calibration, or a later one."""
+        """Whether the journal has this state of the calibration, or a later one."""
         order = CALIBRATION.states
         return order.index(self._calibration.state) >= order.index(state)
 
     def reach(self, trigger: str) -> None:
-        """Take a step of the calibration machine, unless the journal proves that it was taken."""
+        """Take a transition of the calibration machine unless the journal has it."""
         target = next(row[2] for row in CALIBRATION.rows if row[0] == trigger)
         if not self.reached(target):
             self._calibration.fire(trigger)
@@ -65,11 +65,7 @@ class RunContext:
         self._journal.append("event", "", event)
 
     def event(self, what: str, **facts: object) -> None:
-        """Journal an event of a kind of its own.
-
-        Raises `ValueError` for one that `hilcell.model.events` declares: its fields are not checked
-        here, and a journal with a wrong one could not be read again.
-        """
+        """Journal a plug-in's event; raises `ValueError` for one of `hilcell.model.events`."""
         if what in EVENTS:
             raise ValueError(f"expected an event of another kind than {what!r}; add its type")
         self._journal.append("event", "", {"what": what} | facts)
@@ -84,16 +80,13 @@ class RunContext:
         self._journal.append("frame", key, frame)
 
     def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
-        """Journal a judgement of a kind of its own.
-
-        Raises `ValueError` for one that `hilcell.model.verdicts` declares.
-        """
+        """Journal a plug-in's verdict; raises `ValueError` for one of `hilcell.model.verdicts`."""
         if verdict_type(key) is not None:
             raise ValueError(f"expected a verdict of another key than {key!r}; judge by its type")
         self._journal.append("verdict", key, {"holds": holds} | facts)
 
     def judge(self, key: str, verdict: Verdict) -> None:
-        """Journal a judgement; raises `ValueError` for a key that is not of its type."""
+        """Journal a verdict; raises `ValueError` for a key that is not of its type."""
         if verdict_type(key) is not type(verdict):
             raise ValueError(f"{key!r} is no key of {type(verdict).__name__}")
         self._journal.append("verdict", key, verdict)

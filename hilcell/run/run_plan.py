@@ -1,8 +1,7 @@
-"""Runs that were ordered and checked: nothing that can be known before refuses them.
+"""Runs that were ordered and checked before anything moves.
 
-I18: a resumed run goes on with what it began with, or somebody agrees to what has changed. Points
-of one robot, tracker, drive or strip say nothing about another one's. A run keeps the cell as it
-was when it began; an edited cell file changes nothing in it, and the operator has to know.
+I18: a resumed run continues with the same devices and inputs, or the operator accepts the changes.
+A run keeps the cell of its begin; an edited cell file changes nothing in it and is reported.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from hilcell.run.procedure import Plan, Procedure
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Changes that were found before the devices were opened, whether all are accepted, and
-    whether somebody can be asked.
+    """Changes known before the devices are opened, whether all are accepted, and whether the
+    operator can be prompted.
     """
 
     inputs: Sequence[str] = ()
@@ -32,7 +31,7 @@ class Changes:
     can_ask: bool = True
 
     def check(self, found: Sequence[str]) -> None:
-        """Refuse changes that are not accepted and that nobody can agree to."""
+        """Raise `DeviceRefused` for changes that cannot be accepted."""
         if found and not (self.accepted or self.can_ask):
             raise DeviceRefused(
                 "HC-C30",
@@ -51,10 +50,7 @@ NONE = Changes()
 
 @dataclass(frozen=True, kw_only=True)
 class RunPlan:
-    """A run in its folder, ``points`` of which its procedure measures.
-
-    ``changes`` say what is not as it was when a run that goes on began.
-    """
+    """A run in its folder; ``points`` is the planned number, ``changes`` are those of a resume."""
 
     folder: Path
     cell: Cell
@@ -65,9 +61,8 @@ class RunPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class NewRun(RunPlan):
-    """``machine_seed`` is of the simulated machine, None where no simulator is started.
-
-    ``accepted`` says why the calibration that the run uses is out of tolerance, or not current.
+    """``machine_seed`` is the simulated machine's, None where no simulator is started; ``accepted``
+    are the accepted defects of the calibration that the run uses.
     """
 
     steps: Plan
@@ -77,37 +72,36 @@ class NewRun(RunPlan):
 
 @dataclass(frozen=True, kw_only=True)
 class ResumedRun(RunPlan):
-    """A run that ``goes_on``, or one that has measured all and only writes its calibration.
+    """A run that ``goes_on``, or one that is measured and only writes its calibration.
 
-    ``retakes`` are keys of points that the journal does not ask for yet; ``somebody`` is there to
-    be asked.
+    ``retakes`` are the newly requested points; ``operator_present``: can be prompted.
     """
 
     goes_on: bool
     retakes: Sequence[str]
-    somebody: bool
+    operator_present: bool
 
 
 def check_attended(cell: Cell, procedure: Procedure, *, unattended: bool) -> None:
-    """Refuse to leave a cell alone where the cell, or the procedure, needs somebody's hands."""
+    """Raise `HilcellError` where an unattended run would need an operator."""
     if not unattended:
         return
     if procedure.by_hand:
         raise HilcellError(
-            f"{procedure.name} refused before anything moves: somebody must be there to "
+            f"{procedure.name} refused before anything moves: an operator must "
             f"{procedure.by_hand}; leave out --unattended",
             code="HC-C16",
         )
     if cell.layout.by_hand:
         raise HilcellError(
-            f"cell {cell.name}: layout.reflectors is by_hand: somebody must be there to carry the "
+            f"cell {cell.name}: layout.reflectors is by_hand: an operator must carry the "
             "reflector; leave out --unattended, or mount reflectors in all nests",
             code="HC-C16",
         )
 
 
 def check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
-    """Refuse an option of the simulator where a run starts none."""
+    """Raise `HilcellError` for a simulator's option where the run starts no simulator."""
     if value is None:
         return
     if cell.simulation is None:
@@ -123,31 +117,28 @@ def check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
 
 
 def machine_seed(cell: Cell, seed: int, own: int | None) -> int | None:
-    """Return the seed of the machine that is started: its own, or else the run's.
-
-    None where no simulator is started: it is unknown.
-    """
+    """Return the seed of the simulated machine: its own, else the run's; None without one."""
     if cell.simulation is None or cell.simulation.address:
         return None
     return seed if own is None else own
 
 
-def checked_machine_seed(asked: int | None, calibrated: int | None) -> int | None:
-    """Return the simulated machine of a run that uses a calibration: the one calibrated.
+def checked_machine_seed(requested: int | None, calibrated: int | None) -> int | None:
+    """Return the machine seed of a run that uses a calibration; None is unknown.
 
-    None is one that is not asked for, or not known. Raises `SettingsError` where they differ.
+    Raises `SettingsError` where the requested and the calibrated one differ.
     """
-    if None not in (asked, calibrated) and asked != calibrated:
-        problem = f"{asked}: the calibration is of simulated machine {calibrated}; name another"
+    if None not in (requested, calibrated) and requested != calibrated:
+        problem = f"{requested}: the calibration is of simulated machine {calibrated}; name another"
         raise SettingsError("--machine-seed", [problem])
-    return calibrated if asked is None else asked
+    return calibrated if requested is None else requested
 
 
 # -- changes since a run began ---------------------------------------------------------------------
 
 
 def cell_file(where: str) -> str:
-    """Return where a run's cell is found again: a built-in name, or an absolute path."""
+    """Return the name of a built-in cell, or the absolute path of a cell file."""
     return where if where in built_in_cells() else str(Path(where).resolve())
 
 
@@ -177,7 +168,7 @@ def changed_inputs(log: Log, uses: str) -> list[str]:
 
 
 def changed_assets(before: Sequence[Identity], now: Sequence[Identity]) -> list[str]:
-    """Return the assets that are not those which answered before; none answered at a first time."""
+    """Return the devices that differ from those of the last session, if there was one."""
     if not before:
         return []
     first = {asset.kind: asset for asset in before}

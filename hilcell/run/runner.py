@@ -1,8 +1,8 @@
-"""The runner: the main thread owns the run's life while one worker performs the procedure.
+"""The runner: the main thread owns the run's state while one worker performs the procedure.
 
-The main thread takes messages from one queue: commands of the operator and the worker's messages.
-A stop sets the stop event, which ends every wait within 20 ms, and has each device's stop frame
-sent by threads that wait for nothing else, so it works while the worker hangs in a call.
+The main thread takes commands of the operator and messages of the worker from one queue. A stop
+sets the stop event, which ends every wait within 20 ms, and sends each device's stop frame from
+threads reserved for it, so it works while the worker hangs in a call.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ from hilcell.run.worker import (
     Worker,
 )
 
-WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
+WORKER_S = 10.0  # the worker ends within this time after a stop
 
 
 class Runner:
     """Performs one procedure on one cell, once, from idle to finished, aborted or faulted.
 
-    ``fault`` is what has ended the run, where something did.
+    ``fault`` is the error that has ended the run, if any.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Runner:
         clock: Clock,
         stop: threading.Event,
     ) -> None:
-        """Where a screen has ordered it, an attended run begins to move only after it attends."""
+        """An attended run that a screen has ordered moves only once the screen attends."""
         self.log, self._unattended = journal.log, attendance.unattended
         self._plan, self._journal, self._clock, self._stop = plan, journal, clock, stop
         self._safe_stop = SafeStop(devices)
@@ -102,13 +102,13 @@ class Runner:
         self._life = StateMachine(RUN, journal)
 
     def dismiss(self) -> None:
-        """Let its threads end, where it will not run."""
+        """End its threads without a run."""
         self._safe_stop.dismiss()
 
     def run(self, noted: Sequence[signal.Signals] = ()) -> int:
-        """Run to the end and return the exit code; signals ``noted`` before are commands, too.
+        """Run to the end and return the exit code; earlier signals ``noted`` become commands.
 
-        To the end of this call signals only queue commands, so none interrupts the teardown.
+        During this call signals only queue commands, so none interrupts the teardown.
         """
         with signals_as_commands(self.post):
             for number in noted:
@@ -128,35 +128,35 @@ class Runner:
 
     @property
     def unclosed(self) -> dict[str, Exception]:
-        """Return, by device, why it could not be left held and closed at the run's end."""
+        """Return, by device, the errors of devices not left held and closed."""
         return self._left_moving(self._unclosed or {})
 
     # -- any thread ---------------------------------------------------------------------------
 
     def post(self, command: str) -> None:
-        """Queue a command of the operator; a signal's handler may do so, too."""
+        """Queue a command of the operator; also callable from a signal handler."""
         self._messages.put(command)
 
     def stop(self) -> None:
-        """Stop everything now: the frames are on their way before the main thread hears of it."""
+        """Stop everything now, before the main thread handles it."""
         self._messages.put("stop")
         self._stop.set()
         self._safe_stop.trigger()
 
     def proceed_refusal(self, since: int) -> str:
-        """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
+        """Return the refusal of an agreement to the question of record ``since``, else ""."""
         if any(each.seq > since and each.to == "running" for each in self.log.life):
-            return "it has gone on since you were asked, so nothing was done; ask again"
+            return "the run has continued since you were asked; nothing was done, ask again"
         if any(each.seq > since and isinstance(each.fact, Announced) for each in self.log.events):
-            return "a motion was announced since you were asked, so nothing was done; ask again"
+            return "a motion was announced since you were asked; nothing was done, ask again"
         return ""
 
     def answer(self) -> str:
-        """Say that the prompt is done; wait for the look that proves it, return why not."""
+        """Answer the prompt; wait for its verification; return the refusal, else ""."""
         return self._pending.answer().result()
 
     def retake(self, key: str) -> str:
-        """Have a point re-measured, at the robot's next point; return why that is refused."""
+        """Request that a point is re-measured next; return the refusal, else ""."""
         if refused := retake_refusal(self.log, key):
             return refused
         try:
@@ -166,15 +166,15 @@ class Runner:
         return ""
 
     def acknowledge(self, made: AlarmsAcknowledged) -> str:
-        """Have it journalled that alarms were acknowledged; return why that is refused."""
+        """Journal that alarms were acknowledged; return the refusal, else ""."""
         newest = self.log.newest
         refused = made.refusal(0 if newest is None else newest.seq)
         if not refused:
-            self._messages.put(made)  # nothing may follow the end, which the main thread writes
+            self._messages.put(made)  # journalled by the main thread, before the end
         return refused
 
     def watched(self, by: int) -> int:
-        """Add ``by`` to the screens that attend; return how many do now."""
+        """Add ``by`` to the attending screens; return their number."""
         with self._screens_lock:
             self._screens += by
             now = self._screens
@@ -183,7 +183,6 @@ class Runner:
         return now
 
     def status(self) -> Status:
-        """Return the run's state as every answer carries it."""
         state, asked = self._known_state(), self._pause_gate.closed or self.log.state in PASSING
         monitor, session = self._worker.monitor, self._worker.session
         return Status(
@@ -202,14 +201,14 @@ class Runner:
         )
 
     def _known_state(self) -> str:
-        """Return the state as clients know it, for whom ``pausing`` is no state but a flag."""
+        """Return the state for clients, who have ``pausing`` as a flag."""
         life = (change.to for change in reversed(self.log.life))
         return next((state for state in life if state not in PASSING), "idle")
 
     # -- the main thread: messages ------------------------------------------------------------
 
     def _perform(self) -> Exception | None:
-        """Let the worker perform the procedure; return what ended it."""
+        """Let the worker perform the procedure; return the error that ended it."""
         begin = {"idle": "check", "finished": "reopen"}.get(self.log.state, "resume")
         self._life.fire(begin)
         self._worker.start()
@@ -221,7 +220,7 @@ class Runner:
             return defect
 
     def _attend(self) -> Exception | None:
-        """Take messages until the worker has ended; return what ended it."""
+        """Handle messages until the worker has ended; return the error that ended it."""
         while True:
             match self._next():
                 case Ended(error):
@@ -238,7 +237,7 @@ class Runner:
     def _next(self) -> Message | AlarmsAcknowledged | str:
         """Wait for a message.
 
-        In slices: a signal that comes just before a wait begins is handled when the wait ends.
+        In slices, since a signal just before a wait is handled when the wait ends.
         """
         while True:
             try:
@@ -263,7 +262,7 @@ class Runner:
                 self._worker.may_proceed.set()
 
     def _go_on(self, trigger: str, **facts: object) -> None:
-        """Run; a pause that was asked for before still holds."""
+        """Run; an earlier request to pause is kept."""
         self._life.fire(trigger, **facts)
         if self._pause_gate.closed:
             self._life.fire("pause")
@@ -277,13 +276,13 @@ class Runner:
             case "lost" | "watched":
                 self._look_for_screens(lost=command == "lost")
             case "proceed" if self.log.state == "suspended":
-                self._pending.answer()  # proven by a look as every answer
+                self._pending.answer()  # verified as every answer
             case "proceed" if self._pause_gate.closed and self.log.state != "aborting":
                 if self._life.may_trigger("proceed"):  # not yet where the worker still connects
                     self._life.fire("proceed", by="command")
                 self._pause_gate.open()
             case "abort":
-                if self._life.may_trigger("abort"):  # else it was asked for before
+                if self._life.may_trigger("abort"):  # else already requested
                     self._life.fire("abort")
             case _:
                 refused = CommandRefused(command=command, state=self._known_state())
@@ -299,7 +298,7 @@ class Runner:
             self._life.fire("pause")
 
     def _look_for_screens(self, *, lost: bool) -> None:
-        """Pause or go on by the screens that attend now: more may have come or gone meanwhile."""
+        """Pause or continue by the number of screens that attend now."""
         if lost and not self._screens:
             self._unwatched = True
             self._journal.append("event", "", ScreenLost())
@@ -332,7 +331,7 @@ class Runner:
         if isinstance(error, StorageError):
             raise error
         if isinstance(error, Stopped) and self._life.may_trigger("stop"):
-            self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
+            self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
             self._note(partial(SafeStopSent, cause=str(error)), self._safe_stop.wait())
@@ -343,9 +342,9 @@ class Runner:
         self._journal.append(
             "event", "", LinkCounted(**asdict(self._worker.devices.rail.statistics()))
         )
-        self._journal.read_back()  # a result is computed only from what is kept
+        self._journal.read_back()  # results are computed from durable records only
         if error is None or isinstance(error, Stopped):
-            # A person who reads "finished", or has aborted the run, goes near.
+            # After "finished" or an abort the operator enters the cell.
             self.fault = error = not_at_rest(self.unclosed) or error
         if error is None:
             try:
@@ -364,7 +363,7 @@ class Runner:
         return code
 
     def _left_moving(self, problems: dict[str, Exception]) -> dict[str, Exception]:
-        """Return problems of stopping and closing; devices whose recording has ended have none."""
+        """Return problems of stopping and closing, except of a recording that has ended."""
         ended = isinstance(self.fault, RecordingEnded)
         if problems and not ended:
             try:
@@ -382,7 +381,7 @@ class Runner:
         return self._unclosed
 
     def _finish(self) -> int:
-        result = self._plan.procedure.result(self.log)  # what cannot be computed is a fault
+        result = self._plan.procedure.result(self.log)  # an error here is a fault
         self._life.fire("finish")
         return finish(self._plan.procedure, self._journal, result)
 
@@ -396,7 +395,7 @@ class Runner:
             self._journal.append("event", "", InternalError(trace=trace))
 
     def _note(self, kind: Callable[..., Closing], problems: dict[str, Exception]) -> None:
-        """Journal that devices were stopped or closed, and in what that failed."""
+        """Journal that devices were stopped or closed, and the failures."""
         left = self._left_moving(problems)
         words = {name: str(error) for name, error in left.items()}
         errors = {name: facts_of(error) for name, error in left.items()}
@@ -407,9 +406,9 @@ class Runner:
 
 
 def finish(procedure: Procedure, journal: RunJournal, result: Json | None = None) -> int:
-    """Write the end of a finished run, unless the journal holds it; return the exit code.
+    """Write the end of a finished run, unless the journal has it; return the exit code.
 
-    ``result`` is what the procedure has computed of the journal already, if it has.
+    ``result`` is the procedure's, if it is computed already.
     """
     log = journal.log
     in_tolerance = all(verdict.holds for verdict in log.verdicts.values())

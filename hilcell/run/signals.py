@@ -1,6 +1,6 @@
-"""Signals to a run: while it starts they end it, while it lives they are commands.
+"""Signals to a run: during start-up they end it, afterwards they are commands.
 
-None of them interrupts a teardown: outside of the start-up a handler only notes or queues.
+After the start-up a handler only notes or queues, so no signal interrupts a teardown.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGH
 
 
 def note_signals() -> list[signal.Signals]:
-    """Note SIGTERM, SIGINT and SIGHUP in the list until the process ends, and let all go on.
+    """Note SIGTERM, SIGINT and SIGHUP in the returned list until the process ends.
 
-    Nothing is put back: between that and the process's end a signal would change the exit code.
+    The handlers stay: after a restoration a late signal would change the exit code.
     """
     noted: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():
@@ -31,10 +31,7 @@ def note_signals() -> list[signal.Signals]:
 
 @contextmanager
 def stopped_by_signals(noted: list[signal.Signals]) -> Iterator[None]:
-    """Let the first signal raise `Stopped` while nothing moves yet; later ones change nothing.
-
-    The first may have been ``noted`` before, or come at the very end.
-    """
+    """Let the first signal, or one ``noted`` before, raise `Stopped`; later ones are ignored."""
 
     def refuse() -> None:
         if noted:
@@ -42,7 +39,7 @@ def stopped_by_signals(noted: list[signal.Signals]) -> Iterator[None]:
 
     def stopped(number: int, _: object) -> None:
         noted.append(signal.Signals(number))
-        if len(noted) == 1:  # else what this one would interrupt is the way out
+        if len(noted) == 1:  # a later one would interrupt the exit
             refuse()
 
     refuse()
@@ -53,7 +50,7 @@ def stopped_by_signals(noted: list[signal.Signals]) -> Iterator[None]:
 
 @contextmanager
 def signals_as_commands(post: Callable[[str], None]) -> Iterator[None]:
-    """Hand signals on as commands; ``post`` must be safe in a signal's handler."""
+    """Pass signals on as commands; ``post`` must be safe in a signal handler."""
     with _handled(
         dict.fromkeys(COMMANDS, lambda number, _: post(COMMANDS[signal.Signals(number)]))
     ):
@@ -62,10 +59,10 @@ def signals_as_commands(post: Callable[[str], None]) -> Iterator[None]:
 
 @contextmanager
 def interrupted_once() -> Iterator[Callable[[], None]]:
-    """Let the first signal raise `KeyboardInterrupt`; later ones would interrupt its way out.
+    """Let the first signal raise `KeyboardInterrupt`, and ignore later ones.
 
-    Python loses an exception that is raised in a callback of its garbage collection, so the check
-    that is yielded raises it again. Signals that this process ignores, as under nohup, stay so.
+    Python loses an exception raised in a callback of its garbage collection; the yielded check
+    raises it again. Signals that this process ignores, as under nohup, stay ignored.
     """
     noted: list[int] = []
 
@@ -78,17 +75,17 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
         if noted:
             raise KeyboardInterrupt
 
-    heard = [each for each in COMMANDS if signal.getsignal(each) is not signal.SIG_IGN]
-    with _handled(dict.fromkeys(heard, interrupt)):
+    handled = [each for each in COMMANDS if signal.getsignal(each) is not signal.SIG_IGN]
+    with _handled(dict.fromkeys(handled, interrupt)):
         yield check
 
 
 @contextmanager
 def postponed(*numbers: signal.Signals) -> Iterator[None]:
-    """Let signals wait until the end, where an interruption would leave things half made."""
+    """Postpone signals until the block has ended."""
     noted: list[int] = []
-    heard = [each for each in numbers if signal.getsignal(each) is not signal.SIG_IGN]
-    with _handled(dict.fromkeys(heard, lambda number, _: noted.append(number))):
+    handled = [each for each in numbers if signal.getsignal(each) is not signal.SIG_IGN]
+    with _handled(dict.fromkeys(handled, lambda number, _: noted.append(number))):
         yield
     if noted:
         signal.raise_signal(noted[0])
@@ -98,7 +95,7 @@ def postponed(*numbers: signal.Signals) -> Iterator[None]:
 def _handled(
     handlers: Mapping[signal.Signals, Callable[[int, FrameType | None], None]],
 ) -> Iterator[None]:
-    """Install signal handlers for a while, where this is the main thread."""
+    """Install signal handlers for a block in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

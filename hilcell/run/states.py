@@ -1,11 +1,10 @@
-"""The two state machines, as flat tables: the run's life and the calibration.
+"""The two state machines, as flat tables: the run's and the calibration's.
 
-A transition is written to the journal before it is taken, and the log has the state: a resumed
-run enters exactly the states that its journal ends with.
+A transition is journalled before it is taken, and the log has the state: a resumed run continues
+with the states of its journal.
 
-The calibration's state also says which points may be measured again: those on which nothing was
-built that a retake would not rebuild. Points that wait stand in the journal: asked for by an
-event, done by the point's next record.
+The calibration's state also decides which points may be re-measured: those without a result that
+would not be computed again. A request is an event; the point's next record fulfils it.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class TransitionRefused(HilcellError):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A machine's name, its states (the first is initial) and its rows trigger, from, to."""
+    """A machine's name, its states (the first is initial), and rows of trigger, from, to."""
 
     name: str
     states: tuple[str, ...]
@@ -79,7 +78,7 @@ CALIBRATION = Table(
 
 
 class StateMachine:
-    """A table that `transitions` runs over a journal; fired by one thread, read by any."""
+    """Runs a table over a journal; fired by one thread, read by any."""
 
     trigger: Callable[..., bool]
     may_trigger: Callable[[str], bool]
@@ -98,18 +97,16 @@ class StateMachine:
 
     @property
     def state(self) -> str:
-        """Return the state's name, as the log has it."""
         return self._journal.log.states[self.table.name]
 
     @state.setter
     def state(self, state: str) -> None:
-        """Do nothing: the record was written, and the log has applied it."""
+        """Required by `transitions`; the log has applied the record."""
 
     def fire(self, trigger: str, **facts: object) -> None:
         """Take a transition, with ``facts`` in its record.
 
-        Raises `TransitionRefused` where the table has none, `StorageError` where it cannot be
-        written; then the state stays.
+        Raises `TransitionRefused` or `StorageError`; the state is then unchanged.
         """
         try:
             self.trigger(trigger, **facts)
@@ -125,8 +122,8 @@ class StateMachine:
 
 
 def mermaid(table: Table) -> str:
-    ways = [(source, to, trigger) for trigger, sources, to in table.rows for source in sources]
-    lines = [f"    {source} --> {target}: {trigger}" for source, target, trigger in ways]
+    edges = [(source, to, trigger) for trigger, sources, to in table.rows for source in sources]
+    lines = [f"    {source} --> {target}: {trigger}" for source, target, trigger in edges]
     return "\n".join(["stateDiagram-v2", f"    [*] --> {table.states[0]}", *lines])
 
 
@@ -134,17 +131,17 @@ def mermaid(table: Table) -> str:
 
 
 def retake_refusal(log: Log, key: str) -> str:
-    """Return why a point may not be re-measured, or nothing where it may."""
+    """Return why a point may not be re-measured, else ""."""
     point = log.points.get(key)
     if point is None:
-        return f"{key[:80]}: no such point was measured in this run"
+        return f"{key[:80]}: this run has no such point"
     if key in log.retakes:
-        return f"{key}: waits already to be re-measured"
+        return f"{key}: is already requested"
     return remeasure_refusal(log, point)
 
 
 def remeasure_refusal(log: Log, point: Point) -> str:
-    """Return why a point may no longer be re-measured, or nothing where it may."""
+    """Return why a measured point may not be re-measured, else ""."""
     kind, repeatable = point.id.kind, point.commanded_deg is not None and bool(point.station)
     if not (repeatable and kind in ("grid", "repeatability", "validate")):
         return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"

@@ -1,20 +1,19 @@
-"""Proofs that tracker, slide and room are as they were when the run began to measure.
+"""Verification that tracker, slide and ambient temperature are unchanged since the run began.
 
-A tracker that was bumped measures everything beside its place, and every reading looks good. So the
-floor nests are measured again at the end of every measuring step, after every pause and after so
-many points. Where all of them have moved alike, the tracker has: the points since its last proof
-are invalid, {W} is framed again at its new set-up, and the step is performed again. Where they
-have moved against each other, they are measured once more: the tracker may have been bumped between
-two of them. Where they still differ, a nest has moved, and nothing can be trusted.
+A bumped tracker measures everything with an offset, and every reading looks good. So the floor
+nests are re-measured at the end of every measuring step, after every pause and every
+`plan.prove_every` points. If all have moved alike, the tracker has moved: the points since its last
+verification are invalid, {W} is framed at the new set-up, and the step is repeated. If they have
+moved against each other, they are measured once more, since the tracker may have been bumped
+between two of them. If they still differ, a nest has moved, and the run ends with a fault.
 
-A strip that has jumped a pole reads the station's value with the slide beside it; neither drive nor
-strip shows that, and after a jump while everything was dead nothing else does. So after each hold
-one nest of the slide is compared with the first hold of the station in this run: base and station
-frame rest on that one.
+A strip that has jumped a pole reads the station's value at another slide position; neither drive
+nor strip shows that. So after each hold one slide nest is compared with its first hold at the
+station in this run, on which base and station frame are built.
 
-A room that has become too warm or too cold suspends a run, and lets it go on when it is back.
-Level, not edge: each point's own temperature is judged before the next is measured, on resume too.
-While the run is suspended the tracker looks at a floor nest for its weather station alone.
+An ambient temperature out of range suspends a run until it is back. Level, not edge: each point's
+own temperature is checked before the next is measured, on resume too. While the run is suspended
+the tracker measures a floor nest to read its weather station.
 """
 
 from __future__ import annotations
@@ -49,23 +48,22 @@ from hilcell.run.meter import Meter
 from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.states import retake_refusal
 
-SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift
-ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
+SIGMAS = 4.0  # of the readings' noise beyond the stated drift
+ALIKE = 0.5  # share of the largest motion; a bumped tracker moves every nest by more
 
 
 class RemeasureStep(Exception):
-    """The points since the tracker's last proof are invalid; their act is performed again."""
+    """The points since the tracker's last verification are invalid; their step is repeated."""
 
 
 class SlideOffset(NamedTuple):
-    """How far the slide stands beside where it was, along the rail, and the limit."""
+    """The slide's offset along the rail from its earlier position, and the limit."""
 
     off_mm: float
     limit_mm: float
 
     @property
     def holds(self) -> bool:
-        """Whether hold, readings and drift explain it."""
         return abs(self.off_mm) <= self.limit_mm
 
 
@@ -83,9 +81,9 @@ class WrongDistance(NamedTuple):
 
 
 class Watch(Meter):
-    """Proves tracker, hold and room; measures again, after a proof, where somebody was asked."""
+    """Verifies tracker, hold and temperature; re-measures after each prompt to the operator."""
 
-    MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
+    MOST_SET_UPS = 5  # of one run
 
     _proven: tuple[str, int] | None = None  # station and visit
     _temperature_judged: Point | None = None
@@ -94,7 +92,7 @@ class Watch(Meter):
     def measured(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,), tracker's frame.
 
-        After a question the tracker is proven first: it may have moved meanwhile.
+        After a prompt the tracker is verified first: it may have moved meanwhile.
         """
         while (reading := self.measure(key, place, near_mm, samples)) is None:
             self.verify_tracker_if_due()
@@ -126,7 +124,7 @@ class Watch(Meter):
     # -- the tracker's set-up ---------------------------------------------------------------------
 
     def frame_world(self) -> None:
-        """Frame {W} at the tracker's present set-up; where that is done, prove it."""
+        """Frame {W} at the tracker's present set-up, or verify the tracker there."""
         cell, number = self.cell, self.log.set_ups.number
         if self._framed:
             self.verify_tracker()
@@ -148,47 +146,44 @@ class Watch(Meter):
         self.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
 
     def verify_tracker(self) -> None:
-        """Prove that the tracker stands where {W} was framed.
+        """Verify that the tracker has not moved since {W} was framed.
 
-        Raises `RemeasureStep` where it has moved, after {W} was framed again, and `DeviceError`
-        where a nest has, or where frames rest on what was measured since the last proof.
+        Raises `RemeasureStep` where it has, after {W} was framed again, and `DeviceError` where a
+        nest has moved or frames were built since the last verification.
         """
         before = [self.log.point(id) for id in self._nest_ids(self.log.set_ups.number)]
         now = self._controls()
-        stand = self._unmoved(before, now)
-        if not stand and (some_unmoved(before, now) or any(self._changes(now))):
+        unmoved = self._unmoved(before, now)
+        if not unmoved and (some_unmoved(before, now) or any(self._changes(now))):
             now = self._controls()
-            stand = self._unmoved(before, now)
-        if not stand:
+            unmoved = self._unmoved(before, now)
+        if not unmoved:
             if some_unmoved(before, now):
                 self._refuse_moved_nests(motions_mm(before, now))
             self._renew(before, now)
         self.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
 
     def close_step(self, *, carried: bool = False) -> None:
-        """Prove the tracker at the end of a step that has measured something.
+        """Verify the tracker at the end of a measuring step.
 
-        Where the reflector is carried by hand to the nests, only if ``carried``.
+        With a reflector that is carried by hand only if ``carried``.
         """
         by_hand = self.cell.layout.by_hand
         if self.log.set_ups.open and self._framed and (carried or not by_hand):
             self.verify_tracker()
 
     def verify_tracker_if_due(self) -> None:
-        """Prove it after a pause, and after as many points as the plan allows between proofs.
+        """Verify the tracker after a pause and every `plan.prove_every` points.
 
-        After a pause also where nothing waits for a proof: the next point would be the first of a
-        block to be lost. A reflector that is carried by hand stays where it is; every seat of it
-        is a pause.
+        Not with a reflector that is carried by hand: each of its moves is a pause.
         """
-        cell, done = self.cell, self.log.set_ups
-        doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
-        if doubtful and not cell.layout.by_hand and self._framed:
+        cell, set_ups = self.cell, self.log.set_ups
+        due = set_ups.interrupted or len(set_ups.unproven) >= cell.plan.prove_every
+        if due and not cell.layout.by_hand and self._framed:
             self.verify_tracker()
 
     @property
     def _framed(self) -> bool:
-        """Whether {W} is framed at the tracker's present set-up."""
         return world_key(self.log.set_ups.number) in self.log.frames
 
     def _measured(self, ids: list[PointId]) -> list[Point]:
@@ -204,7 +199,7 @@ class Watch(Meter):
         )
 
     def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
-        """Frame {W} at a new set-up, of a tracker that stands elsewhere than it did ``before``."""
+        """Frame {W} at a new set-up of a tracker that has moved since ``before``."""
         for wrong in self._changes(now):
             raise self._moved(
                 f"{wrong.names} was {wrong.wanted_mm:.3f} mm, is {wrong.distance_mm:.3f} mm",
@@ -223,11 +218,10 @@ class Watch(Meter):
         raise RemeasureStep
 
     def _unmoved(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
-        """Whether all nests are seen where they were."""
         return bool(np.all(motions_mm(before, now) <= self._limits_mm(before, now)))
 
     def _changes(self, now: list[Point]) -> Iterator[WrongDistance]:
-        """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
+        """Yield the pairs of nests whose distance has changed since {W} was first framed."""
         first = [self.log.point(id) for id in self._nest_ids(0)]
         limits_mm = self._distance_limits_mm(first, now)
         return wrong_distances(self.cell, positions_mm(first), positions_mm(now), limits_mm)
@@ -248,12 +242,12 @@ class Watch(Meter):
         return _length_limits_mm(self.cell, noise, both_mm2)
 
     def _limit_since_mm(self, nests: Sequence[Point], then_c: float | None) -> float:
-        """Return by how much distances of the floor nests may differ from those of an earlier run.
+        """Return the limit of changes of the floor nests' distances since an earlier run.
 
-        Besides noise and stated drift both runs have the tracker's limits, and the floor has grown.
+        Noise, stated drift, the tracker's limits in both runs and the floor's thermal growth.
         """
         now_c = [point.temperature_c for point in nests if point.temperature_c is not None]
-        warmer_k = 10.0  # air that nobody measured
+        warmer_k = 10.0  # without measured air
         if now_c and then_c is not None:
             warmer_k = abs(float(np.mean(now_c)) - then_c)
         at_mm, stated = positions_mm(nests), self.cell.uncertainty
@@ -265,10 +259,7 @@ class Watch(Meter):
         return float(self._limits_mm(nests, nests).max()) + tracker_mm + grown_mm
 
     def _check_before(self, nests: list[Point]) -> None:
-        """Refuse nests that have moved since the cell's current calibration was measured.
-
-        The cell file knows their distances to millimetres, the tracker to hundredths.
-        """
+        """Refuse nests that have moved since the cell's current calibration was measured."""
         cell, before = self.cell, self.log.inputs.floor_before
         if before is None:
             return
@@ -287,15 +278,15 @@ class Watch(Meter):
             )
 
     def _refuse_moved_nests(self, off_mm: Array) -> NoReturn:
-        """Refuse nests of which some stand: one that is lifted out of the plane of three changes
-        no distance by as much as would show.
+        """Refuse motions of only some nests: one lifted out of the plane of three changes no
+        distance by as much as would show.
         """
-        stands = off_mm <= ALIKE * off_mm.max()
+        still = off_mm <= ALIKE * off_mm.max()
         names = np.array([nest.name for nest in self.cell.layout.floor])
-        moving, standing = names[~stands].tolist(), names[stands].tolist()
+        moving, standing = names[~still].tolist(), names[still].tolist()
         raise self._moved(
             f"{', '.join(moving)} moved by {off_mm.max():.3f} mm, {', '.join(standing)} by "
-            f"{off_mm[stands].max():.3f} mm at most",
+            f"{off_mm[still].max():.3f} mm at most",
             "all alike, as of a tracker that was moved",
             "a floor nest or its reflector has moved, or the tracker has tilted; check them, then "
             "start a new run",
@@ -303,7 +294,7 @@ class Watch(Meter):
         )
 
     def _check_renewable(self, moved_mm: float, limit_mm: float) -> None:
-        """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
+        """Refuse to continue where frames use invalid points, or after too many set-ups."""
         log = self.log
         invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
         built = next((key for point in invalid if (key := self._rests_on(point))), "")
@@ -311,7 +302,7 @@ class Watch(Meter):
             return
         act = "fix its stand, then start a new run"
         if built:
-            act = f"{built} rests on points measured since it was proven; start a new run"
+            act = f"{built} uses points measured since its last verification; start a new run"
         suspicion = Suspicion(Cause.TRACKER_MOVED, moved_mm, "mm", "control points")
         raise self._moved(
             f"moved by {moved_mm:.3f} mm",
@@ -321,7 +312,7 @@ class Watch(Meter):
         )
 
     def _rests_on(self, point: Point) -> str:
-        """Return the frame or verdict that was built with a point, if there is one."""
+        """Return the frame or verdict that uses a point, "" for none."""
         built = {
             "base": "base",
             "slide": f"station.{point.station}",
@@ -336,12 +327,12 @@ class Watch(Meter):
     # -- the slide's hold -------------------------------------------------------------------------
 
     def hold_station(self, station: Station, *, again: bool = False) -> None:
-        """Hold a station and prove it, unless it was proven since the slide last moved.
+        """Hold a station and verify it, unless that was done since the slide last moved.
 
-        ``again`` approaches it where it is held, and leaves the proof to the caller. Without {W},
-        without a rail, and where the reflector is carried by hand, nothing can be proven. Raises
-        `RemeasureStep` where it was the tracker that has moved. A strip that has jumped pauses an
-        attended run; `DeviceError` where the slide is still beside its place afterwards.
+        ``again`` approaches a held station and leaves the verification to the caller. Nothing can
+        be verified without {W}, without a rail or with a reflector carried by hand. Raises
+        `RemeasureStep` where the tracker has moved. A strip that has jumped pauses an attended run;
+        `DeviceError` where the slide is out of place after another approach.
         """
         super().hold_station(station, again=again)
         if again or not (self._framed and self.cell.has_rail) or self.cell.layout.by_hand:
@@ -353,9 +344,9 @@ class Watch(Meter):
         if not off.holds:
             self.verify_tracker()
             self.pause(
-                f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
-                f"was, expected within {off.limit_mm:.3f} mm: the strip has jumped, or a slide "
-                "nest has moved"
+                f"the slide is {off.off_mm:+.3f} mm along the rail from its first hold of "
+                f"{station.name}, expected within {off.limit_mm:.3f} mm: the strip has jumped, or "
+                "a slide nest has moved"
             )
             super().hold_station(station, again=True)
             off = self._prove_hold(station)
@@ -365,7 +356,7 @@ class Watch(Meter):
                 "HC-S10",
                 "Rail",
                 f"hold {station.name}",
-                f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
+                f"the strip reads the station, the slide is {off.off_mm:+.3f} mm from it",
                 expected=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this "
                 "run",
                 fields=jump
@@ -374,7 +365,7 @@ class Watch(Meter):
         self._proven = (station.name, self.log.visit)
 
     def _prove_hold(self, station: Station) -> SlideOffset:
-        """Measure the nest, and journal that it is where it was, if so."""
+        """Measure the nest; journal the hold as verified if it is within the limit."""
         self.verify_tracker_if_due()
         nest = self.cell.layout.slide[0]
         turn = len(self.log.select(HELD, station.name))
@@ -391,12 +382,11 @@ class Watch(Meter):
         return off
 
     def _off(self, station: Station, now: Point) -> SlideOffset:
-        """Return how far a point of this hold is from the first one's: of the station, or of any.
+        """Return the offset of a hold from the first hold: of the same station, or else of any.
 
-        The first of all is where it is. From one station to another the strip leads less well than
-        back to the same.
+        The very first hold has none. Between stations the strip's own error allows more.
         """
-        keys = (proof.key for proof in self.log.happened(SlideProven))
+        keys = (each.key for each in self.log.happened(SlideProven))
         before = [self.log.points[key] for key in keys if key in self.log.points]
         here = [point for point in before if point.station == station.name]
         if not before:
@@ -406,17 +396,17 @@ class Watch(Meter):
         held_mm = 2.0 * self.cell.rail.held_within_mm if here else straight_mm
         limit_mm = held_mm + float(self._limits_mm([first], [now])[0])
         at_mm = apply(self.log.matrix("world"), positions_mm([first, now]))
-        way_mm = station.strip_mm - self.cell.station_named(first.station).strip_mm
+        travel_mm = station.strip_mm - self.cell.station_named(first.station).strip_mm
         along_mm = float((at_mm[1] - at_mm[0]) @ np.array(self.cell.layout.rail_direction))
-        return SlideOffset(along_mm - way_mm, limit_mm)
+        return SlideOffset(along_mm - travel_mm, limit_mm)
 
-    # -- the room ---------------------------------------------------------------------------------
+    # -- the ambient temperature ------------------------------------------------------------------
 
     def check_ambient_temperature(self) -> None:
-        """Suspend the run where its newest point was measured beyond the room's range.
+        """Suspend the run if its newest point was measured out of the temperature range.
 
-        That point waits to be re-measured, where it may be. Where the reflector is carried by hand
-        there is none to look at, and somebody who feels the room.
+        That point is re-measured, if it may be. With a reflector carried by hand the operator
+        watches the temperature.
         """
         point, table = self.last, self.cell.room
         if point is None or point is self._temperature_judged or self.cell.layout.by_hand:
@@ -432,18 +422,18 @@ class Watch(Meter):
         cause, nest = self._temperature_error(point, then_c), self.cell.layout.floor[0]
         x, y, z = self.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
         prompt = Prompt(
-            title="Wait for the room's temperature",
-            text=f"{cause.found}. The run goes on by itself when the air is {cause.expected}; "
+            title="Wait for the ambient temperature",
+            text=f"{cause.found}. The run continues when the air is {cause.expected}; "
             "close doors and gates, look at the heating.",
-            place="the room",
+            place="the ambient temperature",
             expected_mm=(x, y, z),
             limit_mm=self.cell.tracker.find_radius_mm,
-            reason=f"room temperature: {cause.found}, expected {cause.expected}",
+            reason=f"ambient temperature: {cause.found}, expected {cause.expected}",
             by_itself=True,
         )
         self._temperature_good_since_s = None
         if not retake_refusal(self.log, point.key):
-            self.add(RetakeAsked(key=point.key))  # done also by a run that is resumed
+            self.add(RetakeAsked(key=point.key))  # also after a resume
         self.ask(
             prompt,
             lambda: self._verify_ambient_temperature(np.array(prompt.expected_mm), then_c),
@@ -459,7 +449,7 @@ class Watch(Meter):
             f"weather station at {point.key}",
             f"air {now_c:.1f} C, {now_c - then_c:+.1f} K from the grid's first point",
             expected=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
-            act="wait until the room is as it was, then resume",
+            act="wait until the temperature is back, then resume",
             fields=Suspicion(Cause.TEMPERATURE, now_c - then_c, "K", NOTICED_BY).facts
             | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
         )
@@ -501,42 +491,39 @@ class Watch(Meter):
         ]
 
 
-# -- floor nests as the tracker sees them ----------------------------------------------------------
+# -- floor nests as measured ----------------------------------------------------------
 
 
 def motion_limits_mm(
     cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]
 ) -> Array:
-    """Return by how much each nest (N,) may seem to move: stated drift, and the readings' noise.
-
-    The noise is what all readings of the run so far have shown, at the nest.
+    """Return the limits (N,) of apparent motions of nests: stated drift and the noise of all
+    readings of the run so far.
     """
     mm2 = noise_at(noise, before) + noise_at(noise, now)
     return _length_limits_mm(cell, noise, np.trace(mm2, axis1=-2, axis2=-1))
 
 
 def _length_limits_mm(cell: Cell, noise: BeamNoise, variances_mm2: Array) -> Array:
-    """Return the limits (N,) of lengths by the variances of their noise (N,)."""
     sigmas = coverage_factor(SIGMAS, noise.freedom)
     limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + sigmas * np.sqrt(variances_mm2)
     return limits
 
 
 def motions_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:
-    """Return by how much each nest (N,) seems to have moved."""
     return lengths_mm(positions_mm(now) - positions_mm(before))
 
 
 def some_unmoved(before: Sequence[Point], now: Sequence[Point]) -> bool:
-    """Whether some nests are hardly moved beside the others: no motion of a tracker does that."""
+    """Whether some nests moved much less than others, which no motion of a tracker causes."""
     off_mm = motions_mm(before, now)
     return bool(np.any(off_mm <= ALIKE * off_mm.max()))
 
 
 def check_places(cell: Cell, measured_mm: Array) -> None:
-    """Refuse nests that were seen outside the tracker's search for them.
+    """Refuse nests measured outside their search radius.
 
-    Distances do not tell that two nests changed places in a symmetric triangle; places do.
+    Positions show two swapped nests of a symmetric triangle; distances do not.
     """
     nests, limit_mm = cell.layout.floor, cell.tracker.find_radius_mm
     nominal_mm = np.array([nest.xyz_mm for nest in nests])
@@ -552,10 +539,9 @@ def check_places(cell: Cell, measured_mm: Array) -> None:
             "HC-T32",
             "Tracker",
             "world frame",
-            f"{nest.name} was seen {found_mm:.1f} mm from its expected place{where}",
+            f"{nest.name} is {found_mm:.1f} mm from its expected place{where}",
             expected=f"<= {limit_mm:.1f} mm (tracker.find_radius_mm)",
-            act="nests swapped, or the tracker does not stand as tracker.pose says; check, then "
-            "resume",
+            act="nests swapped, or tracker.pose is wrong; check, then resume",
             fields={
                 "nest": nest.name,
                 "off_mm": float(found_mm),

@@ -37,12 +37,11 @@ REST_S = 0.02
 
 
 class PauseGate:
-    """Open at first. ``reached`` is called when the worker stands before the closed gate, where it
-    is ``resting``.
+    """Open at first. ``reached`` is called once the worker waits at the closed gate (``resting``).
 
-    A gate that opens and closes again at once must find the worker either resting or gone, never
-    in between, and an open gate is never reported as reached; so a thread that changes or reports
-    either holds the lock. ``reached`` must not wait.
+    A gate that opens and closes at once must find the worker either resting or past it, and an
+    open gate is never reported as reached; so both change under the lock. ``reached`` must not
+    wait.
     """
 
     def __init__(self, reached: Callable[[], None]) -> None:
@@ -54,11 +53,10 @@ class PauseGate:
 
     @property
     def closed(self) -> bool:
-        """Whether the worker may not pass."""
         return not self._open.is_set()
 
     def close(self) -> None:
-        """Let the worker wait when it comes here next."""
+        """Make the worker wait at its next checkpoint."""
         with self._lock:
             self._open.clear()
             if self.resting:
@@ -69,7 +67,7 @@ class PauseGate:
             self._open.set()
 
     def pass_through(self, at_rest: Callable[[], None]) -> None:
-        """Wait while the gate is closed, calling ``at_rest`` all the while; it may raise."""
+        """Wait while the gate is closed, calling ``at_rest`` repeatedly; it may raise."""
         while not self._passed():
             at_rest()
             self._open.wait(REST_S)
@@ -85,9 +83,9 @@ class PauseGate:
 
 
 # A person who walks through the beam is gone in seconds, a lamp that dazzles the tracker in an
-# hour. So looks come after 10 s, 20 s, 40 s and so on; when the time is over, the run ends as a
-# fault. A cause that comes back soon after a good look is looked at ever more seldom, too: a look
-# at a strip that was frozen is no proof before the slide has moved.
+# hour. So polls come after 10 s, 20 s, 40 s and so on; when the time is over, the run ends with a
+# fault. A cause that is back soon after a passed poll keeps the long interval: the poll of a frozen
+# strip verifies nothing before the slide has moved.
 
 
 class UnattendedPolling:
@@ -105,13 +103,13 @@ class UnattendedPolling:
         return not self._left_s > 0.0
 
     def begin(self) -> None:
-        """Begin a wait: the first look comes soon, unless the same cause may be back at once."""
+        """Begin a wait: the first poll comes soon, unless the same cause may be back at once."""
         if not self._clock.now_s() - self._polled_s <= self._apart_s:
             self._apart_s = self._due_s = self.FIRST_POLL_S
 
     def poll_due(self) -> bool:
-        """Let a slice of time pass; return whether to look now."""
-        slice_s = min(0.5, self._left_s)  # an answer of somebody who attends is noticed meanwhile
+        """Wait for a slice of time; return whether to poll now."""
+        slice_s = min(0.5, self._left_s)  # answers are handled in between
         self._clock.wait(slice_s)
         self._left_s -= slice_s
         self._due_s -= slice_s
@@ -131,33 +129,33 @@ class Started(NamedTuple):
 
 
 class AtRest(NamedTuple):
-    """The worker stands before the closed gate."""
+    """The worker waits at the closed gate."""
 
 
 class PauseRequested(NamedTuple):
-    """The worker will stand before the gate, which it has closed: somebody has to watch now."""
+    """The worker has closed the gate: the operator must watch from here."""
 
     reason: str
 
 
 class Asked(NamedTuple):
-    """The worker asks the operator, and waits; ``cause`` where an error made it ask."""
+    """The worker prompts the operator and waits; ``cause`` is the error, if any."""
 
     prompt: Prompt
     cause: NoReading | None
 
 
 class Verified(NamedTuple):
-    """A look has proven the operator's answer, or that an unattended run may go on.
+    """The operator's answer, or the end of an unattended wait, is verified.
 
-    The worker waits for leave to go on.
+    The worker waits for `Worker.may_proceed`.
     """
 
     by: str
 
 
 class Ended(NamedTuple):
-    """How the worker ended: no error means that the procedure was performed."""
+    """The worker ended; without an error the procedure was performed."""
 
     error: Exception | None
 
@@ -172,7 +170,7 @@ class Worker:
     `Verified`, and set ``screen_known`` once the screen that ordered the run attends or is lost.
     """
 
-    SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone
+    SCREEN_S = 10.0  # a screen polls for its engine twice a second
 
     def __init__(
         self,
@@ -200,7 +198,7 @@ class Worker:
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def prompt(self) -> PromptStatus | None:
-        """Return the prompt; an answer to it would be refused while a device is lost."""
+        """Return the prompt; it is not ready while a device is lost."""
         status = self.pending.status()
         if status is None or not self.monitor.lost:
             return status
@@ -229,7 +227,7 @@ class Worker:
         self._send(Ended(error))
 
     def _perform(self) -> None:
-        identities = connect_all(self.devices, self._claim)
+        identities = connect_all(self.devices, self._lock_devices)
         changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
         connected = Connected(devices=identities, hilcell=__version__)
         self._changes.check(changes)
@@ -242,7 +240,7 @@ class Worker:
                 self._pause(f"not as before: {'; '.join(changes)}")
             by = "--accept-changes" if self._changes.accepted else "the operator"
             self._journal.append("event", "", ChangesAccepted(changes=changes, by=by))
-            self._journal.append("event", "", connected)  # only now the next resume's measure
+            self._journal.append("event", "", connected)  # the next resume compares with these
         self._checkpoint()
         self.session = CellSession(
             self._plan.cell,
@@ -255,21 +253,21 @@ class Worker:
         )
         self._plan.procedure.perform(self.session)
 
-    def _claim(self, identities: list[Identity]) -> None:
-        """Lock each device by its serial number: another run may reach it by another address.
+    def _lock_devices(self, identities: list[Identity]) -> None:
+        """Lock each real device by its serial number: it may have a second address.
 
-        Raises `CellLocked`. A simulated device's numbers are those of many others.
+        Raises `CellLocked`.
         """
-        known_by = {
+        names = {
             f"{each.device} ({each.model}, serial {each.serial})"
             for each in identities
             if each.serial.strip("0 ") and not each.simulated
         }
-        for what in known_by:
+        for what in names:
             self._locks.enter_context(locked(lock_of_device(what), what, self._journal.run))
 
     def _await_screen(self) -> None:
-        """Wait for the screen that ordered this run; one that does not come was lost."""
+        """Wait for the screen that ordered this run; report it as lost after `SCREEN_S`."""
         missed_s = time.monotonic() + self.SCREEN_S
         while not self.screen_known.wait(REST_S):
             self._at_rest()
@@ -278,12 +276,12 @@ class Worker:
                 missed_s = math.inf
 
     def _checkpoint(self) -> None:
-        """Wait here while the run is paused; the point in flight is always finished first."""
+        """Wait here while the run is paused; the point in progress is always finished first."""
         self._check_end()
         self.gate.pass_through(self._at_rest)
 
     def _pause(self, reason: str) -> None:
-        """Pause before something that somebody has to watch; a run that nobody attends goes on."""
+        """Pause an attended run before something that the operator must watch."""
         if not self._unattended:
             self.gate.close()
             self._send(PauseRequested(reason))
@@ -306,7 +304,7 @@ class Worker:
                 self._journal.append("event", "", lost)
 
     def _check_end(self) -> None:
-        """Leave here when a stop or an abort was asked for."""
+        """Raise `Stopped` after a stop or an abort."""
         self._clock.check()
         if self._journal.log.state == "aborting":
             raise Stopped("aborted by the operator")
@@ -314,11 +312,11 @@ class Worker:
     # -- prompts ------------------------------------------------------------------------------
 
     def _ask(
-        self, prompt: Prompt, look: Callable[[], Verification], cause: NoReading | None
+        self, prompt: Prompt, verify: Callable[[], Verification], cause: NoReading | None
     ) -> Verification:
-        """Wait for the operator's answer until it is proven; return the look that proves it.
+        """Prompt the operator until the answer is verified; return that verification.
 
-        Unattended, a failed reading waits for a good look; that none comes is a fault.
+        Unattended, only a failed reading waits for a verification; without one it is a fault.
         """
         if self._unattended and (cause is None or self._wait.over):
             raise unanswered(prompt, cause) from cause
@@ -326,49 +324,49 @@ class Worker:
         self.pending.open(prompt)
         self._send(Asked(prompt, cause))
         self._wait.begin()
-        looked_s = -POLL_S
+        polled_s = -POLL_S
         while True:
             self._at_rest()
             if self._unattended:
                 answers, due = self.pending.take_answers(0.0), self._wait.poll_due()
             else:
                 answers = self.pending.take_answers(REST_S)
-                due = time.monotonic() - looked_s >= POLL_S
+                due = time.monotonic() - polled_s >= POLL_S
             if not (answers or due):
                 continue
-            seen, proven = self._verify(prompt, look, answers)
-            looked_s = time.monotonic()
-            if proven:
+            result, verified = self._verify(prompt, verify, answers)
+            polled_s = time.monotonic()
+            if verified:
                 self.pending.close("another answer came first")
-                return seen
+                return result
             if self._unattended and self._wait.over:
                 for error in self._lost.values():
                     raise error
                 raise unanswered(prompt, cause) from cause
 
     def _verify(
-        self, prompt: Prompt, look: Callable[[], Verification], answers: list[Future[str]]
+        self, prompt: Prompt, verify: Callable[[], Verification], answers: list[Future[str]]
     ) -> tuple[Verification, bool]:
-        """Verification, and judge by it the answers that came before; return whether to go on.
+        """Verify, and judge the answers that came before; return whether the run continues.
 
-        An unattended run needs none.
+        An unattended run needs no answer.
         """
         why, alone = ENDED, self._unattended or prompt.by_itself
         try:
-            seen = look()
-            self.pending.show(seen)
+            result = verify()
+            self.pending.show(result)
             self.monitor.refresh(at_once=bool(answers))
             self._note_lost()
-            proven = bool(answers or alone) and passes(prompt, seen) and not self._lost
-            if proven:
+            verified = bool(answers or alone) and passes(prompt, result) and not self._lost
+            if verified:
                 self._send(Verified("answer" if answers else "look"))
                 while not self.may_proceed.wait(REST_S):
                     self._check_end()
                 why = ""
             elif answers:
-                why = refusal(prompt, seen, self._lost)
+                why = refusal(prompt, result, self._lost)
                 self._journal.append("event", "", AnswerRefused(reason=why))
         finally:
             for answer in answers:
                 answer.set_result(why)
-        return seen, proven
+        return result, verified

@@ -120,7 +120,7 @@ def test_a_run_that_has_a_copy_beside_it_says_so_when_it_goes_on(
     shutil.copytree(folder, tmp_path / "copy")
     assert resumed(folder, monkeypatch, "y\n")[0] == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert f"copy and r in {tmp_path} are one run; only r goes on" in said
+    assert f"copy and r in {tmp_path} are one run; only r continues" in said
     shutil.rmtree(tmp_path / "copy")
     assert resumed(folder, monkeypatch, "y\n")[0] == 0
     assert "are one run" not in capsys.readouterr().err

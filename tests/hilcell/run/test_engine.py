@@ -66,7 +66,7 @@ def test_what_somebody_does_by_hand_is_never_left_alone(
 ) -> None:
     """It neither begins unattended nor goes on so."""
     words = (
-        "reflectors refused before anything moves: somebody must be there to carry each reflector "
+        "reflectors refused before anything moves: an operator must carry each reflector "
         "to the first floor nest; leave out --unattended"
     )
     attended = Order(procedure="reflectors", runs=tmp_path, name="R")
@@ -77,9 +77,9 @@ def test_what_somebody_does_by_hand_is_never_left_alone(
     with NewEngine(attended, attended.check(print), print) as engine:
         engine.run(Heard())
     folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
-    assert again.check(folder, read_log(folder), somebody=True).goes_on
+    assert again.check(folder, read_log(folder), operator_present=True).goes_on
     with pytest.raises(HilcellError) as refused:
-        again.replace(attendance=ALONE).check(folder, read_log(folder), somebody=False)
+        again.replace(attendance=ALONE).check(folder, read_log(folder), operator_present=False)
     assert (refused.value.code, str(refused.value)) == ("HC-C16", words)
 
 
@@ -111,7 +111,7 @@ def test_an_engine_performs_an_order_and_holds_its_lock_alone(tmp_path: Path) ->
     assert refused.value.code == "HC-J09"
     with pytest.raises(HilcellError) as over:
         Resume(run="R", runs=tmp_path).check(
-            tmp_path / "R", read_log(tmp_path / "R"), somebody=True
+            tmp_path / "R", read_log(tmp_path / "R"), operator_present=True
         )
     assert over.value.code == "HC-J09"
 
@@ -138,7 +138,7 @@ def test_a_resumed_run_journals_the_agreement_and_its_order(
         engine.run(Heard())
     monkeypatch.setattr("hilcell.run.run_plan.__version__", "0.0")
     folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
-    plan = again.check(folder, read_log(folder), somebody=True)
+    plan = again.check(folder, read_log(folder), operator_present=True)
     assert (plan.goes_on, len(plan.changes.inputs)) == (True, 1)
     with ResumedEngine(again, plan, print) as resumed:
         resumed.agree()
@@ -147,5 +147,5 @@ def test_a_resumed_run_journals_the_agreement_and_its_order(
     events = [each.body["what"] for each in read_journal(folder / JOURNAL) if each.kind == "event"]
     assert events == ["changes accepted", "order"]
     with pytest.raises(HilcellError) as refused:
-        again.check(folder, read_log(folder), somebody=False)
+        again.check(folder, read_log(folder), operator_present=False)
     assert refused.value.code == "HC-C30"

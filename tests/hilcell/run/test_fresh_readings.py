@@ -12,12 +12,13 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.ports import Clock, RailReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.interlocks import TRIES, fresh_reading
+from hilcell.run.interlocks import fresh_reading
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
 
 LIMIT_S = 0.5
+TRIES = 5
 CLOCK = DrivenClock()
 NO_WAITS = {"settle.robot_s": "0.0", "settle.rail_s": "0.0"}
 

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from hilcell.ports import DeviceError
-from hilcell.run.stopping import Acts, SafeStop, close_all
+from hilcell.run.stopping import ParallelCalls, SafeStop, close_all
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.rig import DeskRail, DeskRobot, desk, hang
@@ -16,7 +16,7 @@ from tests.hilcell.run.rig import DeskRail, DeskRobot, desk, hang
 def test_all_are_done_once_by_whoever_comes_first() -> None:
     done: list[str] = []
     go = threading.Event()
-    acts = Acts({name: partial(done.append, name) for name in "abcdef"}, go)
+    acts = ParallelCalls({name: partial(done.append, name) for name in "abcdef"}, go)
     assert done == []
     go.set()
     helpers = [threading.Thread(target=acts.help) for _ in range(4)]
@@ -74,7 +74,7 @@ def test_problems_are_told_by_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_late_one_is_told_and_left() -> None:
     entered, release = threading.Event(), threading.Event()
-    acts = Acts({"slow": hang(entered, release)})
+    acts = ParallelCalls({"slow": hang(entered, release)})
     entered.wait()
     assert [*acts.wait(0.0)] == ["slow"]
     release.set()
