@@ -32,8 +32,8 @@ from hilcell.run.interlocks import (
 from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.run_context import RunContext
 
-# The trap: the drive's encoder does not show backlash. So the last motion always comes from the same
-# side, and only the strip, read at rest, gives the slide's position.
+# The trap: the drive's encoder does not show backlash. So the last motion always comes from the
+# same side, and only the strip, read at rest, gives the slide's position.
 
 
 def approach_station(rail: Rail, table: RailTable, station: Station) -> int:
@@ -421,8 +421,8 @@ class Mover(RunContext):
         first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
 
-    # Outside the cube the volumes are only as right as the cell file. So the robot moves there slowly
-    # the first time, and an attended run pauses before the first such pose unless the cell file
+    # Outside the cube the volumes are only as right as the cell file. So the robot moves there
+    # slowly the first time, and an attended run pauses before the first such pose unless the cell file
     # disables that. A pose is known once this or an earlier finished run has moved there.
 
     def _speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
