@@ -422,8 +422,8 @@ class Mover(RunContext):
         return [*first, joints_rad]
 
     # Outside the cube the volumes are only as right as the cell file. So the robot moves there
-    # slowly the first time, and an attended run pauses before the first such pose unless the cell file
-    # disables that. A pose is known once this or an earlier finished run has moved there.
+    # slowly the first time, and an attended run pauses before the first such pose unless the cell
+    # file disables that. A pose is known once this or an earlier finished run has moved there.
 
     def _speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
         """Return the speed to joints (6,); announce the first unknown pose and pause."""
