@@ -168,7 +168,7 @@ class Overview:
 
     @classmethod
     def queried(cls, connection: Connection, args: PlantShow) -> Self:
-        from hilcell.plant.cells import cells, doubts
+        from hilcell.plant.cells import cells, inconsistencies
         from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
 
         cell, robot = args.cell or "", args.robot or ""
@@ -192,7 +192,7 @@ class Overview:
             stations=worse_stations(connection, cell, robot),
             instruments=instruments(connection, cell, robot),
             alarms=alarms(connection, cell, robot),
-            doubts=doubts(connection, {state.cell for state in states}),
+            doubts=inconsistencies(connection, {state.cell for state in states}),
         )
 
 

@@ -1,13 +1,12 @@
-"""Exported records: signed by the plant's own key, verified with its public key alone.
+"""Exported records: signed with the plant's private key, verified with its public key alone.
 
-The key is Ed25519, in PEM files as openssl makes: `openssl genpkey -algorithm ed25519 -out
-plant.key` makes one, and `openssl pkey -in plant.key -pubout -out plant.pub` the public key that
-proves its signatures.
+Keys are Ed25519 in PEM files: `openssl genpkey -algorithm ed25519 -out plant.key` creates a key,
+`openssl pkey -in plant.key -pubout -out plant.pub` its public key.
 
-The manifest has every file of a record by its size and SHA-256. ``manifest.sig`` holds the 64 bytes
-of the signature of ``manifest.json`` as it lies there, so openssl verifies it as well. That is
-verified before a word of the manifest is believed, and no database is asked. Then each file must be
-there, be a plain file and have its digest, and nothing else may be there.
+The manifest lists every file of a record with its size and SHA-256. ``manifest.sig`` is the
+signature (64 bytes) of ``manifest.json``, which openssl verifies as well. The signature is verified
+before the manifest is read; then each file must exist, be a regular file and match its digest, and
+there must be no other files. No database is needed.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from hilcell.errors import HilcellError
 from hilcell.sanitize import clean
 
 _WRONG = (ValueError, UnsupportedAlgorithm)
-_SPOILED = (
+_CORRUPT = (
     zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
 )  # fmt: skip
 
@@ -46,8 +45,8 @@ class BadKey(HilcellError):
         super().__init__(f"key {clean(str(path))}: {why}; {act}")
 
 
-class NotProven(HilcellError):
-    """A record whose manifest was not signed by the key, or is none."""
+class NotVerified(HilcellError):
+    """A record without a valid manifest that the key has signed."""
 
     code = "HC-J24"
 
@@ -58,55 +57,53 @@ class NotProven(HilcellError):
 def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519PrivateKey:
     """Return the key of a file; raises `BadKey`.
 
-    ``ask`` returns the passphrase of an encrypted one, or None where nobody can be asked.
+    ``ask`` returns the passphrase of an encrypted key, or None without a terminal.
     """
-    make = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
-    content = _content(path, make)
+    create = "`openssl genpkey -algorithm ed25519 -out FILE` creates one"
+    content = _content(path, create)
     if b"PUBLIC KEY" in content:
-        raise BadKey(path, "it is a public key, expected the private one", f"name that one; {make}")
+        raise BadKey(path, "expected a private key, got a public key", create)
     others = stat.S_IRWXG | stat.S_IRWXO
     if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & others:
-        raise BadKey(
-            path, f"others than its owner may use it (mode {mode:04o})", "`chmod 600` that file"
-        )
+        raise BadKey(path, f"other users may read it (mode {mode:04o})", "`chmod 600` that file")
     try:
         key: object = load_pem_private_key(content, None)
     except TypeError:
         key = _decrypted(path, content, ask())
     except _WRONG:
-        raise BadKey(path, "it is no private key in PEM", make) from None
+        raise BadKey(path, "expected a private key in PEM", create) from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise BadKey(path, "it is another kind of key, expected Ed25519", make)
+        raise BadKey(path, "expected an Ed25519 key", create)
     return key
 
 
 def read_public_key(path: Path) -> Ed25519PublicKey:
     """Return the key of a file; raises `BadKey`."""
-    publish = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
+    publish = "`openssl pkey -in KEYFILE -pubout -out FILE` writes it"
     content = _content(path, publish)
     if b"PRIVATE KEY" in content:
-        raise BadKey(path, "it is a private key, expected the public one", publish)
+        raise BadKey(path, "expected a public key, got a private key", publish)
     try:
         key = load_pem_public_key(content)
     except _WRONG:
-        raise BadKey(path, "it is no public key in PEM", publish) from None
+        raise BadKey(path, "expected a public key in PEM", publish) from None
     if not isinstance(key, Ed25519PublicKey):
-        raise BadKey(path, "it is another kind of key, expected Ed25519", publish)
+        raise BadKey(path, "expected an Ed25519 key", publish)
     return key
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:
-    """Return the SHA-256 of a key's 32 bytes, by which people tell keys apart."""
+    """Return the SHA-256 of a key's 32 bytes."""
     return f"SHA256:{hashlib.sha256(key.public_bytes_raw()).hexdigest()}"
 
 
 def _decrypted(path: Path, content: bytes, passphrase: bytes | None) -> object:
     if passphrase is None:
-        raise BadKey(path, "it is encrypted", "export in a terminal, which asks for its passphrase")
+        raise BadKey(path, "it is encrypted", "export in a terminal, which asks for the passphrase")
     try:
         return load_pem_private_key(content, passphrase)
-    except (*_WRONG, TypeError):  # the last of an empty one
-        raise BadKey(path, "its passphrase is another", "repeat the command") from None
+    except (*_WRONG, TypeError):  # TypeError: an empty passphrase
+        raise BadKey(path, "wrong passphrase", "repeat the command") from None
 
 
 def _content(path: Path, act: str) -> bytes:
@@ -117,7 +114,7 @@ def _content(path: Path, act: str) -> bytes:
     except OSError as error:
         raise BadKey(path, f"it cannot be read: {error.strerror}", act) from None
     if len(content) > most_bytes:
-        raise BadKey(path, "it is too long to be a key", act)
+        raise BadKey(path, f"expected at most {most_bytes} bytes", act)
     return content
 
 
@@ -129,7 +126,7 @@ RECORD = "run.json"
 
 
 class FileEntry(msgspec.Struct, frozen=True):
-    """A file as it was signed."""
+    """A signed file."""
 
     bytes: int
     sha256: str
@@ -154,7 +151,7 @@ class _Head(msgspec.Struct):
 
 
 class _Record(NamedTuple):
-    """The files of a record: their sizes by name, None where there is no plain file."""
+    """The files of a record: their sizes by name, None for other than regular files."""
 
     name: str
     sizes: dict[str, int | None]
@@ -165,7 +162,7 @@ class _Record(NamedTuple):
     def opened(cls, place: Path) -> Iterator[Self]:
         name = clean(str(place))
         with ExitStack() as stack:
-            with _as_not_proven(name):
+            with _as_not_verified(name):
                 kind = place.stat().st_mode
                 if stat.S_ISDIR(kind):
                     record = cls(
@@ -175,7 +172,7 @@ class _Record(NamedTuple):
                     archive = stack.enter_context(zipfile.ZipFile(place))
                     record = cls(name, cls._in_archive(archive), archive.open)
                 else:  # a device may never end
-                    raise NotProven(f"{name}: it is neither a folder nor a file")
+                    raise NotVerified(f"{name}: expected a folder or a file")
             yield record
 
     @staticmethod
@@ -188,117 +185,113 @@ class _Record(NamedTuple):
 
         for folder, folders, files in os.walk(place, onerror=refuse):
             for path in (Path(folder, name) for name in [*folders, *files]):
-                there = path.lstat()
-                if not stat.S_ISDIR(there.st_mode):
-                    size = there.st_size if stat.S_ISREG(there.st_mode) else None
+                status = path.lstat()
+                if not stat.S_ISDIR(status.st_mode):
+                    size = status.st_size if stat.S_ISREG(status.st_mode) else None
                     sizes[path.relative_to(place).as_posix()] = size
         return sizes
 
     @staticmethod
     def _in_archive(archive: zipfile.ZipFile) -> dict[str, int | None]:
-        """Return the sizes of its files; one that is in it twice, or packed by LZMA, has None."""
-        packed = (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-            zipfile.ZIP_BZIP2,
-        )  # no error of their own
+        """Return the sizes of its files, None for duplicates and for LZMA (errors of its own)."""
+        methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
         sizes: dict[str, int | None] = {}
         for each in archive.infolist():
             if not each.is_dir():
-                plain = each.filename not in sizes and each.compress_type in packed
+                plain = each.filename not in sizes and each.compress_type in methods
                 sizes[each.filename] = each.file_size if plain else None
         return sizes
 
     def manifest(self, key: Ed25519PublicKey) -> Manifest:
-        """Return what the key has signed; raises `NotProven`."""
+        """Return the manifest that the key has signed; raises `NotVerified`."""
         content = self._read(MANIFEST, 2**28)  # bytes of a million files
         signature = self._read(SIGNATURE, 64)
         try:
             key.verify(signature, content)
         except InvalidSignature:
-            raise NotProven(
+            raise NotVerified(
                 f"{self.name}: {MANIFEST} was changed, or signed by another key than "
-                f"{fingerprint(key)}; nothing in this record is proven"
+                f"{fingerprint(key)}; nothing in this record is verified"
             ) from None
         try:
             form = decoded(content, _Head).form
             if form != FORM:
-                raise NotProven(
-                    f"{self.name}: {MANIFEST} of form {form}, expected {FORM}; verify it with the "
-                    "hilcell that exported it"
+                raise NotVerified(
+                    f"{self.name}: {MANIFEST}: expected form {FORM}, got {form}; verify it with "
+                    "the version of hilcell that exported it"
                 )
             manifest = decoded(content, Manifest)
         except (msgspec.DecodeError, RecursionError) as error:
-            raise NotProven(f"{self.name}: {MANIFEST} is none that is known: {error}") from None
+            raise NotVerified(f"{self.name}: invalid {MANIFEST}: {error}") from None
         if manifest.key != fingerprint(key):
-            raise NotProven(f"{self.name}: {MANIFEST} names another key than that which signed it")
-        outside = [name for name in manifest.files if not sound(name)]
+            raise NotVerified(f"{self.name}: {MANIFEST} names a key that did not sign it")
+        outside = [name for name in manifest.files if not is_inside(name)]
         if outside:
-            raise NotProven(
-                f"{self.name}: {MANIFEST} names {len(outside)} files that are not within the "
-                f"record, the first {clean(outside[0])!r}; nothing was read there"
+            raise NotVerified(
+                f"{self.name}: {MANIFEST} names {len(outside)} files outside the record, the first "
+                f"{clean(outside[0])!r}; none was read"
             )
         return manifest
 
     def _read(self, name: str, most: int) -> bytes:
         size = self.sizes.get(name)
         if size is None:
-            why = "is no plain file" if name in self.sizes else "is missing"
-            raise NotProven(f"{self.name}: {name} {why}; nothing in this record is proven")
+            why = "is no regular file" if name in self.sizes else "is missing"
+            raise NotVerified(f"{self.name}: {name} {why}; nothing in this record is verified")
         if size > most:
-            raise NotProven(f"{self.name}: {name} has {size} bytes, expected at most {most}")
-        with _as_not_proven(f"{self.name}: {name}"), self.open(name) as file:
+            raise NotVerified(f"{self.name}: {name}: expected at most {most} bytes, got {size}")
+        with _as_not_verified(f"{self.name}: {name}"), self.open(name) as file:
             return file.read(most)
 
     def difference(self, name: str, entry: FileEntry) -> str:
-        """Return how a file differs from what was signed; "" where it does not."""
+        """Return how a file differs from the signed one, or ""."""
         if name not in self.sizes:
             return "is missing"
         size = self.sizes[name]
         if size is None:
-            return "is no plain file"
+            return "is no regular file"
         if size != entry.bytes:
-            return f"differs: {size} bytes, signed were {entry.bytes}"
+            return f"differs: expected {entry.bytes} bytes, got {size}"
         digest = hashlib.sha256()
         try:
             with self.open(name) as file:
                 while chunk := file.read(2**20):
                     digest.update(chunk)
-        except (OSError, *_SPOILED) as error:
+        except (OSError, *_CORRUPT) as error:
             return f"cannot be read: {clean(str(error))}"
         return "" if digest.hexdigest() == entry.sha256 else "differs: another SHA-256"
 
 
 def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, dict[str, str]]:
-    """Return the manifest, and by name what is wrong with files: changed, missing or extra.
+    """Return the manifest, and the problem of each changed, missing or extra file.
 
-    Raises `NotProven` where the manifest is not signed by the key, or nothing can be read.
+    Raises `NotVerified` where the manifest is not signed by the key, or nothing can be read.
     """
-    with _Record.opened(place) as source:
-        manifest = source.manifest(key)
-        extra = source.sizes.keys() - manifest.files - {MANIFEST, SIGNATURE}
-        found = dict.fromkeys(extra, "is not in the manifest") | {
-            name: what
+    with _Record.opened(place) as record:
+        manifest = record.manifest(key)
+        extra = record.sizes.keys() - manifest.files - {MANIFEST, SIGNATURE}
+        problems = dict.fromkeys(extra, "is not in the manifest") | {
+            name: difference
             for name, entry in manifest.files.items()
-            if (what := source.difference(name, entry))
+            if (difference := record.difference(name, entry))
         }
-    return manifest, dict(sorted(found.items()))
+    return manifest, dict(sorted(problems.items()))
 
 
-def sound(name: str) -> bool:
-    """Whether a file's name leads to a place within the record, on any system."""
+def is_inside(name: str) -> bool:
+    """Whether a file's name is a path within the record, on any system."""
     parts = name.split("/")
     plain = not any(each in name for each in ("\\", ":", "\0"))
     return plain and PurePosixPath(name).parts == tuple(parts) and ".." not in parts
 
 
 @contextmanager
-def _as_not_proven(what: str) -> Iterator[None]:
+def _as_not_verified(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise NotProven(f"{what}: cannot be read: {error.strerror or error}") from None
-    except _SPOILED as error:
-        raise NotProven(
-            f"{what}: it is neither an exported folder nor its archive: {clean(str(error))}"
+        raise NotVerified(f"{what}: cannot be read: {error.strerror or error}") from None
+    except _CORRUPT as error:
+        raise NotVerified(
+            f"{what}: expected an exported folder or archive: {clean(str(error))}"
         ) from None

@@ -1,6 +1,6 @@
-"""The cells of a plant: the newest calibration of each, how long it is still valid, what to doubt.
+"""The cells of a plant: their newest calibrations and its validity; inconsistent records.
 
-Records to doubt have a serial number or a name that several have, or clocks that disagree.
+Inconsistent are serial numbers or names that several cells or runs share, and clocks that disagree.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
-from hilcell.plant.tables import RUN, Found, grouped
+from hilcell.plant.tables import RUN, Row, grouped
 from hilcell.sanitize import clean
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
@@ -27,9 +27,9 @@ Name = tuple[str, str, str]  # a cell: its name, its serial number, and which si
 
 
 class CellState(msgspec.Struct, frozen=True, kw_only=True):
-    """One cell: its last run, and its current calibration; "" and None where it has none.
+    """One cell: its last run, and its current calibration; "" and None without one.
 
-    ``condition`` is *valid*, *too old*, how the newest calibration stands otherwise, or *no
+    ``condition`` is *valid*, *too old*, another status of the newest calibration, or *no
     calibration that holds*.
     """
 
@@ -47,7 +47,7 @@ class CellState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def newest() -> ColumnElement[bool]:
-    """Return the condition that a run's row is its newest revision."""
+    """Return the SQL condition that a row is its run's newest revision."""
     later = RUN.alias("later")
     return ~(
         select(later.c.digest)
@@ -56,17 +56,16 @@ def newest() -> ColumnElement[bool]:
     )
 
 
-def chosen(cell: str, robot: str) -> list[ColumnElement[bool]]:
-    """Return the conditions that a run is of a cell and of a robot; "" for any."""
-    wanted = ((RUN.c.cell, cell), (RUN.c.robot, robot))
-    return [column == name for column, name in wanted if name]
+def selected(cell: str, robot: str) -> list[ColumnElement[bool]]:
+    """Return the SQL conditions that a run is of a cell and of a robot; "" for any."""
+    return [column == name for column, name in ((RUN.c.cell, cell), (RUN.c.robot, robot)) if name]
 
 
 def cells(
     connection: Connection, now: datetime, max_age_days: float = MAX_AGE_DAYS
 ) -> list[CellState]:
-    """Return the state of all cells, in the order of their names."""
-    every = _every()
+    """Return the state of all cells, sorted by name."""
+    every = _cell_keys()
     own = RUN.alias("own")
     last = (
         select(own.c.digest)
@@ -76,17 +75,17 @@ def cells(
         .correlate(every)
         .scalar_subquery()
     )
-    asked = select(*CELL, RUN.c.name, RUN.c.state, RUN.c.ended)
-    since = _since(connection)
+    query = select(*CELL, RUN.c.name, RUN.c.state, RUN.c.ended)
+    since = _runs_since(connection)
     states = [
         _state(row, since[row.cell, row.serial, row.machine], now, max_age_days)
-        for row in connection.execute(asked.join_from(every, RUN, RUN.c.digest == last))
+        for row in connection.execute(query.join_from(every, RUN, RUN.c.digest == last))
     ]
     return sorted(states, key=attrgetter("cell", "serial", "machine"))
 
 
-def _every() -> CTE:
-    """Return the keys of all cells, each found by one step in the index: runs are many more."""
+def _cell_keys() -> CTE:
+    """Return the keys of all cells, each by one step in the index: there are far more runs."""
     first = select(RUN.c.cell_key).order_by(RUN.c.cell_key).limit(1).scalar_subquery()
     keys = select(first.label("key")).cte("every", recursive=True)
     following = (
@@ -100,9 +99,9 @@ def _every() -> CTE:
     return keys.union_all(select(following).where(keys.c.key.is_not(None)))
 
 
-def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
-    """Return each cell's runs since its newest proven calibration, which superseded all before."""
-    every = _every()
+def _runs_since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
+    """Return each cell's runs since its newest valid calibration, which superseded all before."""
+    every = _cell_keys()
     proven = (
         select(RUN.c.ended)
         .where(RUN.c.cell_key == every.c.key, RUN.c.proven, newest())
@@ -113,17 +112,17 @@ def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     )
     begun = connection.execute(select(every.c.key, proven.label("ended"))).all()
     known = [and_(RUN.c.cell_key == key, RUN.c.ended >= ended) for key, ended in begun if ended]
-    found: defaultdict[Name, list[RunRow]] = defaultdict(list)
-    batch = 200  # cells of one question
+    runs: defaultdict[Name, list[RunRow]] = defaultdict(list)
+    batch = 200  # cells of one query
     for start in range(0, len(known), batch):
         own = or_(*known[start : start + batch])
-        asked = select(*CELL, cast(RUN.c.row, Text).label("row")).where(own, newest())
-        for row in connection.execute(asked):
-            found[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
-    return found
+        query = select(*CELL, cast(RUN.c.row, Text).label("row")).where(own, newest())
+        for row in connection.execute(query):
+            runs[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
+    return runs
 
 
-def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
+def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
     known = statuses(since)
     ended_here = [known[row.name] for row in in_order(since) if row.name in known]
     state = CellState(
@@ -135,11 +134,11 @@ def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float)
     if not current:
         return state
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
-    latest = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
+    latest = datetime(9000, 1, 1, tzinfo=UTC)  # so that the sum is a valid date
     until = min(made, latest) + timedelta(days=max_age_days)
     condition = "valid" if now <= until else "too old"
     if made > now + CLOCK_ERROR:
-        condition = "made in the future: check the clock of the cell's computer"
+        condition = "made in the future: check the clock of the cell's PC"
     return msgspec.structs.replace(
         state,
         condition=condition,
@@ -150,69 +149,65 @@ def _state(last: Found, since: list[RunRow], now: datetime, max_age_days: float)
     )
 
 
-def doubts(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
-    """Return what is wrong with the records: serial numbers and clocks, one sentence each.
-
-    ``cells`` are the names of those whose records to check; None for all.
-    """
-    of = _Doubts(connection)
-    kinds = (of.serials, of.robots, of.namesakes, of.at_once, of.ahead, of.set_back)
-    found = (doubt for kind in kinds for doubt in kind())
-    return [words for names, words in found if cells is None or not {*cells}.isdisjoint(names)]
+def inconsistencies(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
+    """Return inconsistencies of serial numbers, names and clocks in the records of ``cells``."""
+    of = _Inconsistencies(connection)
+    checks = (of.serials, of.robots, of.namesakes, of.at_once, of.ahead, of.set_back)
+    every = (each for check in checks for each in check())
+    return [text for names, text in every if cells is None or not {*cells}.isdisjoint(names)]
 
 
-Doubt = tuple[list[str], str]  # about the records of these cells, in a sentence
+Inconsistency = tuple[list[str], str]  # names of cells, text
 
 
 @dataclass(frozen=True, eq=False)
-class _Doubts:
+class _Inconsistencies:
     connection: Connection
 
-    def serials(self) -> Iterator[Doubt]:
-        asked = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
-        by_serial = grouped(self.connection, asked.order_by(RUN.c.serial, RUN.c.cell), "serial")
+    def serials(self) -> Iterator[Inconsistency]:
+        query = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
+        by_serial = grouped(self.connection, query.order_by(RUN.c.serial, RUN.c.cell), "serial")
         for (serial,), rows in by_serial.items():
             names = [row.cell for row in rows]
             cells = ", ".join(map(clean, names))
             if len(names) > 1:
-                own = "give each its own in its cell file"
-                yield names, f"serial number {clean(serial)} is that of cells {cells}: {own}"
+                own = "give each cell its own in its cell file"
+                yield names, f"cells {cells} have the same serial number {clean(serial)}: {own}"
 
-    def robots(self) -> Iterator[Doubt]:
-        """Yield robots that worked in several cells in turns: one that was moved left the first."""
+    def robots(self) -> Iterator[Inconsistency]:
+        """Yield robots that worked alternately in several cells."""
         place = (RUN.c.robot, RUN.c.cell, RUN.c.serial)
         first = func.min(RUN.c.begun)
-        asked = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
-        asked = asked.where(RUN.c.robot != "").group_by(*place)
-        asked = asked.order_by(RUN.c.robot, first, RUN.c.cell)
-        for (robot,), spans in grouped(self.connection, asked, "robot").items():
+        query = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
+        query = query.where(RUN.c.robot != "").group_by(*place)
+        query = query.order_by(RUN.c.robot, first, RUN.c.cell)
+        for (robot,), spans in grouped(self.connection, query, "robot").items():
             if any(later.first < earlier.last for earlier, later in pairwise(spans)):
                 names = sorted({span.cell for span in spans})
-                words = (
-                    f"robot {clean(robot)} worked in {len(spans)} cells in turns "
+                text = (
+                    f"robot {clean(robot)} worked alternately in {len(spans)} cells "
                     f"({', '.join(map(clean, names))}): two robots have one serial number, or it "
-                    "was moved to and fro; its drift is judged in each cell for itself"
+                    "was moved back and forth; its drift is evaluated in each cell separately"
                 )
-                yield names, words
+                yield names, text
 
-    def namesakes(self) -> Iterator[Doubt]:
-        """Yield cells of which several runs have one name."""
+    def namesakes(self) -> Iterator[Inconsistency]:
+        """Yield cells in which several runs have one name."""
         columns = (RUN.c.cell, RUN.c.serial, RUN.c.name)
-        asked = select(*columns).group_by(*columns).order_by(*columns)
-        asked = asked.having(func.count(RUN.c.run_key.distinct()) > 1)
-        for (cell, serial), rows in grouped(self.connection, asked, "cell", "serial").items():
-            words = (
+        query = select(*columns).group_by(*columns).order_by(*columns)
+        query = query.having(func.count(RUN.c.run_key.distinct()) > 1)
+        for (cell, serial), rows in grouped(self.connection, query, "cell", "serial").items():
+            text = (
                 f"cell {clean(cell)}, serial number {clean(serial)}: several runs have one name "
-                f"({len(rows)} names, the first {clean(rows[0].name)}): two folders or computers "
-                "ship as one cell; give each cell a name and a serial number of its own, or each "
-                "run its own name (`hilcell run --name`)"
+                f"({len(rows)} names, the first {clean(rows[0].name)}): two folders or PCs ship as "
+                "one cell; give each cell its own name and serial number, or each run its own "
+                "name (`hilcell run --name`)"
             )
-            yield [cell], words
+            yield [cell], text
 
-    def at_once(self) -> Iterator[Doubt]:
-        """Yield real cells of which two runs were at work at once: two computers are one cell.
-
-        A run that was opened again lasts from its begin to its last end, so that is no sign.
+    def at_once(self) -> Iterator[Inconsistency]:
+        """Yield real cells in which two runs overlap; first revisions only, for a re-opened run
+        lasts from its begin to its last end.
         """
         before = func.lag(RUN.c.ended).over(partition_by=CELL, order_by=RUN.c.begun)
         other = RUN.alias("other")
@@ -222,39 +217,39 @@ class _Doubts:
         )
         each = of_each.subquery("each")
         place = (each.c.cell, each.c.serial)
-        asked = select(*place, func.count().label("times")).where(each.c.begun < each.c.before)
-        for row in self.connection.execute(asked.group_by(*place)):
-            words = (
+        query = select(*place, func.count().label("times")).where(each.c.begun < each.c.before)
+        for row in self.connection.execute(query.group_by(*place)):
+            text = (
                 f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs "
-                "began while another was at work: two computers ship as one cell, or their clocks "
+                "began while another was running: two PCs ship as one cell, or their clocks "
                 "disagree"
             )
-            yield [row.cell], words
+            yield [row.cell], text
 
-    def ahead(self) -> Iterator[Doubt]:
-        """Yield cells whose runs ended later than the server's clock said when they arrived."""
-        asked = select(RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.name)
-        asked = asked.where(RUN.c.ended > RUN.c.shipped).order_by(RUN.c.ended)
+    def ahead(self) -> Iterator[Inconsistency]:
+        """Yield cells whose runs ended after their arrival by the server's clock."""
+        query = select(RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.name)
+        query = query.where(RUN.c.ended > RUN.c.shipped).order_by(RUN.c.ended)
         ahead = {
             row.cell: row
-            for row in self.connection.execute(asked)
+            for row in self.connection.execute(query)
             if row.ended > row.shipped + CLOCK_ERROR
         }
         for row in ahead.values():
             hours = (row.ended - row.shipped).total_seconds() / 3600.0
-            words = (
+            text = (
                 f"cell {clean(row.cell)}: run {clean(row.name)} ended {hours:.1f} h after it "
-                "arrived here: set the clock of its computer, or the server's"
+                "arrived: set the clock of its PC, or the server's"
             )
-            yield [row.cell], words
+            yield [row.cell], text
 
-    def set_back(self) -> Iterator[Doubt]:
-        """Yield cells of which runs ended before they began."""
-        asked = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
-        asked = asked.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)
-        for row in self.connection.execute(asked):
-            words = (
+    def set_back(self) -> Iterator[Inconsistency]:
+        """Yield cells whose runs ended before they began."""
+        query = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
+        query = query.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)
+        for row in self.connection.execute(query):
+            text = (
                 f"cell {clean(row.cell)}: {row.times} runs ended before they began, one of them "
-                f"{clean(row.name)}: the clock of its computer was set back meanwhile"
+                f"{clean(row.name)}: the clock of its PC was set back meanwhile"
             )
-            yield [row.cell], words
+            yield [row.cell], text

@@ -1,7 +1,6 @@
-"""The plant's database: its URL, its schema and roles, and its errors in one line each.
+"""The plant's database: URL, schema, roles, and errors of one line.
 
-No message holds a password: it may stand in the URL, where libpq's own file (``~/.pgpass``) is
-not used.
+Messages never contain a password, which the URL may have if ``~/.pgpass`` is not used.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
 
@@ -24,37 +24,37 @@ from hilcell.sanitize import clean
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL = "postgresql"
-BUSY_S = 30.0  # that another may write an office's file
+BUSY_S = 30.0  # wait for another process that writes an SQLite file
 HIDDEN = "***"
-SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
-CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
-# A connection that fails has no SQLSTATE: the words of an English server say why, or a password
-# that was asked for.
-FATAL = "FATAL: "  # the server's answer to a connection
-SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
-KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
+SHIPPED = "plant.sqlite"  # cache in the folder of runs: which journals were shipped
+CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # roles
+# A failed connection has no SQLSTATE: only the English message of the server, or a request for a
+# password, tells why.
+FATAL = "FATAL: "  # the server's reply to a connection
+SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's options
+CELL_COLUMNS = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
 
 class PlantError(HilcellError):
-    """The database refuses the work: its address, its schema, a right."""
+    """The database refuses the work: its address, its schema, a privilege."""
 
     code = "HC-J21"
 
 
 class RightMissing(PlantError):
-    """The user may not do this: no repetition helps."""
+    """The user lacks a privilege: repeating does not help."""
 
 
-class PlantAway(StoreAway):
-    """The database cannot be reached, or went away; journals keep the runs that it lacks."""
+class PlantUnavailable(StoreAway):
+    """The database cannot be reached, or the connection was lost; no run is lost."""
 
     code = "HC-J20"
 
 
 class Database:
-    """A plant's database by its URL; opens nothing yet. Raises `PlantError`."""
+    """A plant's database by its URL; connects lazily. Raises `PlantError`."""
 
-    _UNHEARD = logging.NullHandler()
+    _SILENT_LOG = logging.NullHandler()
 
     def __init__(self, url: str) -> None:
         self._url = _parsed(url)
@@ -64,8 +64,8 @@ class Database:
         self.name = clean(shown.replace(quote(HIDDEN), HIDDEN))
         self._remote = self._url.get_backend_name() == POSTGRESQL
         options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
-        # Its warnings repeat the error that is raised; without a handler they reach stderr.
-        logging.getLogger("psycopg").addHandler(self._UNHEARD)
+        # psycopg's warnings repeat the raised error; without a handler they reach stderr.
+        logging.getLogger("psycopg").addHandler(self._SILENT_LOG)
         self.engine: Engine = sa.create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._remote:
             event.listen(self.engine, "do_connect", self._connected)
@@ -74,10 +74,7 @@ class Database:
 
     @contextmanager
     def transaction(self, *, migrating: bool = False) -> Iterator[Connection]:
-        """Yield a connection whose work is kept whole, or not at all.
-
-        Raises `PlantAway` and `PlantError`.
-        """
+        """Yield a connection in a transaction. Raises `PlantUnavailable` and `PlantError`."""
         try:
             with self.engine.begin() as connection:
                 if self._remote:
@@ -87,27 +84,27 @@ class Database:
                     deadlines.limit(connection, order_s)
                 yield connection
         except exc.SQLAlchemyError as error:
-            raise self._error(error) from None  # SQLAlchemy's own says the values of all rows
+            raise self._error(error) from None  # SQLAlchemy's message has the values of all rows
 
     def check(self) -> None:
-        """Raise `PlantError` where the schema is not this version's, or `PlantAway`."""
+        """Raise `PlantError` where the schema is not this version's, or `PlantUnavailable`."""
         self._check_place()
         if not (self._remote or Path(self._url.database or "").is_file()):
-            raise self._none()  # SQLite would make an empty one
+            raise self._none()  # SQLite would create an empty file
         with self.transaction() as connection:
             self._check(connection)
 
     def create(self) -> str:
-        """Make the schema where there is none; return which it was before, or "".
+        """Create the schema, or upgrade it; return its former version, or "".
 
-        Raises `PlantAway` and `PlantError`.
+        Raises `PlantUnavailable` and `PlantError`.
         """
         from alembic import command
         from alembic.config import Config
 
         self._check_place()
         with self.transaction(migrating=True) as connection:
-            # One at a time; sqlite3 would also keep each table by itself.
+            # One process at a time; sqlite3 would also commit each table separately.
             alone = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
             connection.exec_driver_sql(alone if self._remote else "BEGIN IMMEDIATE")
             before = self._version(connection)
@@ -127,19 +124,19 @@ class Database:
         self.engine.dispose()
 
     def _check_place(self) -> None:
-        """Refuse a place at which no file can be: no repetition helps."""
+        """Refuse a path that cannot be a file."""
         if self._remote:
             return
         file = Path(self._url.database or "")
         if file.is_dir():
-            raise self._refusal("it is a folder; name a file, as plant.db in it")
+            raise self._refusal("expected a file such as plant.db, got a folder")
         if not file.parent.is_dir():
             folder = clean(str(file.parent))
-            raise self._refusal(f"the folder {folder} is not there; make it, or name another file")
+            raise self._refusal(f"the folder {folder} does not exist")
 
     @staticmethod
     def _connected(dialect: object, record: object, words: list[str], options: Json) -> object:
-        """Open a connection as SQLAlchemy asks for it, with the deadlines of a server."""
+        """Open SQLAlchemy's connection with the deadlines of a server."""
         from hilcell.plant import deadlines  # loads psycopg
 
         return deadlines.connect(*words, **options)
@@ -150,29 +147,29 @@ class Database:
 
     @staticmethod
     def _version(connection: Connection) -> str | None:
-        """Return the schema's version; None where there is none."""
+        """Return the schema's version, or None."""
         if not sa.inspect(connection).has_table("alembic_version"):
             return None
-        found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-        return None if found is None else str(found)
+        version = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+        return None if version is None else str(version)
 
     @staticmethod
     def _grant(connection: Connection) -> None:
-        """Let cells insert and engineers read; the two roles are made where they are not there."""
+        """Let cells insert and engineers read; create the two roles if needed."""
         for role in (CELL, ENGINEER):
-            there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
-            if connection.execute(there, {"role": role}).scalar() is None:
-                # The server's other databases share the roles: another `init` may make them now.
-                make = f"""
+            exists = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
+            if connection.execute(exists, {"role": role}).scalar() is None:
+                # All databases of a server share the roles: another `init` may create them now.
+                create = f"""
                 DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
                 EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
                 END $$
                 """
-                connection.execute(text(make))
+                connection.execute(text(create))
         tables = ", ".join(table.name for table in (RUN, *PARTS))
         for order in (
             f"GRANT INSERT ON {tables} TO {CELL}",
-            f"GRANT SELECT ({', '.join(KNOWN)}) ON {RUN.name} TO {CELL}",
+            f"GRANT SELECT ({', '.join(CELL_COLUMNS)}) ON {RUN.name} TO {CELL}",
             f"GRANT EXECUTE ON FUNCTION plant_month(date) TO {CELL}",
             f"GRANT SELECT ON {tables} TO {ENGINEER}",
             f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
@@ -180,21 +177,21 @@ class Database:
             connection.execute(text(order))
 
     def _check(self, connection: Connection) -> None:
-        found = self._version(connection)
-        if found is None:
+        version = self._version(connection)
+        if version is None:
             raise self._none()
         schema = sa.inspect(connection)
         names = schema.get_columns(RUN.name) if schema.has_table(RUN.name) else []
-        if not {*KNOWN} <= {each["name"] for each in names}:
-            raise self._foreign(f"its schema is {clean(found)}")
-        if found != HEAD:
+        if not {*CELL_COLUMNS} <= {each["name"] for each in names}:
+            raise self._foreign(f"its schema is {clean(version)}")
+        if version != HEAD:
             raise self._refusal(
-                f"schema {clean(found)}, expected {HEAD}; use the hilcell that made it, or ship "
-                "the runs again to an empty database"
+                f"expected schema {HEAD}, got {clean(version)}; use the version of hilcell that "
+                "created it, or ship the runs again to an empty database"
             )
 
     def _check_empty(self, connection: Connection) -> None:
-        """Refuse what holds other tables: a run's journal is such a file, too."""
+        """Refuse a database with other tables, such as a run's journal."""
         others = sorted({*sa.inspect(connection).get_table_names()} - {"alembic_version"})
         if others:
             raise self._foreign(f"it has {len(others)} tables, the first is {clean(others[0])}")
@@ -203,114 +200,108 @@ class Database:
         return PlantError(f"plant database {self.name}: {why}")
 
     def _foreign(self, sign: str) -> PlantError:
-        return self._refusal(f"it belongs to another program ({sign}); name an empty database")
+        return self._refusal(f"it belongs to another program ({sign}); use an empty database")
 
     def _none(self) -> PlantError:
-        make = "`hilcell plant init --to URL` makes their tables"
-        return self._refusal(f"it holds no plant records; {make}")
+        return self._refusal("it has no plant records; `hilcell plant init --to URL` creates it")
 
     def _error(self, error: exc.SQLAlchemyError) -> HilcellError:
         """Return an error of the database in one line, without values and without a password."""
         cause = error.orig if isinstance(error, exc.StatementError) and error.orig else error
-        said = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
-        words = clean(" ".join((said or str(cause)).split()))
+        message = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
+        line = clean(" ".join((message or str(cause)).split()))
         for secret in self._secrets:
-            words = words.replace(secret, HIDDEN)
-        if self._login_refused(cause, words):
+            line = line.replace(secret, HIDDEN)
+        if self._login_refused(cause, line):
             return self._refusal(
-                f"login refused: {words.rpartition(FATAL)[2].strip()}; check the URL's user and "
-                "database, and the password in ~/.pgpass; the owner lets users in"
+                f"login refused: {line.rpartition(FATAL)[2].strip()}; check the URL's user and "
+                "database, and the password in ~/.pgpass; the database's owner admits users"
             )
-        if self._away(error, cause):
-            remote, local = "the server and the network", "the folder, its rights and the disk"
-            return PlantAway(
-                f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
+        if self._unavailable(error, cause):
+            remote, local = "the server and the network", "the folder, its permissions and the disk"
+            return PlantUnavailable(
+                f"plant database {self.name}: it cannot be used now: {line}; nothing is lost: "
                 f"check {remote if self._remote else local}, then repeat the command"
             )
-        damaged = {  # by SQLite's own word for the error
-            "SQLITE_NOTADB": "; name another file, or restore its backup",
-            "SQLITE_CORRUPT": "; restore its backup, or make another by `hilcell plant init --to "
-            "URL` and ship the runs again: each cell's journals keep them",
+        damaged = {  # by SQLite's error name
+            "SQLITE_NOTADB": "; use another file, or restore its backup",
+            "SQLITE_CORRUPT": "; restore its backup, or create another with `hilcell plant init "
+            "--to URL` and ship the runs again from each cell's journals",
         }
         kind = "_".join(getattr(cause, "sqlite_errorname", "").split("_")[:2])
-        refused = self._refusal(f"refused: {words}{damaged.get(kind, '')}")
+        refused = self._refusal(f"refused: {line}{damaged.get(kind, '')}")
         if getattr(cause, "sqlstate", "") == "42501":  # insufficient privilege
             return RightMissing(
-                f"{refused}; a user ships in the role {CELL} and reads in the role {ENGINEER}; the "
-                "owner of the database makes both by `hilcell plant init`"
+                f"{refused}; shipping needs the role {CELL}, reading the role {ENGINEER}; the "
+                "database's owner creates both with `hilcell plant init`"
             )
         return refused
 
     @staticmethod
-    def _login_refused(cause: BaseException, words: str) -> bool:
-        """Whether the server answered that this user does not come in: no repetition helps."""
-        asked = getattr(cause, "pgconn", None)
-        if asked is None or getattr(cause, "sqlstate", None) is not None:
+    def _login_refused(cause: BaseException, line: str) -> bool:
+        """Whether the server refused this user: repeating does not help."""
+        connecting = getattr(cause, "pgconn", None)
+        if connecting is None or getattr(cause, "sqlstate", None) is not None:
             return False
-        if FATAL not in words:
-            return bool(asked.needs_password)  # and there was none
+        if FATAL not in line:
+            return bool(connecting.needs_password)  # and there was none
         unknown = re.compile(
             r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|"
             r"not permitted to log in|(role|database) .* does not exist|"
             r"permission denied for database"
         )
         full = "too many connections"
-        return bool(unknown.search(words) or (asked.used_password and full not in words))
+        return bool(unknown.search(line) or (connecting.used_password and full not in line))
 
     @staticmethod
-    def _away(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
-        """Whether the database is not to be used at all, rather than by this order."""
+    def _unavailable(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
+        """Whether the database cannot be used at all, rather than by this statement."""
         if isinstance(error, exc.DBAPIError) and error.connection_invalidated:
             return True
-        limits = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
+        limits = "54"  # class of SQLSTATE, such as a key that is too long for an index
         limited = str(getattr(cause, "sqlstate", "")).startswith(limits)
         wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
         return isinstance(error, exc.OperationalError) and not (limited or wrong)
 
     @property
     def _secrets(self) -> list[str]:
-        """Return the passwords of the URL, the longest first: one may be a part of another."""
-        url = self._url
-        given = [url.password, *(word for name, word in url.query.items() if SECRET.search(name))]
-        words = (each if isinstance(each, tuple) else (each,) for each in given)
-        return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
+        """The passwords of the URL, the longest first: one may contain another."""
+        options = [each for name, each in self._url.query.items() if SECRET.search(name)]
+        values = [each if isinstance(each, tuple) else (each,) for each in options]
+        passwords = {str(each) for each in [self._url.password, *chain(*values)] if each}
+        return sorted(passwords, key=len, reverse=True)
 
 
 def _parsed(url: str) -> URL:
     forms = "expected postgresql://USER@HOST/DATABASE or sqlite:///FILE"
     try:
-        if b"\0" in unquote_to_bytes(url):  # libpq would read no further
+        if b"\0" in unquote_to_bytes(url):  # libpq would truncate it
             raise exc.ArgumentError
         parsed = sa.make_url(url)
         backend = parsed.get_backend_name()
     except (exc.ArgumentError, ValueError):  # both may repeat the URL, and so a password
-        raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
+        raise PlantError(f"plant database: invalid URL; {forms}") from None
     drivers = {POSTGRESQL: "postgresql+psycopg", "sqlite": "sqlite"}
     if backend not in drivers:
-        raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
+        raise PlantError(f"plant database: unknown {clean(backend)}; {forms}")
     if "@" in (parsed.host or ""):  # the rest of a password
-        raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
-    if backend == "sqlite" and parsed.database in (None, "", ":memory:"):
-        raise PlantError(f"plant database: its URL names no file; {forms}")
-    if backend == "sqlite" and (name := Path(parsed.database or "").name) in (INDEX, SEEN):
+        raise PlantError("plant database: invalid URL: write an @ of a password as %40")
+    options = set[str]()
+    if backend == POSTGRESQL:  # the driver's own options, such as autocommit, would override ours
+        from psycopg.pq import Conninfo
+
+        options = {each.keyword.decode() for each in Conninfo.get_defaults()}
+    elif parsed.database in (None, "", ":memory:"):
+        raise PlantError(f"plant database: its URL has no file; {forms}")
+    elif (name := Path(parsed.database or "").name) in (INDEX, SHIPPED):
         raise PlantError(
-            f"plant database: {name} is a file of a folder of runs, which may be deleted at any "
-            "time; name another, as plant.db"
+            f"plant database: {name} is a cache in a folder of runs, which may be deleted; use "
+            "another name, such as plant.db"
         )
-    known = _options(backend)
     for name in parsed.query:
-        if name not in known:
+        if name not in options:
             raise PlantError(
-                f"plant database: unknown option {clean(name)} of its URL; expected one of "
-                "PostgreSQL's own library, as ?sslmode=verify-full"
+                f"plant database: unknown option {clean(name)} of its URL; expected one of libpq, "
+                "such as ?sslmode=verify-full"
             )
     return parsed.set(drivername=drivers[backend])
-
-
-def _options(backend: str) -> set[str]:
-    """Return the options that a URL may have: the driver's own, as autocommit, would undo ours."""
-    if backend != POSTGRESQL:
-        return set()
-    from psycopg.pq import Conninfo  # an optional package's
-
-    return {each.keyword.decode() for each in Conninfo.get_defaults()}

@@ -1,9 +1,8 @@
-"""Deadlines of a plant's server: no command waits for ever for a server that froze.
+"""Deadlines of a plant's server: no command waits forever for a frozen server.
 
-The server itself ends what takes too long, or waits for a lock. One that stands still says nothing,
-and its system goes on acknowledging packets: only the silence, measured here, ends that wait. In a
-migration, whose orders may take hours, a silent server is asked for a second connection: one that
-answers is at work.
+The server itself ends statements and waits for locks that take too long. A frozen server is silent
+while its system acknowledges packets, so silence is measured here. In a migration, whose statements
+may take hours, a silent server must accept a second connection.
 """
 
 from __future__ import annotations
@@ -16,49 +15,50 @@ import psycopg
 from psycopg.conninfo import make_conninfo
 from psycopg.pq import PGconn, Ping
 from psycopg.rows import TupleRow
-from sqlalchemy import Connection, text
+from sqlalchemy import Connection
+from sqlalchemy import text as sql
 
 CONNECT_S = 10
 LOCK_S = 30.0
-ORDER_S = 120.0  # one order to the server
-MIGRATION_S = 4 * 3600.0  # one order of a migration
-REST_S = 600.0  # of this side within a transaction; then the server frees its locks
-SLACK_S = 15.0  # the server's own word comes before the silence counts
-ANSWER_S = 60  # that a server may take to answer a second connection
+ORDER_S = 120.0  # one statement
+MIGRATION_S = 4 * 3600.0  # one statement of a migration
+REST_S = 600.0  # idle time of this side within a transaction, before the server frees its locks
+SLACK_S = 15.0  # the server's own deadline expires first
+ANSWER_S = 60  # a second connection
 
 OPTIONS: dict[str, int | str] = {
-    "client_encoding": "utf8",  # where the database has none, psycopg would hand over bytes
+    "client_encoding": "utf8",  # in a database without one, psycopg would return bytes
     "connect_timeout": CONNECT_S,
-    "tcp_user_timeout": 30_000,  # ms: packets, and probes of a connection that is at rest
+    "tcp_user_timeout": 30_000,  # ms: packets, and probes of an idle connection
     "keepalives_idle": CONNECT_S,
     "keepalives_interval": CONNECT_S,
     "keepalives_count": 3,
 }
-Words = Generator[Any, Any, Any]  # psycopg's: it yields what it waits for, and gets what is ready
+Waiting = Generator[Any, Any, Any]  # psycopg's: yields what it waits for, receives what is ready
 
 
 class Bounded(psycopg.Connection[TupleRow]):
-    """A connection that ends where its server says nothing for too long."""
+    """A connection that ends when its server is silent for too long."""
 
     order_s = ORDER_S
 
-    def wait(self, gen: Words, *args: Any, **options: Any) -> Any:
-        """Wait as psycopg does; a long silence closes the connection, and is an error."""
+    def wait(self, gen: Waiting, *args: Any, **options: Any) -> Any:
+        """Wait as psycopg does, and close the connection after a long silence."""
         try:
-            heard = _heard(gen, ORDER_S + SLACK_S, self.order_s + SLACK_S, self._answers)
-            return super().wait(heard, *args, **options)
+            watched = _watched(gen, ORDER_S + SLACK_S, self.order_s + SLACK_S, self._answers)
+            return super().wait(watched, *args, **options)
         except Silent:
             self.pgconn.finish()  # a rollback would wait as long again
             raise
 
     def _answers(self) -> bool:
-        """Whether the server answers a second connection; it need not let it in."""
-        asked = make_conninfo(self.info.dsn, connect_timeout=ANSWER_S)
-        return PGconn.ping(asked.encode()) in (Ping.OK, Ping.REJECT)
+        """Whether the server answers a second connection, also by a refusal."""
+        second = make_conninfo(self.info.dsn, connect_timeout=ANSWER_S)
+        return PGconn.ping(second.encode()) in (Ping.OK, Ping.REJECT)
 
 
 class Silent(psycopg.OperationalError):
-    """The server said nothing for too long."""
+    """The server was silent for too long."""
 
 
 def connect(*args: Any, **options: Any) -> Bounded:
@@ -67,16 +67,16 @@ def connect(*args: Any, **options: Any) -> Bounded:
         options |= OPTIONS
         return Bounded.connect(*args, **options)
     except UnicodeError as error:
-        raise psycopg.ProgrammingError(f"a host of that name cannot be: {error}") from error
+        raise psycopg.ProgrammingError(f"invalid name of a host: {error}") from error
     except psycopg.OperationalError as error:
-        words, bad = str(error), "connection is bad: "
-        if words.startswith(bad) and "connection to server" not in words:  # no server was asked
-            raise psycopg.ProgrammingError(words.removeprefix(bad)) from error
+        text, bad = str(error), "connection is bad: "
+        if text.startswith(bad) and "connection to server" not in text:  # no server was involved
+            raise psycopg.ProgrammingError(text.removeprefix(bad)) from error
         raise
 
 
 def limit(connection: Connection, order_s: float) -> None:
-    """Give the transaction of a connection its deadlines, in the server and here."""
+    """Set the deadlines of a connection's transaction, in the server and here."""
     own = connection.connection.driver_connection
     if not isinstance(own, Bounded):
         raise TypeError(f"expected a connection of `connect`, got {type(own).__name__}")
@@ -87,27 +87,26 @@ def limit(connection: Connection, order_s: float) -> None:
         "idle_in_transaction_session_timeout": REST_S,
     }
     sets = (f"set_config('{name}', '{at * 1000:.0f}', true)" for name, at in limits_s.items())
-    connection.execute(text(f"SELECT {', '.join(sets)}"))
+    connection.execute(sql(f"SELECT {', '.join(sets)}"))
 
 
-def _heard(gen: Words, quiet_s: float, most_s: float, answers: Callable[[], bool]) -> Words:
-    """Pass psycopg's generator through; raise `Silent` where its socket is not ready for long.
-
-    A server that is quiet must answer otherwise; after ``most_s`` even that is not enough.
+def _watched(gen: Waiting, quiet_s: float, most_s: float, answers: Callable[[], bool]) -> Waiting:
+    """Pass psycopg's generator through; raise `Silent` after ``most_s`` without an event, or after
+    ``quiet_s`` if the server does not answer otherwise.
     """
-    heard_s = asked_s = time.monotonic()
+    ready_s = alive_s = time.monotonic()
     try:
-        wanted = next(gen)
+        awaited = next(gen)
         while True:
-            ready = yield wanted
+            ready = yield awaited
             now_s = time.monotonic()
             if ready:
-                heard_s = asked_s = now_s
-            elif not now_s - asked_s < quiet_s:
-                if not (now_s - heard_s < most_s and answers()):
-                    silent_s = time.monotonic() - heard_s
-                    raise Silent(f"no answer for {silent_s:.1f} s: the server stands still")
-                asked_s = time.monotonic()
-            wanted = gen.send(ready)
+                ready_s = alive_s = now_s
+            elif not now_s - alive_s < quiet_s:
+                if not (now_s - ready_s < most_s and answers()):
+                    silent_s = time.monotonic() - ready_s
+                    raise Silent(f"no answer for {silent_s:.1f} s: the server is frozen")
+                alive_s = time.monotonic()
+            awaited = gen.send(ready)
     except StopIteration as end:
         return end.value

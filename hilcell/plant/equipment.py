@@ -1,13 +1,13 @@
-"""The equipment over years: robots that drift, stations that get worse, instruments, alarms.
+"""Equipment over years: drifting robots, stations with rising errors, instruments, alarms.
 
-Of a robot it has trend and steps of its errors, and what its cell said when they came. The model
-is a straight line, one coefficient for the temperature where it is known to vary, and steps. A step
-is taken in where an F test at 1 %, divided by the number of places at which it could have been
-(Bonferroni), rejects the model without it; the best one first, again and again. Noise is estimated
-from what the model leaves, so no stated uncertainty is trusted.
+A robot has a trend and steps of its errors, with the messages of its cell at the time. The model is
+a straight line, one coefficient for the temperature if it varies, and steps. Steps are added one by
+one, the best first, while an F test at 1 %, divided by the number of possible places (Bonferroni),
+rejects the model without it. Noise is estimated from the residuals, so no stated uncertainty is
+needed.
 
-Of many coordinates one is judged: the direction in which they differ most over all runs (the first
-principal component). It does not depend on the order of the runs, so it prefers no trend or step.
+Vectors are reduced to their first principal component over all runs, which does not depend on the
+order of the runs and so prefers no trend or step.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
-from hilcell.plant.cells import CELL, chosen, newest
+from hilcell.plant.cells import CELL, newest, selected
 from hilcell.plant.record import TRACKER
-from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Found, grouped
+from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Row, grouped
 from hilcell.ports import Array
 
 YEAR_S = 365.25 * 86400.0
@@ -39,12 +39,12 @@ SIGNIFICANCE = 0.01
 CONFIDENCE = 0.95
 FEWEST = 6  # runs
 
-# -- the course of a measured quantity -------------------------------------------------------------
+# -- the trend of a measured quantity --------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A step before observation ``at``, with its expanded uncertainty; ``after`` are later ones."""
+    """A step before observation ``at``, with U; ``after`` counts the observations after it."""
 
     at: int
     size: float
@@ -53,8 +53,8 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
-    """The trend a year with its expanded uncertainty, whether it is one, the steps, the noise."""
+class Trend:
+    """Slope per year with U, whether it is significant, noise, and steps."""
 
     slope: float
     U: float
@@ -63,27 +63,27 @@ class Course:
     steps: list[Step]
 
 
-def hindrance(years: Array, values: Array) -> str:
-    """Return why calibrations with values (N,) at times (N,) in years have no course, or ""."""
+def why_no_trend(years: Array, values: Array) -> str:
+    """Return why values (N,) at times (N,) in years have no trend, or ""."""
     if len(values) < FEWEST:
-        return f"{len(values)} of the {FEWEST} calibrations that are needed"
+        return f"expected at least {FEWEST} calibrations, got {len(values)}"
     if not float(np.ptp(years)) > 0.0:
         return "all calibrations ended at the same time"
     least_range = 1e-9
-    if not float(np.ptp(values)) > least_range:  # a test would judge their rounding
-        return "all calibrations found the same"
+    if not float(np.ptp(values)) > least_range:  # rounding only
+        return "all calibrations gave the same values"
     return ""
 
 
-def course(years: Array, values: Array, temperatures_c: Array | None = None) -> Course | None:
-    """Return the course of values (N,) at times (N,) in years; None where `hindrance` says why."""
-    from scipy import stats  # it takes half a second to import, and most questions need none
+def fit_trend(years: Array, values: Array, temperatures_c: Array | None = None) -> Trend | None:
+    """Return the trend of values (N,) at times (N,) in years, or None: see `why_no_trend`."""
+    from scipy import stats  # half a second to import, and rarely needed
 
-    if hindrance(years, values):
+    if why_no_trend(years, values):
         return None
     count = len(values)
     base = [np.ones(count), years - years.mean()]
-    least_span_k = 1.0  # less says nothing of how a quantity follows the temperature
+    least_span_k = 1.0  # a smaller range does not identify a temperature coefficient
     if temperatures_c is not None and float(np.ptp(temperatures_c)) >= least_span_k:
         base.append(temperatures_c - temperatures_c.mean())
     steps: list[int] = []
@@ -92,22 +92,21 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
     fitted = _Fit.of(base, steps, values)
     factor = float(stats.t.ppf(0.5 + CONFIDENCE / 2, fitted.degrees))
     U = factor * np.sqrt(np.diag(fitted.covariance))
-    found = [
-        Step(at, float(fitted.values[n]), float(U[n]), count - at)
-        for n, at in enumerate(steps, start=len(base))
-    ]
+    by_place = sorted(
+        (
+            Step(at, float(fitted.values[n]), float(U[n]), count - at)
+            for n, at in enumerate(steps, start=len(base))
+        ),
+        key=lambda step: step.at,
+    )
     slope, slope_U = float(fitted.values[1]), float(U[1])
-    sure = float(stats.t.ppf(1 - SIGNIFICANCE / 2, fitted.degrees)) / factor
+    limit = float(stats.t.ppf(1 - SIGNIFICANCE / 2, fitted.degrees)) / factor
     noise = float(np.sqrt(fitted.rest / fitted.degrees))
-    steps_found = sorted(found, key=lambda step: step.at)
-    return Course(slope, slope_U, abs(slope) > sure * slope_U, noise, steps_found)
+    return Trend(slope, slope_U, abs(slope) > limit * slope_U, noise, by_place)
 
 
 def main_direction(vectors: Array) -> Array:
-    """Return the coordinate (N,) of vectors (N, D) along the direction in which they differ most.
-
-    It grows from the first to the last.
-    """
+    """Return the first principal component (N,) of vectors (N, D), rising from first to last."""
     centred = vectors - vectors.mean(axis=0)
     along: Array = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
     return along if along[-1] >= along[0] else -along
@@ -122,19 +121,19 @@ class _Fit:
 
     @classmethod
     def of(cls, base: list[Array], steps: list[int], values: Array) -> Self:
-        """Return the least squares of values (N,) on columns (N,), and a level from each step."""
+        """Fit values (N,) by least squares to columns (N,), and to a level from each step on."""
         places = np.arange(len(base[0]))
         design = np.column_stack([*base, *((places >= at).astype(float) for at in steps)])
         solved = np.linalg.lstsq(design, values, rcond=None)
-        found: Array = np.asarray(solved[0], dtype=float)
+        parameters: Array = np.asarray(solved[0], dtype=float)
         rank = solved[2]
-        rest, degrees = float(np.sum((values - design @ found) ** 2)), len(values) - int(rank)
+        rest, degrees = float(np.sum((values - design @ parameters) ** 2)), len(values) - int(rank)
         covariance: Array = np.linalg.pinv(design.T @ design) * rest / max(degrees, 1)
-        return cls(found, covariance, rest, degrees)
+        return cls(parameters, covariance, rest, degrees)
 
 
 def _next(base: list[Array], steps: list[int], values: Array) -> int | None:
-    """Return where the best further step is, if it is one."""
+    """Return the place of the best further step, if it is significant."""
     from scipy import stats
 
     without = _Fit.of(base, steps, values)
@@ -156,9 +155,9 @@ def _next(base: list[Array], steps: list[int], values: Array) -> int | None:
 
 
 class Change(msgspec.Struct, frozen=True, kw_only=True):
-    """A step between two runs, its size (mm) and U, and what the cell said from one to the other.
+    """A step between two runs, its size (mm) with U, and the cell's messages between them.
 
-    ``confirmed`` says that more than one run has seen it.
+    ``confirmed``: by more than one run.
     """
 
     what: str
@@ -183,7 +182,7 @@ class Drift(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RobotTrend(msgspec.Struct, frozen=True, kw_only=True):
-    """One robot in one cell. ``not_judged`` says by quantity why no drift of it is stated."""
+    """One robot in one cell. ``not_judged``: why a quantity has no trend."""
 
     robot: str
     cell: str
@@ -199,29 +198,27 @@ class RobotTrend(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def robots(connection: Connection, robot: str = "", cell: str = "") -> list[RobotTrend]:
-    """Return the course of every robot that was calibrated, or of one by its serial number."""
+    """Return the trend of all calibrated robots, or of one by its serial number."""
     base = FRAME.alias("base")
-    asked = (
+    query = (
         select(
             *CELL, RUN.c.digest, RUN.c.robot, RUN.c.name, RUN.c.ended,
             GRID.c.places_mm, GRID.c.errors_mm, GRID.c.temperature_c, base.c.matrix,
         )
         .join(GRID, GRID.c.digest == RUN.c.digest)
         .join(base, and_(base.c.digest == RUN.c.digest, base.c.key == "base"))
-        .where(newest(), RUN.c.robot != "", *chosen(cell, robot))
+        .where(newest(), RUN.c.robot != "", *selected(cell, robot))
         .order_by(RUN.c.ended)
     )  # fmt: skip
-    by_robot = grouped(connection, asked, "robot", "cell", "serial", "machine")
-    return [_Robots(connection).robot(rows) for _, rows in sorted(by_robot.items())]
+    by_robot = grouped(connection, query, "robot", "cell", "serial", "machine")
+    return [_Robots(connection).trend(rows) for _, rows in sorted(by_robot.items())]
 
 
 @dataclass(frozen=True, eq=False)
 class _Robots:
-    """Robots, as the plant's database knows them."""
-
     connection: Connection
 
-    def robot(self, rows: Sequence[Found]) -> RobotTrend:
+    def trend(self, rows: Sequence[Row]) -> RobotTrend:
         newest = rows[-1]
         alike = [row for row in rows if row.places_mm == newest.places_mm]  # of the newest grid
         years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
@@ -233,19 +230,19 @@ class _Robots:
         changes: list[Change] = []
         frames: Array = np.array([row.matrix for row in alike], dtype=float)
         origins_mm = frames[:, :3, 3]
-        arm_mm = 1000.0  # two points of {B}, this far along its x and y, show how it turns
+        arm_mm = 1000.0  # two points of {B}, this far along its x and y, show its rotation
         points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
         for what, vectors in ((ARM, errors_mm), (BASE, np.concatenate(points_mm, axis=1))):
             along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
-            seen = course(years, along_mm, celsius)
-            if seen is not None:
+            trend = fit_trend(years, along_mm, celsius)
+            if trend is not None:
                 drift.append(Drift(
-                    what=what, mm_per_year=seen.slope, U_mm_per_year=seen.U, drifts=seen.drifts,
-                    noise_mm=seen.noise,
+                    what=what, mm_per_year=trend.slope, U_mm_per_year=trend.U, drifts=trend.drifts,
+                    noise_mm=trend.noise,
                 ))  # fmt: skip
-                changes += [self._change(what, alike, step) for step in seen.steps]
+                changes += [self._change(what, alike, step) for step in trend.steps]
             else:
-                not_judged[what] = hindrance(years, along_mm)
+                not_judged[what] = why_no_trend(years, along_mm)
         return RobotTrend(
             robot=newest.robot, cell=newest.cell, serial=newest.serial, machine=newest.machine,
             calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
@@ -253,58 +250,60 @@ class _Robots:
             not_judged=not_judged, changes=changes,
         )  # fmt: skip
 
-    def _change(self, what: str, rows: Sequence[Found], step: Step) -> Change:
+    def _change(self, what: str, rows: Sequence[Row], step: Step) -> Change:
         first, second = rows[step.at - 1], rows[step.at]
         return Change(
             what=what, after=first.name, before=second.name,
             since=first.ended, until=second.ended,
             size_mm=step.size, U_mm=step.U, confirmed=min(step.at, step.after) > 1,
-            said=self._said(first, second),
+            said=self._messages(first, second),
         )  # fmt: skip
 
-    def _said(self, first: Found, second: Found) -> list[str]:
-        """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
-        broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
-        then = and_(
+    def _messages(self, first: Row, second: Row) -> list[str]:
+        """Return changed devices, failed re-checks and alarms between two runs."""
+        aborted = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
+        between = and_(
             *(column == getattr(first, column.name) for column in CELL),
-            or_(RUN.c.ended > first.ended, broken_off),
+            or_(RUN.c.ended > first.ended, aborted),
             RUN.c.ended <= second.ended,
             newest(),
         )
         before, now = self._devices(first), self._devices(second)
-        found = [
+        messages = [
             f"{kind} {before[kind].serial} {before[kind].firmware} -> "
             f"{now[kind].serial} {now[kind].firmware}"
             for kind in changed_asset_kinds(before, now)
             if kind in before and kind in now
         ]
-        for row in self.connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
+        runs = select(RUN.c.row).where(between).order_by(RUN.c.ended)
+        for row in self.connection.execute(runs):
             run = typed(row.row, RunRow)
             if run.facts.recheck == "redo":
-                found.append(f"re-check: calibrate again ({run.name})")
+                messages.append(f"re-check: calibrate again ({run.name})")
         alarms = (
             select(ALARM.c.code, ALARM.c.title, RUN.c.name)
             .join(RUN, RUN.c.digest == ALARM.c.digest)
-            .where(then, ALARM.c.severity.in_(("warning", "fault")))
+            .where(between, ALARM.c.severity.in_(("warning", "fault")))
             .order_by(ALARM.c.t)
         )
-        found += [f"{row.code} {row.title} ({row.name})" for row in self.connection.execute(alarms)]
-        return list(dict.fromkeys(found))
+        found = self.connection.execute(alarms)
+        messages += [f"{row.code} {row.title} ({row.name})" for row in found]
+        return list(dict.fromkeys(messages))
 
-    def _devices(self, run: Found) -> dict[str, Identity]:
-        asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
+    def _devices(self, run: Row) -> dict[str, Identity]:
+        query = select(DEVICE).where(DEVICE.c.digest == run.digest)
         names = [name for name in Identity.__struct_fields__ if name in DEVICE.c]
         return {
             row.kind: Identity(**{name: getattr(row, name) for name in names})
-            for row in self.connection.execute(asked)
+            for row in self.connection.execute(query)
         }
 
 
 class StationTrend(msgspec.Struct, frozen=True, kw_only=True):
     """A station whose mean error after correction grows: Kendall's test, Theil-Sen's slope.
 
-    ``low`` and ``high`` bound the slope with 95 %; ``out_in_years`` is when its mean would leave
-    the tolerance at that slope, None where it is out already.
+    ``low`` and ``high`` bound the slope with 95 %; ``out_in_years``: when the mean would exceed the
+    tolerance at that slope, None if it already does.
     """
 
     cell: str
@@ -321,10 +320,10 @@ class StationTrend(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Instrument(msgspec.Struct, frozen=True, kw_only=True):
-    """A device by its serial number, in all cells that it was in.
+    """A device by its serial number, in all its cells.
 
-    ``scale_ppm`` is what a tracker adds to certified lengths, with its standard uncertainty u;
-    ``disagrees_with`` are trackers that agree with one another and not with it.
+    ``scale_ppm``: scale error of a tracker from certified lengths, with standard uncertainty u;
+    ``disagrees_with``: trackers that agree with each other but not with this one.
     """
 
     kind: str
@@ -342,7 +341,7 @@ class Instrument(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
-    """How often an alarm was in the last session of a run."""
+    """Number of runs whose last session had an alarm."""
 
     code: str
     title: str
@@ -353,31 +352,34 @@ class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> list[StationTrend]:
-    """Return the stations whose error after correction grows from calibration to calibration."""
-    asked = (
+    """Return the stations whose error after correction rises from calibration to calibration."""
+    query = (
         select(*CELL, RUN.c.ended, VERDICT.c.key, VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm)
         .join(VERDICT, VERDICT.c.digest == RUN.c.digest)
         .where(newest(), VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
-        .where(*chosen(cell, robot))
+        .where(*selected(cell, robot))
         .order_by(RUN.c.ended)
     )
-    found = grouped(connection, asked, "cell", "serial", "machine", "key")
-    judged = {
+    by_station = grouped(connection, query, "cell", "serial", "machine", "key")
+    stations = {
         (*cell, station): rows
-        for (*cell, key), rows in found.items()
+        for (*cell, key), rows in by_station.items()
         if (station := key.removeprefix(VALIDATION)) != OTHERS and len(rows) >= FEWEST
     }
-    courses = (_worse(place, rows, len(judged)) for place, rows in sorted(judged.items()))
-    return [each for each in courses if each is not None]
+    trends = (
+        _station_trend(place, rows, len(stations)) for place, rows in sorted(stations.items())
+    )
+    return [each for each in trends if each is not None]
 
 
-def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> StationTrend | None:
-    from scipy import stats  # it takes half a second to import, and most questions need none
+def _station_trend(place: tuple[str, ...], rows: Sequence[Row], count: int) -> StationTrend | None:
+    """Return the trend of one of ``count`` stations, or None if it is not significant."""
+    from scipy import stats  # half a second to import, and rarely needed
 
     years = np.array([row.ended.timestamp() for row in rows]) / YEAR_S
     means_mm = np.array([row.mean_mm for row in rows])
-    grows = stats.kendalltau(years, means_mm, alternative="greater").pvalue
-    if not grows * judged < SIGNIFICANCE:
+    p = stats.kendalltau(years, means_mm, alternative="greater").pvalue
+    if not p * count < SIGNIFICANCE:
         return None
     slope, intercept, low, high = map(float, stats.theilslopes(means_mm, years, CONFIDENCE))
     now_mm, tolerance_mm = intercept + slope * float(years[-1]), rows[-1].mean_tolerance_mm
@@ -392,12 +394,12 @@ def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> Statio
 
 
 def instruments(connection: Connection, cell: str = "", robot: str = "") -> list[Instrument]:
-    """Return all devices with a serial number; trackers judged by lengths that are certified.
+    """Return all devices with a serial number, trackers with their scale errors.
 
-    ``cell`` and ``robot`` choose the devices that were with it; a row counts all cells and runs.
+    ``cell`` and ``robot`` select devices that were used with them; each row counts all its runs.
     """
     names = (DEVICE.c.kind, DEVICE.c.maker, DEVICE.c.model, DEVICE.c.serial)
-    asked = (
+    query = (
         select(
             *names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot, func.count().label("runs"),
             func.min(RUN.c.begun).label("first"), func.max(RUN.c.ended).label("last"),
@@ -406,7 +408,7 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
         .where(DEVICE.c.serial != "", newest())
         .group_by(*names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot)
     )  # fmt: skip
-    found = grouped(connection, asked, "kind", "serial", "maker", "model")
+    devices = grouped(connection, query, "kind", "serial", "maker", "model")
     scales = _scales(connection)
     return [
         Instrument(
@@ -418,18 +420,18 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
             last=max(row.last for row in rows),
             **(_scale(serial, scales) if kind == TRACKER else {}),
         )
-        for (kind, serial, maker, model), rows in sorted(found.items())
+        for (kind, serial, maker, model), rows in sorted(devices.items())
         if any(cell in ("", row.cell) and robot in ("", row.robot) for row in rows)
     ]  # fmt: skip
 
 
 def _scales(connection: Connection) -> dict[str, tuple[float, float]]:
-    """Return scale and u, ppm, of each tracker that has measured certified lengths.
+    """Return scale error and u (ppm) of each tracker that measured certified lengths.
 
-    u has the scatter of its means and the half of the stated U, which does not average out.
+    u combines the standard deviation of the mean and U / 2 of the lengths, which does not average.
     """
     off_ppm = (LENGTH.c.found_mm - LENGTH.c.wanted_mm) / LENGTH.c.wanted_mm * 1e6
-    asked = (
+    query = (
         select(
             RUN.c.tracker,
             func.count().label("times"),
@@ -446,7 +448,7 @@ def _scales(connection: Connection) -> dict[str, tuple[float, float]]:
             row.mean,
             math.hypot(math.sqrt(max(row.square - row.mean**2, 0.0) / row.times), row.stated),
         )
-        for row in connection.execute(asked)
+        for row in connection.execute(query)
     }
 
 
@@ -469,14 +471,14 @@ def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> Json:
 
 
 def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[AlarmCount]:
-    """Return the alarms by kind, the most frequent first."""
-    asked = (
+    """Return the alarms by code, the most frequent first."""
+    query = (
         select(
             ALARM.c.code, ALARM.c.title, ALARM.c.severity, RUN.c.cell,
             func.count().label("times"), func.max(ALARM.c.t).label("last"),
         )
         .join(RUN, RUN.c.digest == ALARM.c.digest)
-        .where(newest(), *chosen(cell, robot))
+        .where(newest(), *selected(cell, robot))
         .group_by(ALARM.c.code, ALARM.c.title, ALARM.c.severity, RUN.c.cell)
     )  # fmt: skip
     counted = [
@@ -487,7 +489,7 @@ def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[Alar
             last=max(row.last for row in rows),
         )
         for (code, title, severity), rows in grouped(
-            connection, asked, "code", "title", "severity"
+            connection, query, "code", "title", "severity"
         ).items()
     ]  # fmt: skip
     return sorted(counted, key=lambda each: (-each.count, each.code))

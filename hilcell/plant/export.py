@@ -1,4 +1,4 @@
-"""One cell's record as files for an auditor, whole or not at all, with a signed manifest."""
+"""Export of one cell's record: files with a signed manifest, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from hilcell.cell.settings import did_you_mean
 from hilcell.errors import HilcellError
 from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest, fingerprint
 from hilcell.plant.database import PlantError
-from hilcell.plant.record import digest_of
-from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
+from hilcell.plant.record import rows_digest
+from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Row
 from hilcell.sanitize import clean
 
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
@@ -36,31 +36,31 @@ Add = Callable[[str, bytes], object]
 def export(
     connection: Connection, cell: str, serial: str | None, place: Path, key: Ed25519PrivateKey
 ) -> Manifest:
-    """Write the record of a cell to a folder, or to an archive where ``place`` ends in .zip.
+    """Write the record of a cell to a folder, or to an archive if ``place`` ends in .zip.
 
-    ``serial`` is needed where cells of several serial numbers have that name. Raises `NotWritten`,
-    `PlantError`, and `HilcellError` for a cell that has shipped nothing.
+    ``serial`` is required if several cells have that name. Raises `NotWritten`, `PlantError`, and
+    `HilcellError` for an unknown cell.
     """
     source = _Source(connection)
     serials = source.serials(cell, serial)
     files: dict[str, FileEntry] = {}
     runs = simulated = 0
     changed: list[str] = []
-    with _made(place) as put:
+    with _atomic_output(place) as put:
 
         def add(name: str, content: bytes) -> None:
             files[name] = FileEntry(len(content), hashlib.sha256(content).hexdigest())
             put(name, content)
 
-        asked = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
-        for run in source.read(asked.order_by(RUN.c.ended, RUN.c.revision), cell):
+        query = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
+        for run in source.read(query.order_by(RUN.c.ended, RUN.c.revision), cell):
             folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
             rows = source.add_run(run, folder, add)
-            if digest_of(rows) != run["digest"]:
+            if rows_digest(rows) != run["digest"]:
                 changed.append(run["name"])
             runs, simulated = runs + 1, simulated + run["simulated"]
         if changed:
-            raise PlantError(_changed_words(changed))
+            raise PlantError(_changed_text(changed))
         manifest = Manifest(
             form=FORM, cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
             made=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -74,40 +74,33 @@ def export(
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """The database that is exported."""
-
     connection: Connection
 
     def serials(self, cell: str, serial: str | None) -> list[str]:
-        asked = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
-        known = self.connection.execute(asked).all()
-        found = [row.serial for row in known if row.cell == cell and serial in (None, row.serial)]
-        if len(found) == 1:
-            return found
-        if found:
+        query = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
+        known = self.connection.execute(query).all()
+        serials = [row.serial for row in known if row.cell == cell]
+        selected = [each for each in serials if serial in (None, each)]
+        if len(selected) == 1:
+            return selected
+        if serials:
             raise HilcellError(
-                f"cells of {len(found)} serial numbers have the name {clean(cell)}: "
-                f"{', '.join(map(clean, found))}; say which with --serial"
+                f"cell {clean(cell)}: expected --serial with one of "
+                f"{', '.join(map(clean, serials))}, got {clean(serial or 'none')}"
             )
         names = sorted({row.cell for row in known})
-        if cell in names:
-            serials = ", ".join(clean(row.serial) for row in known if row.cell == cell)
-            raise HilcellError(
-                f"cell {clean(cell)} of serial number {clean(serial or '')} has shipped no run; "
-                f"there are {serials}"
-            )
-        raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
+        raise HilcellError(f"unknown cell {cell[:80]!r}{did_you_mean(cell, names)}")
 
-    def add_run(self, run: Found, folder: str, add: Add) -> dict[Table, list[Found]]:
-        """Add the files of one revision of a run; return its rows as they were read."""
-        found = {RUN: [run]}
+    def add_run(self, run: Row, folder: str, add: Add) -> dict[Table, list[Row]]:
+        """Add the files of one revision of a run; return its rows."""
+        tables = {RUN: [run]}
         add(f"{folder}/{RECORD}", _json(dict(run)))
         for table in PARTS:
             own = [table.c.digest == run["digest"]]
             if table is POINT:
                 own.append(table.c.month == run["month"])  # the partition
-            asked = select(table).where(*own).order_by(*table.primary_key)
-            rows = found[table] = self.read(asked, f"run {clean(run['name'])}")
+            query = select(table).where(*own).order_by(*table.primary_key)
+            rows = tables[table] = self.read(query, f"run {clean(run['name'])}")
             if table is DOCUMENT:
                 for row in rows:
                     add(f"{folder}/documents/{_safe(row['name'])}", self._document(run, row))
@@ -117,35 +110,35 @@ class _Source:
                     for row in rows
                 ]
                 add(f"{folder}/{table.name}s.json", _json(parts))
-        counting = sum(not row["superseded"] for row in found[POINT])
-        if counting != run["points"]:
+        points = sum(not row["superseded"] for row in tables[POINT])
+        if points != run["points"]:
             raise PlantError(
-                f"run {clean(run['name'])}: the plant has {counting} of its {run['points']} points "
-                f"that count: {CHANGED}"
+                f"run {clean(run['name'])}: expected {run['points']} points, got {points}: "
+                f"{CHANGED}"
             )
-        return found
+        return tables
 
     @staticmethod
-    def _document(run: Found, row: Found) -> bytes:
+    def _document(run: Row, row: Row) -> bytes:
         content: bytes = row["text"].encode()
         if hashlib.sha256(content).hexdigest() != row["sha256"]:
             raise PlantError(
-                f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was "
-                f"shipped: {CHANGED}"
+                f"run {clean(run['name'])}: its {clean(row['name'])} differs from the shipped one: "
+                f"{CHANGED}"
             )
         return content
 
-    def read(self, asked: Select[Any], what: str) -> list[Found]:
-        """Return rows; one with a value not of its column's type was not written by a shipper."""
+    def read(self, query: Select[Any], what: str) -> list[Row]:
+        """Return rows; raises `PlantError` for values that do not fit their column."""
         try:
-            return list(self.connection.execute(asked).mappings())
+            return list(self.connection.execute(query).mappings())
         except (ValueError, TypeError, AttributeError):
             raise PlantError(
-                f"{what}: the plant has values that cannot be read: {CHANGED}"
+                f"{what}: the database has values that cannot be read: {CHANGED}"
             ) from None
 
 
-def _changed_words(names: list[str]) -> str:
+def _changed_text(names: list[str]) -> str:
     most_named = 3  # runs, in a message
     more = f" and {len(names) - most_named} more" if len(names) > most_named else ""
     named = ", ".join(map(clean, names[:most_named])) + more
@@ -158,22 +151,19 @@ def _json(values: object) -> bytes:
 
 
 def _safe(name: str) -> str:
-    """Return a name that is one of a file on any system: it comes from another computer."""
-    longest = 60  # letters of a run's name in that of its folder
+    """Return a valid file name for any system: ``name`` comes from another PC."""
+    longest = 60
     return re.sub(r"[^A-Za-z0-9._-]", "_", name)[:longest].strip(".") or "_"
 
 
 @contextmanager
-def _made(place: Path) -> Iterator[Add]:
-    """Yield what adds a file; all of them appear together, or nothing is left of them."""
+def _atomic_output(place: Path) -> Iterator[Add]:
+    """Yield a function that adds a file; all files appear together, or none."""
     if place.is_symlink() or place.exists():
-        raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
-    others = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
+        raise NotWritten(f"{clean(str(place))} already exists; expected a new folder or file")
+    others = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
     if place.suffix.lower() in others:
-        raise NotWritten(
-            f"{clean(str(place))} is a {place.suffix} archive by its name; name a folder or a "
-            ".zip file"
-        )
+        raise NotWritten(f"expected a folder or a .zip file, got {clean(str(place))}")
     part = place.with_name(f".{secrets.token_hex(8)}.part")
     try:
         with as_not_written(place):

@@ -1,12 +1,11 @@
-"""A run as a plant keeps it: its rows in the plant's tables, computed from its journal.
+"""A run in the plant's database: its rows, computed from its journal and attachments.
 
-Two readings of one journal give the same rows; the documents of the run's folder are a part of
-them. ``run_key`` names the run by its first record, so runs of one name in two cells stay apart. A
-journal only grows, so the number of its last record is the revision of a run that was opened again,
-and ``head``, the hash of its chain, proves which journal that was.
+``run_key`` identifies the run by its first record, so runs of one name in two cells are distinct. A
+journal only grows: the number of its last record is the run's revision, and ``head``, the hash of
+its chain, identifies that journal.
 
-The digest follows from the rows alone: it is the same of those that are about to be written and of
-those that were read back, from either store. So it shows whether they are as they were shipped.
+The digest depends on the rows alone, so it is the same for rows to be written and rows read back
+from either database, and shows changes since they were shipped.
 """
 
 from __future__ import annotations
@@ -51,14 +50,14 @@ TRACKER = "tracker"
 Values = Mapping[str, object]  # of a row, by column
 
 
-class NotOver(HilcellError):
-    """The run has not come to an end of its own: it is shipped later."""
+class RunNotFinished(HilcellError):
+    """The run has not ended yet: it is shipped later."""
 
     code = "HC-J21"
 
 
 class Document(msgspec.Struct, frozen=True):
-    """A file of the run's folder, whole, with its SHA-256."""
+    """A file of the run's folder with its SHA-256."""
 
     name: str
     sha256: str
@@ -66,7 +65,7 @@ class Document(msgspec.Struct, frozen=True):
 
 
 class RunRecord(NamedTuple):
-    """A run's rows by their table, each with their digest; the run's own is that of `RUN`."""
+    """A run's rows by table, each with the run's digest."""
 
     run_key: UUID
     revision: int
@@ -79,22 +78,26 @@ def heads(records: Sequence[Record]) -> list[str]:
     return [each.hex() for each in accumulate(records, chain, initial=b"")][1:]
 
 
-def key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
-    """Return the key of a run, and the revision that its journal has reached."""
+def run_key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
+    """Return the key of a run, and its present revision."""
     first = chain(b"", records[0]).hex()
-    return short(f"{run}\n{first}".encode()), records[-1].seq
+    return first_128_bits(f"{run}\n{first}".encode()), records[-1].seq
 
 
-def record_of(run: str, records: Sequence[Record], documents: Sequence[Document] = ()) -> RunRecord:
-    """Return the record of a run that is over, with the documents of its folder.
+def run_record(
+    run: str, records: Sequence[Record], documents: Sequence[Document] = ()
+) -> RunRecord:
+    """Return the record of an ended run, with its attachments.
 
-    Raises `NotOver`, and `msgspec.ValidationError`, `KeyError`, `ValueError` where the journal is
-    none of a run.
+    Raises `RunNotFinished`, and `msgspec.ValidationError`, `KeyError`, `ValueError` where the
+    journal is not one of a run.
     """
     row, log = row_of_records(run, records), Log(records)
     if not log.over or log.end is None:
-        raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {quote(run)}` ends it")
-    head, (run_key, revision) = heads(records)[-1], key_of(run, records)
+        raise RunNotFinished(
+            f"run {run}: it is {row.condition}; `hilcell resume {quote(run)}` ends it"
+        )
+    head, (run_key, revision) = heads(records)[-1], run_key_of(run, records)
     month = date.fromisoformat(f"{records[0].t[:7]}-01")
     points = [{"month": month, **each} for each in _points(log, records)]
     checked = log.verdict(LengthsChecked)
@@ -133,12 +136,12 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
             "revision": revision,
             "head": head,
             "month": month,
-            "cell_key": short(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
+            "cell_key": first_128_bits(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
             "machine": _machine(row),
             "begun": _moment(row.begun),
             "ended": _moment(row.ended),
             "points": sum(not each["superseded"] for each in points),
-            "proven": _proven(row),
+            "proven": _is_valid_calibration(row),
             "robot": serials.get("robot", ""),
             "tracker": serials.get(TRACKER, ""),
             "version": log.inputs.versions.get("hilcell", ""),
@@ -146,44 +149,44 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         }
     ]
     whole = {
-        table: [{name: _without_nul(value) for name, value in each.items()} for each in rows]
+        table: [{name: _replace_nul(value) for name, value in each.items()} for each in rows]
         for table, rows in whole.items()
     }
-    own = {"digest": digest_of(whole)}
+    own = {"digest": rows_digest(whole)}
     rows = {table: [own | dict(each) for each in every] for table, every in whole.items()}
     return RunRecord(run_key, revision, row, rows)
 
 
-def digest_of(rows: Mapping[Table, Iterable[Values]]) -> UUID:
+def rows_digest(rows: Mapping[Table, Iterable[Values]]) -> UUID:
     """Return the digest of a run's rows, in any order."""
     lines = sorted(line for table, every in rows.items() for line in _lines(table, every))
-    return short("\n".join(lines).encode())
+    return first_128_bits("\n".join(lines).encode())
 
 
 def _lines(table: Table, rows: Iterable[Values]) -> Iterator[str]:
-    """Yield a line of each row: its values by column, floats to their last digit."""
+    """Yield each row as a line: its values by column, floats to the last digit."""
     numbers = {each.name for each in table.columns if isinstance(each.type, Double)}
     moments = {each.name for each in table.columns if isinstance(each.type, Utc)}
     encode = json.JSONEncoder(sort_keys=True, default=str).encode
-    own = {"digest", "shipped"}  # columns that the digest is not of: itself, and the server's clock
+    excluded = {"digest", "shipped"}  # the digest itself, and the server's clock
     for row in rows:
-        values = {name: value for name, value in row.items() if name not in own}
+        values = {name: value for name, value in row.items() if name not in excluded}
         for name, value in values.items():
             if name in numbers and isinstance(value, int | float):
-                values[name] = float(value) + 0.0  # SQLite keeps no -0.0
+                values[name] = float(value) + 0.0  # SQLite stores no -0.0
             elif name in moments and isinstance(value, datetime):
                 values[name] = Utc.in_utc(value)
         yield f"{table.name} {encode(values)}"
 
 
 def _machine(row: RunRow) -> str:
-    """Return which simulated machine it was: each is a cell of its own; "" for a real one."""
+    """Return the simulated machine, each a cell of its own; "" for a real cell."""
     if not row.simulated:
         return ""
     return "simulated" if row.machine_seed is None else f"simulated {row.machine_seed}"
 
 
-def _proven(row: RunRow) -> bool:
+def _is_valid_calibration(row: RunRow) -> bool:
     """Whether the run made a calibration that supersedes those before it."""
     made = row.facts.kind == "made" and row.calibrates
     return made and row.facts.validated and row.exit == 0 and not row.facts.revoked
@@ -194,20 +197,17 @@ def _numbered(rows: Iterable[Values]) -> list[Values]:
 
 
 def _columns(table: Table, part: msgspec.Struct) -> dict[str, object]:
-    """Return the fields of a part of a run that are columns of its table."""
+    """Return the fields of ``part`` that are columns of its table."""
     return {name: getattr(part, name) for name in part.__struct_fields__ if name in table.c}
 
 
 def _points(log: Log, records: Sequence[Record]) -> Iterator[Values]:
-    """Yield all points in the order of their records.
-
-    One that is superseded does not count: it was measured again, or its tracker had moved.
-    """
-    counting = {log.recorded(point): point for point in log.points.values()}
+    """Yield all points in the order of their records, with those superseded by later ones."""
+    valid = {log.recorded(point): point for point in log.points.values()}
     for record in records:
         if record.kind == "point":
-            superseded = record.seq not in counting
-            point = log.read(record) if superseded else counting[record.seq]
+            superseded = record.seq not in valid
+            point = log.read(record) if superseded else valid[record.seq]
             places_mm = [*point.xyz_mm, *point.std_mm, *(point.nominal_mm or (None, None, None))]
             names = [f"{of}{axis}_mm" for of in ("", "std_", "nominal_") for axis in "xyz"]
             yield {
@@ -221,7 +221,7 @@ def _points(log: Log, records: Sequence[Record]) -> Iterator[Values]:
 
 
 def _verdict(log: Log, record: Record) -> Values:
-    """Return a verdict's row, with the mean error where it judges one."""
+    """Return a verdict's row, with its mean error if it has one."""
     verdict = log.verdicts[record.key]
     mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
     return {
@@ -235,7 +235,7 @@ def _verdict(log: Log, record: Record) -> Values:
 
 
 def _grid(log: Log) -> Iterator[Values]:
-    """Yield the errors at the vertices of a grid that was measured whole."""
+    """Yield the errors at the vertices of a completely measured grid."""
     points = log.select("grid")
     if not points or not {"world", "base"} <= log.frames.keys():
         return
@@ -250,24 +250,24 @@ def _grid(log: Log) -> Iterator[Values]:
 
 
 def _moment(t: str) -> datetime:
-    """Return a time; raises `ValueError` where no clock of a cell can have said it."""
-    found = datetime.fromisoformat(t)
-    if not 1980 <= found.year < 2200:  # a PC whose battery is empty begins with the first
+    """Return a time; raises `ValueError` for an implausible one."""
+    moment = datetime.fromisoformat(t)
+    if not 1980 <= moment.year < 2200:  # a PC with an empty battery starts in 1980
         raise ValueError(f"expected a time of the years 1980 to 2199, got {t}")
-    return found
+    return moment
 
 
-def _without_nul(value: object) -> object:
-    """Return plain values without the one character that no text of a database may hold."""
+def _replace_nul(value: object) -> object:
+    """Return plain values without NUL, which databases refuse in text."""
     if isinstance(value, str):
         return value.replace("\0", "\N{REPLACEMENT CHARACTER}")
     if isinstance(value, dict):
-        return {_without_nul(key): _without_nul(each) for key, each in value.items()}
+        return {_replace_nul(key): _replace_nul(each) for key, each in value.items()}
     if isinstance(value, list):
-        return [_without_nul(each) for each in value]
+        return [_replace_nul(each) for each in value]
     return value
 
 
-def short(content: bytes) -> UUID:
+def first_128_bits(content: bytes) -> UUID:
     """Return the first 128 bits of a SHA-256."""
     return UUID(bytes=hashlib.sha256(content).digest()[:16])

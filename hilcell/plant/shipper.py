@@ -1,9 +1,9 @@
-"""Ships the runs of a folder to the plant's database: at least once, kept there once, in order.
+"""Ships the runs of a folder to the plant's database, in order; each is stored there once.
 
-The journals are the outbox: a run is waiting until the database has its newest revision, and the
-database alone says which those are. So nothing is lost by a kill of either side, by a server that
-was away, or by one that was set back to a backup. Beside the journals, which are only read, lies a
-file that spares reading those again that are shipped; it may be deleted at any time.
+The journals are the outbox: a run waits until the database has its newest revision, and the
+database alone knows its revisions. So nothing is lost if either side is killed, or if a server was
+unavailable or restored from a backup. A cache beside the journals avoids reading shipped ones
+again; it may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -28,37 +28,44 @@ from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.journal.states import OVER
-from hilcell.plant.database import POSTGRESQL, SEEN, Database, PlantAway, PlantError, RightMissing
-from hilcell.plant.record import Document, NotOver, RunRecord, heads, key_of, record_of
+from hilcell.plant.database import (
+    POSTGRESQL,
+    SHIPPED,
+    Database,
+    PlantError,
+    PlantUnavailable,
+    RightMissing,
+)
+from hilcell.plant.record import Document, RunNotFinished, RunRecord, heads, run_key_of, run_record
 from hilcell.plant.tables import POINT, RUN
 from hilcell.sanitize import clean
 
-BATCH = 500  # keys of one question
+BATCH = 500  # keys of one query
 
-Key = tuple[UUID, int]  # of a run and its revision
+Key = tuple[UUID, int]  # run key and revision
 
 
 class Forked(PlantError):
-    """The database has other records of this run: its journal was changed, or resumed twice."""
+    """The database has another history of this run: its journal was changed, or resumed twice."""
 
     code = "HC-J22"
 
 
-def there(connection: Connection, keys: Iterable[Key]) -> set[Key]:
+def shipped_revisions(connection: Connection, keys: Iterable[Key]) -> set[Key]:
     runs = sorted({run for run, _ in keys})
     found: set[Key] = set()
     for start in range(0, len(runs), BATCH):
-        asked = RUN.c.run_key.in_(runs[start : start + BATCH])
-        rows = connection.execute(select(RUN.c.run_key, RUN.c.revision).where(asked))
+        query = RUN.c.run_key.in_(runs[start : start + BATCH])
+        rows = connection.execute(select(RUN.c.run_key, RUN.c.revision).where(query))
         found |= {(row.run_key, row.revision) for row in rows}
     return found
 
 
 def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended: int = 0) -> bool:
-    """Write a run in the transaction of ``connection``; return whether it was not there yet.
+    """Write a run in the transaction of ``connection``; return whether it is new.
 
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
-    end: no earlier one was ever shipped. Raises `Forked`.
+    end: no earlier revision was ever shipped. Raises `Forked`.
     """
     _refuse_forked(connection, record, heads, ended)
     on_postgresql = connection.dialect.name == POSTGRESQL
@@ -79,50 +86,45 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
 def _refuse_forked(
     connection: Connection, record: RunRecord, heads: Sequence[str], ended: int
 ) -> None:
-    """Refuse a journal that does not go on from, or lead to, what was shipped of the run.
-
-    Also one shipped under another name: its measurements would count twice.
+    """Refuse a journal that differs from the shipped revisions, or was shipped under another name:
+    its measurements would count twice.
     """
-    asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
-    found = connection.execute(asked).all()
+    query = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
+    found = connection.execute(query).all()
     for revision, head in found:
         if revision <= len(heads) and heads[revision - 1] != head:
             raise Forked(
-                f"run {record.row.name}: the plant has another record {revision} of it: its "
-                "journal was changed, or its folder was copied and resumed twice; ship the right "
-                "one"
+                f"run {record.row.name}: record {revision} in the database differs: the journal "
+                "was changed, or its folder was copied and resumed twice; ship the right one"
             )
     if found:
         return
     for start in range(ended, len(heads), BATCH):
         same = RUN.c.head.in_(heads[start : start + BATCH])
-        asked_name = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
-        if connection.execute(asked_name).first() is not None:
+        same_journal = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
+        if connection.execute(same_journal).first() is not None:
             raise Forked(
-                f"run {record.row.name}: the plant has its journal under another name: its folder "
-                "was renamed, or is a copy or a link; keep one, under the name that was shipped"
+                f"run {record.row.name}: its journal was shipped under another name: the folder "
+                "was renamed, or is a copy or a link; keep one, under the shipped name"
             )
 
 
-# The folder is another PC's, so nothing in it is trusted: a link is not followed, and a file
-# whose seal does not hold is refused rather than shipped.
+# The folder may be another PC's, so nothing in it is trusted: links are not followed, and a file
+# with an invalid seal is refused.
 
 MOST_BYTES = 64 * 2**20
 
 
-class BadDocument(PlantError):
-    """A document of a run's folder is not what the run wrote."""
+class BadAttachment(PlantError):
+    """An attachment is not the file that the run wrote."""
 
     def __init__(self, path: Path, why: str) -> None:
-        act = "put the run's own file back, or move this one elsewhere, then ship again"
+        act = "restore the run's file, or move this one elsewhere, then ship again"
         super().__init__(f"run {path.parent.name}: its {path.name} {why}; {act}")
 
 
-def documents_of(folder: Path, row: RunRow) -> list[Document]:
-    """Return the calibration file of a run that ended with one; raises `BadDocument`.
-
-    A run whose file is not there has none: its journal still holds all that it was computed from.
-    """
+def attachments(folder: Path, row: RunRow) -> list[Document]:
+    """Return the calibration file of a run, if it exists; raises `BadAttachment`."""
     path = folder / CALIBRATION
     if not row.calibrates or not (path.is_symlink() or path.exists()):
         return []
@@ -131,32 +133,32 @@ def documents_of(folder: Path, row: RunRow) -> list[Document]:
         problems = seal_problems(msgspec.json.decode(content))
         text = content.decode()
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, LookupError, TypeError):
-        problems = ["is no calibration file"]
+        problems = ["is not a calibration file"]
     if problems:
-        raise BadDocument(path, problems[0])
+        raise BadAttachment(path, problems[0])
     return [Document(path.name, hashlib.sha256(content).hexdigest(), text)]
 
 
 def _content(path: Path) -> bytes:
     try:
-        found = path.lstat()
-        if not stat.S_ISREG(found.st_mode):
-            raise BadDocument(path, "is a link or no file")
-        if found.st_size > MOST_BYTES:
-            raise BadDocument(path, f"has {found.st_size} bytes, expected at most {MOST_BYTES}")
+        status = path.lstat()
+        if not stat.S_ISREG(status.st_mode):
+            raise BadAttachment(path, "is not a regular file")
+        if status.st_size > MOST_BYTES:
+            raise BadAttachment(path, f"has {status.st_size} bytes, expected at most {MOST_BYTES}")
         return path.read_bytes()
     except OSError as error:
-        raise BadDocument(path, f"cannot be read: {error.strerror}") from error
+        raise BadAttachment(path, f"cannot be read: {error.strerror}") from error
 
 
-MEND = "take its folder from a backup, or out of the runs folder"
-_BROKEN = (  # what a journal that is none of a run may raise
+RESTORE = "restore its folder from a backup, or move it out of the folder of runs"
+_BROKEN = (  # errors of a journal that is not one of a run
     msgspec.ValidationError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError
 )  # fmt: skip
 
 
 class Behind(NamedTuple):
-    """The last record of a run's journal here, and that of the newest one that the plant has."""
+    """The last record of a run's journal here, and in the database."""
 
     here: int
     plant: int
@@ -164,89 +166,91 @@ class Behind(NamedTuple):
 
 @dataclass
 class Shipped:
-    """The outcome for the runs of a folder. ``refused`` are reasons, one line each, by the run.
+    """The outcome for the runs of a folder. ``refused``: reasons of one line, by run.
 
-    ``behind`` are runs of which the plant has later records, as of a folder that a backup restored.
+    ``behind``: runs with later records in the database, as in a folder restored from a backup.
     """
 
     runs: int = 0
     points: int = 0
-    before: int = 0  # were there already
-    waiting: list[str] = field(default_factory=list)  # live, or without an end of their own
+    before: int = 0  # shipped before
+    waiting: list[str] = field(default_factory=list)  # live, or without an end
     refused: dict[str, str] = field(default_factory=dict)
     behind: dict[str, Behind] = field(default_factory=dict)
 
 
-def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _: None) -> Shipped:
-    """Ship all runs of a folder that are over, in their order.
+def ship(
+    runs: Path, database: Database, on_shipped: Callable[[str], None] = lambda _: None
+) -> Shipped:
+    """Ship all ended runs of a folder, in their order; ``on_shipped`` is called with each name.
 
-    A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`,
+    A refused run does not stop the others. Raises `PlantUnavailable`, `PlantError`,
     `RightMissing`, and `StorageError` for a folder that cannot be read.
     """
-    if not runs.exists():  # else a timer with a mistyped folder ships nothing, and says 0
-        raise PlantError(f"runs folder {clean(str(runs))} is not there: name the folder of runs")
+    if not runs.exists():  # a timer with a mistyped folder must not succeed
+        raise PlantError(f"folder of runs {clean(str(runs))} does not exist")
     if (runs / JOURNAL).is_file():
-        raise PlantError(
-            f"runs folder {clean(str(runs))} is that of one run: name the folder that it lies in"
-        )
+        raise PlantError(f"expected a folder of runs, got that of one run: {clean(str(runs))}")
     database.check()
     done = Shipped()
-    seen = _Seen(runs)
+    cache = _ShippedCache(runs)
     rows = in_order(read_index(runs))
-    here = seen.known(rows)
+    here = cache.known(rows)
     for row in _missing(rows, database, here, done):
         try:
             records = read_records(runs / row.name)
-            here[row.name] = key_of(row.name, records)
-            record = record_of(row.name, records, documents_of(runs / row.name, row))
+            here[row.name] = run_key_of(row.name, records)
+            record = run_record(row.name, records, attachments(runs / row.name, row))
             ended = next((n for n, each in enumerate(records) if each.kind == "end"), 0)
             with database.transaction() as connection:
                 new = write(connection, record, heads(records), ended)
-        except NotOver:
+        except RunNotFinished:
             done.waiting.append(row.name)
             continue
-        except (PlantAway, RightMissing):  # of every run
+        except (PlantUnavailable, RightMissing):  # of every run
             raise
         except HilcellError as error:
-            mend = f"; {MEND}" if isinstance(error, StorageError) else ""
-            done.refused[row.name] = _of_run(row.name, f"{error}{mend}")
+            mend = f"; {RESTORE}" if isinstance(error, StorageError) else ""
+            done.refused[row.name] = _one_line(row.name, f"{error}{mend}")
             continue
         except _BROKEN as error:
-            wrong = f"its journal is none of a run: {error}; {MEND}"
+            wrong = f"its journal is not one of a run: {error}; {RESTORE}"
             done.refused[row.name] = f"run {row.name}: {wrong}"
             continue
-        seen.note(row, here[row.name])
+        cache.add(row, here[row.name])
         done.before += not new
         done.runs += new
         done.points += len(record.rows[POINT]) if new else 0
         if new:
-            tell(row.name)
+            on_shipped(row.name)
     done.refused |= _without_journal(runs)
     here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
-    done.behind = _behind(database, here)
+    done.behind = _newer_in_database(database, here)
     return done
 
 
 def _without_journal(runs: Path) -> dict[str, str]:
-    """Return the folders that have a run's calibration and no journal, each with what is wrong."""
+    """Return the refusals of folders with a calibration but without a journal."""
     folders = sorted(path.parent for path in runs.glob(f"*/{CALIBRATION}"))
-    wrong = f"{CALIBRATION} is there, {JOURNAL} is not; {MEND}"
+    wrong = f"it has {CALIBRATION} but no {JOURNAL}; {RESTORE}"
     return {each.name: f"run {each.name}: {wrong}" for each in folders if not is_run(each)}
 
 
 def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
-    """Return how far the journals of runs are that are not over."""
-    found: dict[str, Key] = {}
+    """Return the present keys of runs that have not ended."""
+    keys: dict[str, Key] = {}
     for row in rows:
         with suppress(HilcellError, *_BROKEN):
-            found[row.name] = key_of(row.name, read_records(runs / row.name))
-    return found
+            keys[row.name] = run_key_of(row.name, read_records(runs / row.name))
+    return keys
 
 
-def _behind(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
-    """Return the runs of which the plant has later records than this folder."""
+def _newer_in_database(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
+    """Return the runs with later records in the database than in this folder."""
     with database.transaction() as connection:
-        newest = dict(sorted(there(connection, here.values())))  # the last revision stays
+        newest = dict(
+            sorted(shipped_revisions(connection, here.values()))
+        )  # the last revision stays
     return {
         name: Behind(revision, newest[run_key])
         for name, (run_key, revision) in here.items()
@@ -254,8 +258,8 @@ def _behind(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
     }
 
 
-def _of_run(run: str, reason: str) -> str:
-    """Return a reason in one line that names the run, as an error of the database does not."""
+def _one_line(run: str, reason: str) -> str:
+    """Return a reason as one line that names the run."""
     line = "; ".join(each.strip() for each in reason.splitlines())
     return line if run in line else f"run {run}: {line}"
 
@@ -263,57 +267,53 @@ def _of_run(run: str, reason: str) -> str:
 def _missing(
     rows: Sequence[RunRow], database: Database, known: dict[str, Key], done: Shipped
 ) -> Iterator[RunRow]:
-    """Yield the runs that are over and that the database is not known to have."""
+    """Yield the ended runs that the database may lack."""
     with database.transaction() as connection:
-        kept = there(connection, known.values())
+        shipped = shipped_revisions(connection, known.values())
     for row in rows:
         if row.state == NEVER_BEGAN:
             continue  # nothing was recorded
         if not row.readable:
-            done.refused[row.name] = _of_run(row.name, f"{row.reason}; {MEND}")
+            done.refused[row.name] = _one_line(row.name, f"{row.reason}; {RESTORE}")
         elif row.live or row.gone or row.state not in OVER:
             done.waiting.append(row.name)
-        elif row.name in known and known[row.name] in kept:
+        elif row.name in known and known[row.name] in shipped:
             done.before += 1
         else:
             yield row
 
 
-class _Seen:
-    """Which revision of a run a journal held when it was shipped, for as long as it is unchanged.
-
-    A file that cannot be used knows none.
-    """
+class _ShippedCache:
+    """The shipped revisions of journals that are unchanged since; empty if it cannot be used."""
 
     def __init__(self, runs: Path) -> None:
         self._runs = runs
 
     def known(self, rows: Sequence[RunRow]) -> dict[str, Key]:
-        """Return the revisions of those runs that are as they were when they were noted."""
+        """Return the keys of the unchanged runs."""
         by_name = {row.name: row for row in rows}
         known: dict[str, Key] = {}
         with suppress(sqlite3.Error), closing(self._open()) as base:
-            for name, stamp, run_key, revision in base.execute("SELECT * FROM seen"):
+            for name, fingerprint, run_key, revision in base.execute("SELECT * FROM seen"):
                 with suppress(OSError):
-                    if name in by_name and stamp == self._stamp(by_name[name]):
+                    if name in by_name and fingerprint == self._fingerprint(by_name[name]):
                         known[name] = UUID(run_key), revision
         return known
 
-    def note(self, row: RunRow, key: Key) -> None:
-        """Note the revision of a run that the database has."""
+    def add(self, row: RunRow, key: Key) -> None:
         with suppress(sqlite3.Error, OSError), closing(self._open()) as base:
-            values = (row.name, self._stamp(row), str(key[0]), key[1])
+            values = (row.name, self._fingerprint(row), str(key[0]), key[1])
             base.execute("INSERT OR REPLACE INTO seen VALUES (?, ?, ?, ?)", values)
 
-    def _stamp(self, row: RunRow) -> str:
-        """Return what changes with a journal: its file, and the row that the index has of it."""
+    def _fingerprint(self, row: RunRow) -> str:
+        """Return a digest of the journal file's status and its row in the index."""
         file = (self._runs / row.name / JOURNAL).stat()
-        stamp = f"{file.st_mtime_ns} {file.st_size} ".encode() + msgspec.json.encode(row)
-        return hashlib.sha256(stamp).hexdigest()
+        content = f"{file.st_mtime_ns} {file.st_size} ".encode() + msgspec.json.encode(row)
+        return hashlib.sha256(content).hexdigest()
 
     def _open(self) -> sqlite3.Connection:
         with ExitStack() as undo:
-            base = sqlite3.connect(own_file(self._runs / SEEN), isolation_level=None)
+            base = sqlite3.connect(own_file(self._runs / SHIPPED), isolation_level=None)
             undo.callback(base.close)
             base.execute(
                 "CREATE TABLE IF NOT EXISTS seen "

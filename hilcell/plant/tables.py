@@ -1,7 +1,7 @@
-"""The tables of the plant's database, as the newest migration leaves them.
+"""The tables of the plant's database, as of the newest migration.
 
-Each run has one row per revision in ``run``, and its parts by ``digest``. On PostgreSQL ``point``
-is partitioned by ``month``, that in which the run began.
+``run`` has a row per revision of a run, the other tables refer to it by ``digest``. On PostgreSQL
+``point`` is partitioned by ``month``, in which the run began.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 
 import sqlalchemy as sa
 
-Found = Any  # a row of an answer: its columns by their names
+Row = Any  # a row of an answer: its columns by their names
 HEAD = "0001"  # of the schema; raised when a table, a record or a meaning changes
 
 
 class Utc(sa.TypeDecorator[datetime]):
-    """A moment; SQLite, which has no zones, keeps it in UTC."""
+    """A time; in UTC for SQLite, which has no zones."""
 
     impl = sa.DateTime(timezone=True)
     cache_ok = True
@@ -39,16 +39,15 @@ TABLES = sa.MetaData()
 
 
 def _part(name: str, *columns: sa.Column[Any] | sa.Index) -> sa.Table:
-    """Return a table of parts of runs."""
     digest = sa.Column("digest", sa.Uuid, sa.ForeignKey("run.digest"), primary_key=True)
     return sa.Table(name, TABLES, digest, *columns)
 
 
-def _number() -> sa.Column[int]:
+def _number_column() -> sa.Column[int]:
     return sa.Column("n", sa.Integer, primary_key=True)
 
 
-def _words(name: str) -> sa.Column[str]:
+def _text_column(name: str) -> sa.Column[str]:
     return sa.Column(name, sa.Text, nullable=False)
 
 
@@ -61,21 +60,21 @@ RUN = sa.Table(
     sa.Column("head", sa.String(64), nullable=False),
     sa.Column("month", sa.Date, nullable=False),
     sa.Column("cell_key", sa.Uuid, nullable=False),
-    _words("name"),
-    _words("cell"),
-    _words("serial"),
+    _text_column("name"),
+    _text_column("cell"),
+    _text_column("serial"),
     sa.Column("simulated", sa.Boolean, nullable=False),
-    _words("machine"),
-    _words("procedure"),
-    _words("state"),
+    _text_column("machine"),
+    _text_column("procedure"),
+    _text_column("state"),
     sa.Column("exit", sa.Integer, nullable=False),
     sa.Column("begun", Utc, nullable=False),
     sa.Column("ended", Utc, nullable=False),
     sa.Column("points", sa.Integer, nullable=False),
     sa.Column("proven", sa.Boolean, nullable=False),
-    _words("robot"),
-    _words("tracker"),
-    _words("version"),
+    _text_column("robot"),
+    _text_column("tracker"),
+    _text_column("version"),
     sa.Column("row", sa.JSON, nullable=False),
     sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now()),
     sa.UniqueConstraint("run_key", "revision", name="run_revision"),
@@ -108,22 +107,22 @@ VERDICT = _part(
 )
 DEVICE = _part(
     "device",
-    _number(),
-    *map(_words, ("kind", "device", "maker", "model", "serial", "firmware")),
+    _number_column(),
+    *map(_text_column, ("kind", "device", "maker", "model", "serial", "firmware")),
     sa.Column("simulated", sa.Boolean, nullable=False),
     sa.Index("device_serial", "kind", "serial"),
 )
 ALARM = _part(
     "alarm",
-    _number(),
+    _number_column(),
     sa.Column("t", Utc, nullable=False),
-    *map(_words, ("code", "severity", "title", "place", "found")),
+    *map(_text_column, ("code", "severity", "title", "place", "found")),
     sa.Index("alarm_code", "code", "t"),
 )
 LENGTH = _part(
     "length",
-    _number(),
-    _words("nests"),
+    _number_column(),
+    _text_column("nests"),
     sa.Column("wanted_mm", sa.Double, nullable=False),
     sa.Column("found_mm", sa.Double, nullable=False),
     sa.Column("U_mm", sa.Double, nullable=False),
@@ -137,7 +136,7 @@ GRID = _part(
 STREAM = _part(
     "stream",
     sa.Column("key", sa.Text, primary_key=True),
-    _words("file"),
+    _text_column("file"),
     sa.Column("sha256", sa.String(64), nullable=False),
     sa.Column("samples", sa.Integer, nullable=False),
     sa.Column("joint_samples", sa.Integer, nullable=False),
@@ -146,7 +145,7 @@ DOCUMENT = _part(
     "document",
     sa.Column("name", sa.Text, primary_key=True),
     sa.Column("sha256", sa.String(64), nullable=False),
-    _words("text"),
+    _text_column("text"),
 )
 POINT = sa.Table(
     "point",
@@ -155,7 +154,7 @@ POINT = sa.Table(
     sa.Column("digest", sa.Uuid, primary_key=True),
     sa.Column("seq", sa.Integer, primary_key=True),
     sa.Column("t", Utc, nullable=False),
-    *map(_words, ("key", "kind", "station", "frame", "reflector")),
+    *map(_text_column, ("key", "kind", "station", "frame", "reflector")),
     *(sa.Column(name, sa.Double, nullable=False) for name in ("x_mm", "y_mm", "z_mm")),
     *(sa.Column(name, sa.Double, nullable=False) for name in ("std_x_mm", "std_y_mm", "std_z_mm")),
     sa.Column("samples", sa.Integer, nullable=False),
@@ -178,10 +177,10 @@ PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 
 
 def grouped(
-    connection: sa.Connection, asked: sa.Executable, *names: str
-) -> defaultdict[tuple[str, ...], list[Found]]:
+    connection: sa.Connection, query: sa.Executable, *names: str
+) -> defaultdict[tuple[str, ...], list[Row]]:
     """Return the rows of an answer, in their order, by what they have in these columns."""
-    found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
-    for row in connection.execute(asked):
+    found: defaultdict[tuple[str, ...], list[Row]] = defaultdict(list)
+    for row in connection.execute(query):
         found[tuple(getattr(row, name) for name in names)].append(row)
     return found

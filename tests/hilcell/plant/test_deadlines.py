@@ -20,7 +20,7 @@ from sqlalchemy import event, text
 
 from hilcell.plant import database as plants
 from hilcell.plant import deadlines
-from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.database import Database, PlantUnavailable
 from hilcell.plant.shipper import Shipped, ship
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
@@ -29,7 +29,7 @@ from tests.whole.bench import command, sweep
 
 SHORT_S = 0.1
 LEAST_S = 2  # that libpq waits for a server
-STILL = "the server stands still"
+STILL = "the server is frozen"
 
 
 @pytest.fixture
@@ -80,12 +80,12 @@ class Unheard(deadlines.Bounded):
 def test_a_server_is_silent_once_its_own_word_is_overdue(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each look at the clock finds it one second on."""
 
-    def never_ready(self: object, gen: deadlines.Words) -> None:
+    def never_ready(self: object, gen: deadlines.Waiting) -> None:
         next(gen)
         while True:
             gen.send(0)
 
-    def asked() -> deadlines.Words:
+    def asked() -> deadlines.Waiting:
         while True:
             yield 0
 
@@ -106,7 +106,7 @@ def test_a_server_that_freezes_loses_and_doubles_nothing(
     """Nobody knows whether a commit was done that had no answer: the next shipment asks."""
     with closing(Database(postgresql.make(like=BLANK))) as database:
         freezer = Freezer(postgresql, database, moment, nth)
-        with pytest.raises(PlantAway, match=STILL) as away:
+        with pytest.raises(PlantUnavailable, match=STILL) as away:
             ship(runs, database)
         (silent_s,) = map(float, re.findall(r"no answer for ([\d.]+) s", str(away.value)))
         assert silent_s >= 2 * SHORT_S
@@ -124,7 +124,7 @@ def test_a_server_that_freezes_in_a_migration_is_named(
     """An order of a migration may take hours; the server must answer others meanwhile."""
     with closing(Database(postgresql.make())) as database:
         freezer = Freezer(postgresql, database, "before_cursor_execute", 1, "CREATE TABLE point")
-        with pytest.raises(PlantAway, match=STILL):
+        with pytest.raises(PlantUnavailable, match=STILL):
             database.create()
         freezer.thaw()
         assert database.create() == ""
@@ -136,7 +136,7 @@ def test_a_server_that_freezes_in_a_migration_is_named(
     with (
         closing(Database(postgresql.url())) as database,
         postgresql.frozen(),
-        pytest.raises(PlantAway),
+        pytest.raises(PlantUnavailable),
     ):
         database.check()
 
@@ -154,7 +154,10 @@ def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
         assert "lock timeout" in done.stderr
     with monkeypatch.context() as patch:
         patch.setattr(deadlines, "ORDER_S", SHORT_S)
-        with pytest.raises(PlantAway, match="statement timeout"), plant.transaction() as connection:
+        with (
+            pytest.raises(PlantUnavailable, match="statement timeout"),
+            plant.transaction() as connection,
+        ):
             connection.execute(text("SELECT pg_sleep(60)"))
         with plant.transaction(migrating=True) as connection:
             connection.execute(text("SELECT pg_sleep(0.2)"))
@@ -167,7 +170,10 @@ def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
             assert ship(runs, plant).runs == 2  # waits until the server has freed the lock
             connection.execute(text("SELECT 1"))
 
-    with closing(Database(url)) as cell, pytest.raises(PlantAway, match="idle-in-transaction"):
+    with (
+        closing(Database(url)) as cell,
+        pytest.raises(PlantUnavailable, match="idle-in-transaction"),
+    ):
         frozen(cell)
 
 

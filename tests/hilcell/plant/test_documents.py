@@ -13,7 +13,7 @@ from sqlalchemy import select
 from hilcell.calibration.file import SEAL
 from hilcell.journal.runs import CALIBRATION
 from hilcell.plant import shipper
-from hilcell.plant.database import SEEN, Database
+from hilcell.plant.database import SHIPPED, Database
 from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import DOCUMENT, RUN
 from tests.hilcell.plant.conftest import NOW
@@ -113,5 +113,5 @@ def test_a_file_that_came_back_is_shipped(runs: Path, office: Database) -> None:
     (runs / "small" / CALIBRATION).write_bytes(content)
     done, found = shipped(runs, office)
     assert (done.runs, done.before, len(found)) == (1, 1, 1)
-    (runs / SEEN).unlink()
+    (runs / SHIPPED).unlink()
     assert shipped(runs, office)[0] == Shipped(before=2)

@@ -27,9 +27,9 @@ from sqlalchemy import Executable, text
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import CALIBRATION, read_records
-from hilcell.plant.audit import MANIFEST, SIGNATURE, sound
+from hilcell.plant.audit import MANIFEST, SIGNATURE, is_inside
 from hilcell.plant.database import Database
-from hilcell.plant.record import record_of
+from hilcell.plant.record import run_record
 from hilcell.plant.tables import FRAME, POINT, RUN, VERDICT
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.plant.conftest import NOW
@@ -126,7 +126,7 @@ def test_an_export_holds_all_of_a_cell_and_is_proven(first: Auditor, empty: Audi
     auditor.signer.public_key().verify(signature, signed)  # as openssl does
     (folder,) = (auditor.out / "runs").iterdir()
     journal = first.folder / "runs" / RUN_NAME
-    record = record_of(RUN_NAME, read_records(journal))
+    record = run_record(RUN_NAME, read_records(journal))
     kept = {path.stem: json.loads(path.read_text()) for path in folder.glob("*.json")}
     assert kept["run"]["head"] == record.rows[RUN][0]["head"]
     assert len(kept["points"]) == len(record.rows[POINT])
@@ -165,7 +165,7 @@ def test_a_file_that_is_twice_in_an_archive_is_named(auditor: Auditor) -> None:
             archive.writestr(name, archive.read(name))
     done = command(*auditor.verify(place))
     assert done.returncode == 1
-    assert f"{name}: is no plain file" in done.stderr
+    assert f"{name}: is no regular file" in done.stderr
 
 
 def test_each_file_that_was_touched_is_named(auditor: Auditor) -> None:
@@ -250,7 +250,7 @@ def test_a_hostile_archive_is_one_line(empty: Auditor) -> None:
 @pytest.mark.parametrize("name", ["../key", "/etc/passwd", "a/../../key", "a\\b", "C:x", "", "./a"])
 def test_a_manifest_that_names_a_file_outside_is_refused(name: str, auditor: Auditor) -> None:
     """Even where the plant has signed it."""
-    assert not sound(name)
+    assert not is_inside(name)
     manifest = json.loads((auditor.out / MANIFEST).read_text())
     manifest["files"][name] = {"bytes": 1, "sha256": "0"}
     auditor.sign(manifest)

@@ -18,8 +18,8 @@ import pytest
 from sqlalchemy import Engine, event, func, select
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import SEEN, Database
-from hilcell.plant.record import record_of
+from hilcell.plant.database import SHIPPED, Database
+from hilcell.plant.record import run_record
 from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
@@ -54,7 +54,7 @@ def check(database: Database, runs: Path, revisions: Counter[str]) -> None:
         names = [row.name for row in connection.execute(select(RUN.c.name))]
         assert Counter(names) == revisions
         for folder in runs.glob("r*"):
-            record = record_of(folder.name, read_records(folder))
+            record = run_record(folder.name, read_records(folder))
             (run,) = record.rows[RUN]
             counts = {
                 table.name: connection.execute(
@@ -113,11 +113,11 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
 ) -> None:
     """Also after the commit, before the shipper has noted it."""
     runs = tmp_path / "runs"
-    points = len(record_of("r0", read_records(_one(model, runs))).rows[POINT])
+    points = len(run_record("r0", read_records(_one(model, runs))).rows[POINT])
     order, ended = 0, False
     while not ended:
         order += 1
-        (runs / SEEN).unlink(missing_ok=True)
+        (runs / SHIPPED).unlink(missing_ok=True)
         file = tmp_path / f"{order}.db"
         file.write_bytes(blank.read_bytes())
         with closing(Database(f"sqlite:///{file}")) as database, ended_with_it(database.engine):
@@ -158,7 +158,7 @@ def test_a_server_that_is_killed_and_started_again(
         with closing(Database(url)) as database:
             ship(runs, database)
             check(database, runs, Counter({f"r{n}": 1 for n in range(RUNS)}))
-        (runs / SEEN).unlink()
+        (runs / SHIPPED).unlink()
 
 
 MOMENTS = ("before_cursor_execute", "commit", "checkin")  # of a connection: the commit is done

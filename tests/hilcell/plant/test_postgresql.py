@@ -19,8 +19,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, SEEN, Database
-from hilcell.plant.record import digest_of, heads, record_of
+from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, SHIPPED, Database
+from hilcell.plant.record import heads, rows_digest, run_record
 from hilcell.plant.shipper import ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
@@ -65,7 +65,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
         assert compare_metadata(context, TABLES) == []
     assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
     records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
-    record = record_of("a", records)
+    record = run_record("a", records)
     numbers = (0.1 + 0.2, 5e-324, -0.0, 1.7976931348623157e308, 1e22, -123456789.123456789, 1 / 3)
     names = ("x_mm", "y_mm", "z_mm", "std_x_mm", "std_y_mm", "std_z_mm")
     places = dict(zip(names, numbers[:6], strict=True))
@@ -86,7 +86,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
         "places_mm": [list(numbers[:3])], "errors_mm": [list(numbers[3:6])], "temperature_c": 20,
     }  # fmt: skip
     rows = {**record.rows, POINT: points, LENGTH: lengths, GRID: [grid]}
-    own = {"digest": digest_of(rows)}
+    own = {"digest": rows_digest(rows)}
     rows = {table: [{**each, **own} for each in every] for table, every in rows.items()}
     record = record._replace(rows=rows)
     with database.transaction() as connection:
@@ -98,9 +98,9 @@ def test_a_store_keeps_each_number_to_its_last_digit(
         }
     (run,) = found[RUN]
     assert len(found[POINT]) == len(points) > len(numbers)
-    assert digest_of(found) == run["digest"]
+    assert rows_digest(found) == run["digest"]
     found[POINT][0]["x_mm"] = nextafter(found[POINT][0]["x_mm"], 1)
-    assert digest_of(found) != run["digest"]
+    assert rows_digest(found) != run["digest"]
 
 
 @pytest.mark.process
@@ -177,7 +177,7 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             owner.execute(f"CREATE ROLE {user} LOGIN {role}".encode())
     with closing(Database(postgresql.url(name, "cell_user"))) as cell:
         assert ship(runs, cell).runs == 2
-        (runs / SEEN).unlink()
+        (runs / SHIPPED).unlink()
         assert ship(runs, cell).before == 2
     asked = {
         "cell_user": [
@@ -196,7 +196,7 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             for order in orders:
                 with pytest.raises(psycopg.errors.InsufficientPrivilege):
                     connection.execute(order.encode())
-    (runs / SEEN).unlink()
+    (runs / SHIPPED).unlink()
     for user in ("engineer_user", "nobody_s"):
         said = _refused("plant", "ship", runs, "--to", postgresql.url(name, user))
         assert CELL in said

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_records
-from hilcell.plant.record import NotOver, RunRecord, digest_of, heads, record_of
+from hilcell.plant.record import RunNotFinished, RunRecord, heads, rows_digest, run_record
 from hilcell.plant.tables import DEVICE, FRAME, GRID, POINT, STREAM
 from hilcell.plant.tables import RUN as RUNS
 from tests.whole.golden import GoldenRuns
@@ -43,13 +43,13 @@ def changed(
 
 def test_the_same_journal_has_the_same_digest(golden: GoldenRuns, tmp_path: Path) -> None:
     folder = golden[RUN].copied_to(tmp_path)
-    first, second = (record_of(RUN, read_records(each)) for each in (golden[RUN].folder, folder))
+    first, second = (run_record(RUN, read_records(each)) for each in (golden[RUN].folder, folder))
     assert first == second
     assert digest(first) == digest(second)
 
 
 def test_a_record_holds_what_the_run_measured(records: list[Record]) -> None:
-    record = record_of(RUN, records)
+    record = run_record(RUN, records)
     points = {each.key for each in records if each.kind == "point"}
     assert {each["key"] for each in record.rows[POINT]} == points
     assert {each["key"] for each in record.rows[FRAME]} >= {"world", "base", "station.S300"}
@@ -72,9 +72,9 @@ def test_every_measured_value_is_in_the_digest(golden: GoldenRuns, data: st.Data
     def moved(body: dict[str, Any]) -> None:
         body["xyz_mm"][axis] += by_mm
 
-    other = record_of(RUN, changed(records, at, moved))
-    assert digest(other) != digest(record_of(RUN, records))
-    assert other.run_key == record_of(RUN, records).run_key
+    other = run_record(RUN, changed(records, at, moved))
+    assert digest(other) != digest(run_record(RUN, records))
+    assert other.run_key == run_record(RUN, records).run_key
 
 
 _KNOWN: dict[str, list[Record]] = {}
@@ -100,20 +100,20 @@ def test_a_point_that_was_measured_again_is_kept_and_does_not_count(
     at = next(n for n, each in enumerate(records) if each.kind == "point")
     again = changed(records, at, lambda body: body.update(retaken=True))[at]
     both = numbered([*records[: at + 1], again, *records[at + 1 :]])
-    record = record_of(RUN, both)
+    record = run_record(RUN, both)
     found = [each for each in record.rows[POINT] if each["key"] == again.key]
     assert [(each["superseded"], each["retaken"]) for each in found] == [
         (True, False), (False, True),
     ]  # fmt: skip
     assert sum(not each["superseded"] for each in record.rows[POINT]) == record.row.points
-    assert record_of(RUN, records).row.points == record.row.points
+    assert run_record(RUN, records).row.points == record.row.points
 
 
 def test_points_of_a_tracker_that_had_moved_do_not_count(records: list[Record]) -> None:
     at = max(n for n, each in enumerate(records) if each.key.startswith("validate/"))
     body = {"what": "tracker moved", "set_up": 1, "invalid": [records[at].key]}
     moved = msgspec.structs.replace(records[at], kind="event", key="", body=body)
-    record = record_of(RUN, numbered([*records[: at + 1], moved, *records[at + 1 :]]))
+    record = run_record(RUN, numbered([*records[: at + 1], moved, *records[at + 1 :]]))
     assert [each["key"] for each in record.rows[POINT] if each["superseded"]] == [records[at].key]
 
 
@@ -131,7 +131,7 @@ def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
     event = msgspec.structs.replace(
         records[at], kind="event", key="", body={"what": "stream"} | stream
     )
-    record = record_of(RUN, numbered([*records[:at], event, *records[at:]]))
+    record = run_record(RUN, numbered([*records[:at], event, *records[at:]]))
     (found,) = record.rows[STREAM]
     assert {
         name: each for name, each in found.items() if name != "digest"
@@ -139,21 +139,21 @@ def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
 
 
 def test_a_run_of_another_name_or_another_plan_is_another_run(records: list[Record]) -> None:
-    record = record_of(RUN, records)
+    record = run_record(RUN, records)
     (run,) = record.rows[RUNS]
     month = {**record.rows, RUNS: [{**run, "month": date(2001, 1, 1)}]}  # the partition
-    assert digest_of(record.rows) == digest(record)
-    assert digest_of(month) != digest(record)
-    assert record_of("other", records).run_key != record.run_key
+    assert rows_digest(record.rows) == digest(record)
+    assert rows_digest(month) != digest(record)
+    assert run_record("other", records).run_key != record.run_key
     plan = changed(records, 0, lambda body: body.update(operator="Bob"))
-    assert record_of(RUN, plan).run_key != record.run_key
+    assert run_record(RUN, plan).run_key != record.run_key
 
 
 def test_more_records_are_a_later_revision_of_the_same_run(records: list[Record]) -> None:
     last = records[-1]
     event = {"what": "calibration revoked", "reason": "bumped"}
     more = msgspec.structs.replace(last, seq=last.seq + 1, kind="event", body=event)
-    before, after = record_of(RUN, records), record_of(RUN, [*records, more])
+    before, after = run_record(RUN, records), run_record(RUN, [*records, more])
     assert after.run_key == before.run_key
     assert (before.revision, after.revision) == (last.seq, last.seq + 1)
     assert after.row.facts.revoked == "bumped"
@@ -161,12 +161,12 @@ def test_more_records_are_a_later_revision_of_the_same_run(records: list[Record]
 
 
 def test_a_run_that_is_not_over_has_no_record(records: list[Record]) -> None:
-    with pytest.raises(NotOver, match="small"):
-        record_of(RUN, records[:300])
+    with pytest.raises(RunNotFinished, match="small"):
+        run_record(RUN, records[:300])
 
 
 def test_a_text_holds_nothing_that_a_database_refuses(records: list[Record]) -> None:
     plan = changed(records, 0, lambda body: body.update(operator="A\0nn"))
-    (run,) = record_of(RUN, plan).rows[RUNS]
+    (run,) = run_record(RUN, plan).rows[RUNS]
     assert isinstance(run["row"], dict)
     assert run["row"]["operator"] == "A\N{REPLACEMENT CHARACTER}nn"

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import event, text
 
 from hilcell.journal.runs import JOURNAL
-from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.database import Database, PlantUnavailable
 from hilcell.plant.tables import HEAD
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run
@@ -147,7 +147,7 @@ def test_an_office_s_tables_are_made_whole_or_not_at_all(tmp_path: Path) -> None
 
     with closing(Database(f"sqlite:///{tmp_path}/plant.db")) as database:
         event.listen(database.engine, "before_cursor_execute", full)
-        with pytest.raises(PlantAway):
+        with pytest.raises(PlantUnavailable):
             database.create()
         with closing(sqlite3.connect(tmp_path / "plant.db")) as base:
             assert base.execute("SELECT name FROM sqlite_master").fetchall() == []

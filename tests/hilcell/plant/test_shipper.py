@@ -24,7 +24,7 @@ from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import ENGINE, JOURNAL, EngineFile, read_records
 from hilcell.plant.cells import cells
-from hilcell.plant.database import SEEN, Database
+from hilcell.plant.database import SHIPPED, Database
 from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import POINT, RUN
 from tests.hilcell.plant.conftest import NOW
@@ -109,9 +109,9 @@ def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office
 
 def test_without_its_own_file_nothing_is_doubled(runs: Path, office: Database) -> None:
     ship(runs, office)
-    (runs / SEEN).unlink()
+    (runs / SHIPPED).unlink()
     assert ship(runs, office) == Shipped(before=3)
-    (runs / SEEN).write_bytes(b"no database at all" * 100)
+    (runs / SHIPPED).write_bytes(b"no database at all" * 100)
     assert ship(runs, office) == Shipped(before=3)
 
 
@@ -341,7 +341,7 @@ def test_what_the_folder_s_own_databases_link_to_is_left_alone(
     other = tmp_path / "other.db"
     shutil.copy(runs / "a" / JOURNAL, other)
     before = other.read_bytes()
-    for name in (SEEN, INDEX):
+    for name in (SHIPPED, INDEX):
         link(runs / name, other)
     assert ship(runs, office).runs == 3
     assert ship(runs, office).before == 3
@@ -354,7 +354,7 @@ def test_two_shippers_at_once_keep_each_run_once(runs: Path, office: Database) -
 
     def told(name: str) -> None:
         if name == "b":
-            (runs / SEEN).unlink()
+            (runs / SHIPPED).unlink()
             second.append(ship(runs, office))
 
     first = ship(runs, office, told)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.plant.equipment import FEWEST, SIGNIFICANCE, course, hindrance, main_direction
+from hilcell.plant.equipment import FEWEST, SIGNIFICANCE, fit_trend, main_direction, why_no_trend
 from hilcell.ports import Array
 
 YEARS = np.arange(24) / 12.0
@@ -18,7 +18,7 @@ def noise(seed: int, count: int = len(YEARS)) -> Array:
 
 
 def test_noise_is_no_step_and_no_drift() -> None:
-    found = [course(YEARS, noise(seed)) for seed in range(200)]
+    found = [fit_trend(YEARS, noise(seed)) for seed in range(200)]
     assert all(each is not None for each in found)
     steps = sum(bool(each.steps) for each in found if each is not None)
     drifts = sum(each.drifts for each in found if each is not None)
@@ -29,7 +29,7 @@ def test_noise_is_no_step_and_no_drift() -> None:
 def test_a_step_is_found_where_it_is_with_a_true_uncertainty() -> None:
     covered = 0
     for seed in range(100):
-        found = course(YEARS, noise(seed) + 0.15 * (np.arange(24) >= AT))
+        found = fit_trend(YEARS, noise(seed) + 0.15 * (np.arange(24) >= AT))
         assert found is not None
         assert AT in [step.at for step in found.steps]
         step = next(step for step in found.steps if step.at == AT)
@@ -41,7 +41,7 @@ def test_a_step_is_found_where_it_is_with_a_true_uncertainty() -> None:
 def test_a_trend_is_no_step() -> None:
     stepped = 0
     for seed in range(1000, 1100):
-        found = course(YEARS, noise(seed) + 0.1 * YEARS)
+        found = fit_trend(YEARS, noise(seed) + 0.1 * YEARS)
         assert found is not None
         assert found.drifts
         stepped += bool(found.steps)
@@ -52,7 +52,7 @@ def test_a_trend_is_no_step() -> None:
 def test_what_follows_the_room_s_temperature_is_no_drift() -> None:
     warm_c = 20.0 + 4.0 * np.sin(2 * np.pi * YEARS)
     values = noise(1) + 0.05 * (warm_c - 20.0)
-    with_it, without = course(YEARS, values, warm_c), course(YEARS, values)
+    with_it, without = fit_trend(YEARS, values, warm_c), fit_trend(YEARS, values)
     assert with_it is not None
     assert without is not None
     assert not with_it.drifts
@@ -63,7 +63,7 @@ def test_what_follows_the_room_s_temperature_is_no_drift() -> None:
 def test_a_run_that_alone_differs_at_the_end_is_seen_once() -> None:
     values = noise(3)
     values[-1] += 0.4
-    found = course(YEARS, values)
+    found = fit_trend(YEARS, values)
     assert found is not None
     assert [(step.at, step.after) for step in found.steps] == [(23, 1)]
 
@@ -71,15 +71,15 @@ def test_a_run_that_alone_differs_at_the_end_is_seen_once() -> None:
 @pytest.mark.parametrize(
     ("years", "values", "reason"),
     [
-        (YEARS, np.zeros(24), "all calibrations found the same"),
-        (YEARS, np.full(24, 0.3), "all calibrations found the same"),
+        (YEARS, np.zeros(24), "all calibrations gave the same values"),
+        (YEARS, np.full(24, 0.3), "all calibrations gave the same values"),
         (np.full(24, 0.5), noise(1), "all calibrations ended at the same time"),
-        (YEARS[: FEWEST - 1], noise(1, FEWEST - 1), "5 of the 6 calibrations that are needed"),
+        (YEARS[: FEWEST - 1], noise(1, FEWEST - 1), "expected at least 6 calibrations, got 5"),
     ],
 )
 def test_what_has_no_course_has_a_reason(years: Array, values: Array, reason: str) -> None:
-    assert course(years, values) is None
-    assert hindrance(years, values) == reason
+    assert fit_trend(years, values) is None
+    assert why_no_trend(years, values) == reason
 
 
 def test_the_main_direction_is_that_of_the_change_whatever_the_order() -> None:
