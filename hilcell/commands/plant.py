@@ -157,7 +157,7 @@ def _open_database(url: str | None) -> Database:
 
 @dataclass(frozen=True)
 class Overview:
-    """What `show` prints, each field a table."""
+    """The tables that `show` prints."""
 
     cells: list[CellState]
     robots: list[RobotTrend]

@@ -211,7 +211,7 @@ class Export(OfRun):
 
 
 class Compare(Signature):
-    """Compare two runs of a cell: what changed between them."""
+    """Compare two runs of a cell and list the changes."""
 
     first: str = option("earlier run", "RUN", positional=True)
     second: str = option("later run", "RUN", positional=True)
