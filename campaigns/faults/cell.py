@@ -10,8 +10,8 @@ import msgspec
 
 from fakes.host import Host, Order
 from hilcell.cell.file import load_cell
-from hilcell.conformance.wire import Proxy
 from hilcell.wire.channel import Socket
+from hilcell.wire.relay import SocketRelay
 from tests.whole.bench import Simulation
 
 DEVICES = ("rail", "robot", "tracker")
@@ -24,9 +24,9 @@ class _Proxied(Host):
         super().__init__(order)
         ports = super().addresses()
         rail = int(ports["rail"]["channel"].rpartition(":")[2])
-        self.proxies = {"rail": Proxy(Socket("127.0.0.1", rail))}
+        self.proxies = {"rail": SocketRelay(Socket("127.0.0.1", rail))}
         for name in ("robot", "tracker"):
-            self.proxies[name] = Proxy(Socket("127.0.0.1", ports[name]["port"]))
+            self.proxies[name] = SocketRelay(Socket("127.0.0.1", ports[name]["port"]))
 
     def addresses(self) -> dict[str, Any]:
         found = super().addresses()
@@ -49,7 +49,7 @@ class ThreadedCell:
         self.simulation = Simulation(addresses, self.address)
 
     @property
-    def proxies(self) -> dict[str, Proxy]:
+    def proxies(self) -> dict[str, SocketRelay]:
         """Return the proxies by device, none where it has none."""
         return self._host.proxies if isinstance(self._host, _Proxied) else {}
 

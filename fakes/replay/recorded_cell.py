@@ -29,13 +29,13 @@ from hilcell.wire.channel import addressed, can_interfaces, wires_of
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,
-    Head,
     Piece,
-    ended_with,
-    head_of,
-    looks,
+    RunHeader,
+    clock_readings,
     read_recording,
+    recorded_exit_code,
     recordings,
+    run_header,
 )
 
 DATA = "simulation.data"
@@ -82,7 +82,7 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
 
 def _unlike(cell: Cell, session: int, paths: Mapping[str, Path], wires: Recorded) -> list[str]:
     """Return why recordings are not those of this run; later checks need what earlier ones hold."""
-    head, folder = head_of(wires[CLOCK], paths[CLOCK]), paths[CLOCK].parent
+    head, folder = run_header(wires[CLOCK], paths[CLOCK]), paths[CLOCK].parent
     first = [
         f"{path}: it was recorded as {began}{SUFFIX}; rename it back"
         for name, path in paths.items()
@@ -105,7 +105,7 @@ def folder_of(cell: Cell) -> Path:
     return Path("" if cell.simulation is None else cell.simulation.data)
 
 
-def _other_cell(cell: Cell, folder: Path, head: Head) -> list[str]:
+def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
     """Return that another cell was recorded, or which devices with another driver."""
     if (name := head.cell["name"]) != cell.name:
         what = f"recorded was cell {name!r}, asked was {cell.name!r}"
@@ -149,7 +149,7 @@ def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> I
                 break
 
 
-def _other_settings(cell: Cell, folder: Path, head: Head) -> Iterator[str]:
+def _other_settings(cell: Cell, folder: Path, head: RunHeader) -> Iterator[str]:
     """Return, in words, what was recorded with other settings."""
     recorded = convert(head.cell, Cell, DATA)
     if changed := differences(_common(recorded), _common(cell)):
@@ -195,7 +195,7 @@ class RecordedCell:
         self._wires: list[RecordedWire] = []
         self._time, channels = EventTime(), dict[str, str]()
         clock = pieces.pop(CLOCK)
-        self._looks = RecordedLooks(self._time, *looks(clock))
+        self._looks = RecordedLooks(self._time, *clock_readings(clock))
         self._expect_end(paths, clock, pieces)
         tables = {table: getattr(cell, table) for table, _group in TABLES}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
@@ -214,7 +214,7 @@ class RecordedCell:
         self, paths: Mapping[str, Path], clock: Sequence[Piece], wires: Recorded
     ) -> None:
         """Let the replay know where its recording ends, but for one that a fault has ended."""
-        ended = ended_with(clock)
+        ended = recorded_exit_code(clock)
         exit_fault, exit_aborted = 3, 4  # of the recorded run
         if ended == exit_fault:
             return
@@ -233,7 +233,7 @@ class RecordedCell:
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
         folder = folder_of(cell)
         path = recordings(folder)[CLOCK]
-        head = head_of(read_recording(path), path)
+        head = run_header(read_recording(path), path)
         if (head.procedure, head.seed) != (procedure, seed):
             recorded, asked = (
                 f"{p} --seed {s}" for p, s in ((head.procedure, head.seed), (procedure, seed))

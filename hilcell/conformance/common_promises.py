@@ -296,7 +296,7 @@ def silent(bench: Bench) -> None:
     """A device that answers no more is a DeviceError within 60 s."""
     driver = bench.connected()
     bench.acts.ask(driver)
-    bench.wires.set("mute")
+    bench.wires.set_mode("mute")
     began_s = time.monotonic()
     fails("no answer comes", lambda: bench.acts.ask(driver))
     took_s = time.monotonic() - began_s
@@ -308,14 +308,14 @@ def late(bench: Bench) -> None:
     """A late answer never becomes the answer to the next question."""
     driver = bench.connected()
     bench.visit(driver, 0)
-    bench.wires.set("hold")
+    bench.wires.set_mode("hold")
     with suppress(DeviceError):  # `silent` judges that
         bench.acts.ask(driver)
-    bench.wires.set("behind")
+    bench.wires.set_mode("behind")
     try:
         reading = bench.acts.visit(driver, 1)
     except DeviceError:
-        bench.wires.straight()
+        bench.wires.pass_all()
         driver.connect()
         bench.acts.ready(driver)
         reading = bench.acts.visit(driver, 1)
@@ -335,14 +335,14 @@ def _answered_again(bench: Bench) -> None:
     """
     driver = bench.connected()
     bench.acts.visit(driver, 0)
-    bench.wires.set("keep")
+    bench.wires.set_mode("keep")
     bench.acts.ask(driver)
-    bench.wires.straight()
+    bench.wires.pass_all()
     question = partial(bench.acts.visit, driver, 1)
     if bench.port != "tracker":  # whose only question is a measurement
         question()
         question = partial(bench.acts.ask, driver)
-    bench.wires.set("again")
+    bench.wires.set_mode("again")
     try:
         reading = question()
     except DeviceError:
@@ -361,7 +361,7 @@ def _late_on_the_way(bench: Bench, requests: int) -> None:
     with suppress(DeviceError):
         bench.acts.visit(driver, 1)
     bench.clock.wait(30.0)  # a motion from place to place has ended
-    bench.wires.set("behind")
+    bench.wires.set_mode("behind")
     try:
         reading = bench.acts.ask(driver)
     except DeviceError:
@@ -376,7 +376,7 @@ def _late_on_the_way(bench: Bench, requests: int) -> None:
 def slow(bench: Bench) -> None:
     """Answers that come 50 ms late are as good as prompt ones."""
     driver = bench.connected()
-    bench.wires.set("slow", delay_s=0.05)
+    bench.wires.set_mode("slow", delay_s=0.05)
     bench.visit(driver, 0)
     bench.visit(driver, 1)
     bench.acts.ask(driver)
@@ -387,7 +387,7 @@ def pieces(bench: Bench) -> None:
     """Answers that come in pieces, or together, are as good as whole ones."""
     driver = bench.connected()
     for mode in ("pieces", "glue"):
-        bench.wires.set(mode)
+        bench.wires.set_mode(mode)
         bench.visit(driver, 0)
         bench.visit(driver, 1)
 
@@ -396,7 +396,7 @@ def pieces(bench: Bench) -> None:
 def garbage(bench: Bench) -> None:
     """Noise in place of an answer is a DeviceError."""
     driver = bench.connected()
-    bench.wires.set("garbage")
+    bench.wires.set_mode("garbage")
     fails("noise comes", lambda: bench.acts.ask(driver))
 
 
@@ -478,7 +478,7 @@ def checked(bench: Bench) -> None:
 
     def took_s(pause_s: float) -> float:
         driver = bench.connected()
-        bench.wires.set("mute")
+        bench.wires.set_mode("mute")
         task = Task(partial(bench.acts.ask, driver))
         task.ended_within(pause_s)
         bench.clock.stop.set()

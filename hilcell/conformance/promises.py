@@ -338,7 +338,7 @@ def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]
         stream.kickoff()
         for look in range(round(STREAM_S / LOOK_S)):
             if hold:
-                bench.wires.set("hold" if 10 <= look < 25 else "pass")
+                bench.wires.set_mode("hold" if 10 <= look < 25 else "pass")
             bench.clock.wait(LOOK_S)
             blocks += stream.collect()
         blocks += stream.complete()

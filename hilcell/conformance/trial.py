@@ -28,10 +28,10 @@ from hilcell.cell.devices import (
 )
 from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import ACTS, PORTS, Driver, Port, Reading
-from hilcell.conformance.wire import Wires
 from hilcell.decoding import Json
 from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
 from hilcell.ports import Clock, Identity, SimulatedCell
+from hilcell.wire.relay import Relays
 
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
 LOOK_S = 0.02
@@ -169,11 +169,11 @@ class Bench:
         self.acts = ACTS[port](cell)
         self._speed = self.PACE if paced else math.inf
         self._simulated: SimulatedCell | None = None
-        self._wires = Wires({})
+        self._wires = Relays({})
         self._built: list[Driver] = []
 
     @property
-    def wires(self) -> Wires:
+    def wires(self) -> Relays:
         self.present()
         self._start()
         if not self._wires.all:
@@ -248,7 +248,7 @@ class Bench:
     def tidy(self) -> None:
         """Close what a promise has left open, and mend the wires."""
         self.clock.stop.clear()
-        self._wires.straight()
+        self._wires.pass_all()
         for device in self._built:
             with suppress(Exception):  # of a driver on trial, whose promise is judged already
                 device.close()

@@ -45,8 +45,7 @@ from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, cell_file
 from hilcell.run.runner import Runner, finish
 from hilcell.run.signals import note_signals, stopped_by_signals
 from hilcell.sanitize import encodable
-from hilcell.wire.record import Addresses, WireRecording
-from hilcell.wire.recording import Head, TimedStop
+from hilcell.wire.recording import Addresses, RunHeader, TimedStop, WireRecording
 
 SWITCH_S = 0.0005  # for the heartbeat's thread; Python's default is 5 ms
 
@@ -190,7 +189,7 @@ class Engine:
         """Return the relays that record the devices' wires; warn of those left out."""
         cell, folder, log = self.plan.cell, self.plan.folder, self.journal.log
         procedure, seed, stated = log.inputs.procedure, log.inputs.seed, msgspec.to_builtins(cell)
-        head = Head(folder.name, procedure, seed, log.session + 1, stated)
+        head = RunHeader(folder.name, procedure, seed, log.session + 1, stated)
         recording = WireRecording(cell, addresses, folder, head)
         for table, why in recording.left_out.items():
             self._say(f"warning: the wire of the {table} is not recorded: {why}")

@@ -1,4 +1,4 @@
-"""Recordings of a device's wire: JSON lines, one for each piece of bytes, with its time.
+"""Recordings of wires: JSON lines, one for each piece of bytes, with its time.
 
 ``{"t": 1.234567, "c": 1, "e": ">", "b": "0100000e..", "k": "9d3f0a51"}``: seconds since the
 recording of all wires began, the number of the connection, what happened, the bytes in hex, and the
@@ -8,34 +8,41 @@ CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``en
 A recording is named by its device and its wire: ``robot.wire.jsonl``, ``robot.rtde.wire.jsonl``.
 The first line of a wire is ``began``, with its name; a wire that was never opened has no other.
 
-The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed. Its first
-line is ``run``, the recorded run's `Head` as JSON. ``stopped`` is when the run was to stop; all
-later pieces are of its stop. ``over`` is the last line, with the run's exit code; a run that was
-killed has none.
+The cell's clock is recorded like a wire: ``now`` is a reading of it. Its first line is ``run``, the
+recorded run's `RunHeader` as JSON. ``stopped`` is when the run had to stop; all later pieces belong
+to its stop. ``over`` is the last line, with the run's exit code; a run that was killed has none.
+
+``run --record-wire`` reaches each device of a cell through a `hilcell.wire.relay`.
 """
 
 from __future__ import annotations
 
 import lzma
 import struct
+import subprocess
+import sys
 import threading
 import time
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Literal, Self
+from typing import IO, Literal, Self, cast
 
 import msgspec
 
+from hilcell.cell.devices import stated_options
+from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, decoded
+from hilcell.errors import HilcellError
 from hilcell.ports import Clock, Stopped
+from hilcell.wire.channel import SerialLine, Socket, addressed, can_interfaces, wires_of
 
-FORM = 1  # of all recordings of a run; to be raised whenever one changes
+FORM = 1  # of all recordings of a run; raise it whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"
 CLOCK = "clock"  # in the place of a wire's name
-_SHOWN = struct.Struct(">d")
+_TIME = struct.Struct(">d")
 SUFFIX = ".wire.jsonl"
 PACKED = ".xz"
 Event = Literal[
@@ -60,7 +67,7 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def check(self) -> str:
-        """Return what ``k`` has to be."""
+        """The expected ``k``."""
         return f"{zlib.crc32(msgspec.json.encode((self.t, self.c, self.e, self.b))):08x}"
 
     @property
@@ -68,8 +75,8 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
         return bytes.fromhex(self.b)
 
 
-class Head(msgspec.Struct, frozen=True):
-    """The run that was recorded, and which of its sessions: a run that is resumed has several."""
+class RunHeader(msgspec.Struct, frozen=True):
+    """The recorded run, and which of its sessions: a resumed run has several."""
 
     run: str
     procedure: str
@@ -80,7 +87,7 @@ class Head(msgspec.Struct, frozen=True):
 
 
 class Recorder:
-    """Writes one recording; safe to use from several threads. A full disk ends it, no wire."""
+    """Writes one recording; thread-safe. A full disk ends the recording, not the wire."""
 
     def __init__(self, file: IO[bytes], began_s: float) -> None:
         """``began_s`` (monotonic) is when the recording of all wires began."""
@@ -88,10 +95,10 @@ class Recorder:
         self._lock = threading.Lock()
         self._began_s = began_s
 
-    def take(
+    def record(
         self, connection: int, event: Event, data: bytes = b"", at_s: float | None = None
     ) -> None:
-        """Write what happened, now or at ``at_s`` (monotonic)."""
+        """Write an event of now, or of ``at_s`` (monotonic)."""
         with self._lock:
             if self._file is None:
                 return
@@ -108,7 +115,7 @@ class Recorder:
 
 
 class TimedStop(threading.Event):
-    """A stop that knows when it was asked for: the devices hear of it before the run does."""
+    """A stop with its time: the devices receive it before the run does."""
 
     set_s: float | None = None  # monotonic
 
@@ -118,8 +125,8 @@ class TimedStop(threading.Event):
         super().set()
 
 
-class RecordedLooks:
-    """Satisfies `hilcell.ports.Clock`: another clock, whose looks are recorded."""
+class RecordingClock:
+    """Satisfies `hilcell.ports.Clock`: another clock, whose readings are recorded."""
 
     def __init__(self, clock: Clock, recorder: Recorder, stop: TimedStop) -> None:
         self._clock, self._recorder, self._stop = clock, recorder, stop
@@ -141,35 +148,35 @@ class RecordedLooks:
         except Stopped:
             if not self._stopped:
                 self._stopped = True
-                self._recorder.take(0, "stopped", at_s=self._stop.set_s)
+                self._recorder.record(0, "stopped", at_s=self._stop.set_s)
             raise
 
     def now_s(self) -> float:
         """Return the cell's time, which never runs back."""
         now_s = self._clock.now_s()
-        self._recorder.take(0, "now", _SHOWN.pack(now_s))
+        self._recorder.record(0, "now", _TIME.pack(now_s))
         return now_s
 
 
-def looks(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
-    """Return when the cell's clock was looked at, by the recording, and what it showed, in s."""
-    found = [(piece.t, _SHOWN.unpack(piece.data)[0]) for piece in pieces if piece.e == "now"]
-    return [at_s for at_s, _ in found], [shown_s for _, shown_s in found]
+def clock_readings(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
+    """Return the times of the recording at which the cell's clock was read, and its readings, s."""
+    readings = [(piece.t, _TIME.unpack(piece.data)[0]) for piece in pieces if piece.e == "now"]
+    return [at_s for at_s, _ in readings], [cell_s for _, cell_s in readings]
 
 
-def head_of(clock: Sequence[Piece], path: Path) -> Head:
-    """Return the recorded run of a clock's recording; raises `SettingsError`."""
+def run_header(clock: Sequence[Piece], path: Path) -> RunHeader:
+    """Return the header in a clock's recording; raises `SettingsError`."""
     stated = next((piece.data for piece in clock if piece.e == "run"), b"")
     if not stated:
         raise SettingsError(str(path), [f"does not state the recorded run; {COPY_AGAIN}"])
     form = decoded(stated, Json).get("form")
     if form != FORM:
-        found = f"form {form or 'none'}, expected {FORM}; record the run again"
-        raise SettingsError(str(path), [found])
-    return decoded(stated, Head)
+        problem = f"form {form or 'none'}, expected {FORM}; record the run again"
+        raise SettingsError(str(path), [problem])
+    return decoded(stated, RunHeader)
 
 
-def ended_with(pieces: Iterable[Piece]) -> int | None:
+def recorded_exit_code(pieces: Iterable[Piece]) -> int | None:
     """Return the exit code of a recorded run; None for one that was killed."""
     stated = next((piece.data for piece in pieces if piece.e == "over"), None)
     return None if stated is None else int(stated)
@@ -182,16 +189,13 @@ def recordings(folder: Path) -> dict[str, Path]:
 
 
 def read_recording(path: Path) -> list[Piece]:
-    """Return the pieces of a recording, all of which are as they were written.
-
-    Raises `SettingsError`.
-    """
+    """Return the pieces of a recording; raises `SettingsError` where one was changed."""
     try:
         data = path.read_bytes()
         return list(_pieces(lzma.decompress(data) if path.suffix == PACKED else data, path))
     except (OSError, lzma.LZMAError, EOFError, ValueError) as error:
-        found = f"no recording of a wire: {error}; {COPY_AGAIN}"
-        raise SettingsError(str(path), [found]) from error
+        problem = f"no recording of a wire: {error}; {COPY_AGAIN}"
+        raise SettingsError(str(path), [problem]) from error
 
 
 def _pieces(text: bytes, path: Path) -> Iterator[Piece]:
@@ -210,3 +214,85 @@ def _pieces(text: bytes, path: Path) -> Iterator[Piece]:
             sums = f"expected check sum {piece.check}, got {piece.k or 'none'}"
             raise ValueError(f"{path}:{number} was changed: {sums}")
         yield piece
+
+
+Addresses = Mapping[str, Mapping[str, object]]
+
+
+class RelayOrder(msgspec.Struct, frozen=True):
+    """One wire: its name, where it leads, and the file of its recording."""
+
+    wire: str
+    file: str
+    began_s: float  # monotonic; of the recording of all wires
+    place: Socket | SerialLine
+
+
+class WireRecording:
+    """The relay process of one run; ``addresses`` replace those of the devices.
+
+    ``left_out`` names devices whose wires cannot be recorded here, with the reason.
+    """
+
+    def __init__(self, cell: Cell, addresses: Addresses, folder: Path, head: RunHeader) -> None:
+        """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
+        self.left_out: dict[str, str] = {}
+        folder, began_s = self._unused(folder), time.monotonic()
+        stated = stated_options(cell, addresses)
+        orders = [
+            RelayOrder(name, str(folder / f"{name}{SUFFIX}"), began_s, place)
+            for name, place in wires_of(stated).items()
+        ]
+        for table, options in stated.items():
+            if cans := can_interfaces(options):
+                self.left_out[table] = "; ".join(
+                    f"{channel} is a CAN interface: record it with `candump -l {channel}`"
+                    for channel in cans
+                )
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "hilcell.wire.relay"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            start_new_session=True,
+        )  # fmt: skip
+        self.addresses: Addresses = addressed(stated, self._channels(orders))
+        self._clock_file = (folder / f"{CLOCK}{SUFFIX}").open("ab")
+        self._recorder = Recorder(self._clock_file, began_s)
+        self._recorder.record(0, "run", msgspec.json.encode(head))
+
+    def clock(self, clock: Clock, stop: TimedStop) -> Clock:
+        """Return the cell's clock, recorded: replayed wires are paired by its readings."""
+        return RecordingClock(clock, self._recorder, stop)
+
+    def close(self, exit_code: int | None = None) -> None:
+        """End the relay, and record how the run has ended."""
+        if exit_code is not None:
+            self._recorder.record(0, "over", b"%d" % exit_code)
+        self._recorder.close()
+        self._clock_file.close()
+        end_s = 5.0
+        try:
+            self._process.communicate(timeout=end_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
+
+    def _channels(self, orders: list[RelayOrder]) -> dict[str, str]:
+        stdin, stdout = cast("IO[bytes]", self._process.stdin), self._process.stdout
+        stdin.write(msgspec.json.encode(orders) + b"\n")
+        stdin.flush()
+        line = cast("IO[bytes]", stdout).readline()
+        if not line:
+            _, errors = self._process.communicate()
+            last = errors.decode(errors="replace").strip().rpartition("\n")[2]
+            raise HilcellError(f"--record-wire: the relay did not start: {last}")
+        return msgspec.json.decode(line, type=dict[str, str])
+
+    @staticmethod
+    def _unused(folder: Path) -> Path:
+        """Return a folder without recordings: a run that is resumed has one of its own."""
+        unused, number = folder, 1
+        while recordings(unused):
+            number += 1
+            unused = folder / f"wires-{number}"
+        unused.mkdir(exist_ok=True)
+        return unused

@@ -32,8 +32,16 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
 from hilcell.wire.channel import SerialLine, Socket
-from hilcell.wire.record import WireRecording
-from hilcell.wire.recording import PACKED, SUFFIX, Head, Piece, Recorder, read_recording, recordings
+from hilcell.wire.recording import (
+    PACKED,
+    SUFFIX,
+    Piece,
+    Recorder,
+    RunHeader,
+    WireRecording,
+    read_recording,
+    recordings,
+)
 from hilcell.wire.relay import SerialRelay, SocketRelay
 from tests.whole.bench import command, sets
 from tests.whole.recordings import (
@@ -52,7 +60,7 @@ from tests.whole.recordings import (
 
 pytestmark = pytest.mark.waits
 RESULT = bytes.fromhex("9c000000 02000000")
-HEAD = Head("r1", "home", 1, 1, msgspec.to_builtins(load_cell("paper")))
+HEAD = RunHeader("r1", "home", 1, 1, msgspec.to_builtins(load_cell("paper")))
 PLACE_MM = 0.02  # a busy PC polls more often, and so takes medians of others
 CURVE = 0.1  # cycles, urad and ms
 JOINT_DEG = 0.002  # a robot of Universal Robots dithers, and any of its states may be read

@@ -1,4 +1,4 @@
-"""Wires that fail on demand, before a server and before a serial line that answer all they hear."""
+"""Relays that fail on demand, before a server and a serial line that answer all they receive."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.conformance import wire
-from hilcell.conformance.wire import Line, Wires
+from hilcell.wire import relay as wire
 from hilcell.wire.channel import SerialLine
-from hilcell.wire.relay import Door
+from hilcell.wire.relay import Acceptor, Relays, SerialRelay
 from tests.drivers.peers import Server
 from tests.fakes.wires import exactly
 
@@ -46,8 +45,8 @@ class Looks:
 def looks(monkeypatch: pytest.MonkeyPatch) -> Looks:
     looks = Looks()
     monkeypatch.setattr(wire, "time", looks)
-    monkeypatch.setattr(wire.Wire, "LOOK_S", 0.001)
-    monkeypatch.setattr(wire._SocketEnd, "LEAVES_S", 60.0)  # on however slow a PC
+    monkeypatch.setattr(wire.Relay, "POLL_S", 0.001)
+    monkeypatch.setattr(wire.SocketEnd, "LEAVE_S", 60.0)  # on however slow a PC
     return looks
 
 
@@ -73,7 +72,7 @@ class Echo:
 
 
 @contextmanager
-def client(wires: Wires) -> Iterator[socket.socket]:
+def client(wires: Relays) -> Iterator[socket.socket]:
     port = wires.options["robot"]["port"]
     assert isinstance(port, int)
     with socket.create_connection(("127.0.0.1", port)) as link:
@@ -86,15 +85,15 @@ def echo() -> Echo:
 
 
 @pytest.fixture
-def wires(echo: Echo) -> Iterator[Wires]:
+def wires(echo: Echo) -> Iterator[Relays]:
     with Server(echo) as server:
-        found = Wires({"robot": {"host": "127.0.0.1", "port": server.port}})
+        found = Relays({"robot": {"host": "127.0.0.1", "port": server.port}})
         yield found
         found.close()
 
 
 @pytest.fixture
-def link(wires: Wires) -> Iterator[socket.socket]:
+def link(wires: Relays) -> Iterator[socket.socket]:
     with client(wires) as link:
         yield link
 
@@ -111,22 +110,22 @@ def test_bytes_pass(link: socket.socket) -> None:
 
 @pytest.mark.parametrize(("mode", "later"), [("mute", b"end"), ("hold", b"askend")])
 def test_answers_do_not_come_or_come_later(
-    wires: Wires, link: socket.socket, echo: Echo, looks: Looks, mode: str, later: bytes
+    wires: Relays, link: socket.socket, echo: Echo, looks: Looks, mode: str, later: bytes
 ) -> None:
-    wires.set(mode)
+    wires.set_mode(mode)
     echo.heard(link, b"ask")
     looks.taken()
-    wires.straight()
+    wires.pass_all()
     link.sendall(b"end")
     assert exactly(link, len(later)) == later
 
 
 def test_what_is_kept_comes_first_whenever_the_mode_changes(
-    wires: Wires, link: socket.socket, echo: Echo, looks: Looks, monkeypatch: pytest.MonkeyPatch
+    wires: Relays, link: socket.socket, echo: Echo, looks: Looks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another thread changed it while an answer was read: that one overtook what was kept."""
     (proxy,) = wires.all
-    wires.set("hold")
+    wires.set_mode("hold")
     echo.heard(link, b"ask")
     looks.taken()
     read, passed = proxy._received, list[bytes]()
@@ -134,7 +133,7 @@ def test_what_is_kept_comes_first_whenever_the_mode_changes(
     def received(end: wire.End) -> bytes:
         passed.append(read(end))
         if passed == [b"end", b"end"]:  # the question, and now its answer
-            wires.straight()
+            wires.pass_all()
         return passed[-1]
 
     monkeypatch.setattr(proxy, "_received", received)
@@ -142,37 +141,37 @@ def test_what_is_kept_comes_first_whenever_the_mode_changes(
     assert exactly(link, 6) == b"askend"
 
 
-def test_requests_are_swallowed(wires: Wires, link: socket.socket, looks: Looks) -> None:
+def test_requests_are_swallowed(wires: Relays, link: socket.socket, looks: Looks) -> None:
     assert said(link, b"one") == b"one"
-    wires.set("blackhole")
+    wires.set_mode("blackhole")
     link.sendall(b"ask")
     looks.taken()
-    wires.straight()
+    wires.pass_all()
     assert said(link, b"end") == b"end"
 
 
 def test_an_old_answer_comes_once_more_ahead_of_the_next_one(
-    wires: Wires, link: socket.socket
+    wires: Relays, link: socket.socket
 ) -> None:
-    wires.set("keep")
+    wires.set_mode("keep")
     assert said(link, b"old") == b"old"
-    wires.straight()
+    wires.pass_all()
     assert said(link, b"mid") == b"mid"
-    wires.set("again")
+    wires.set_mode("again")
     link.sendall(b"new")
     assert exactly(link, 6) == b"oldnew"
     assert said(link, b"end") == b"end"
 
 
 def test_an_old_answer_comes_as_the_first_one_to_the_next_question(
-    wires: Wires, link: socket.socket, echo: Echo, looks: Looks
+    wires: Relays, link: socket.socket, echo: Echo, looks: Looks
 ) -> None:
     wires.hold_after(1)
     echo.heard(link, b"one")
     assert link.recv(100) == b"one"
     echo.heard(link, b"two")
     looks.taken()
-    wires.set("behind")
+    wires.set_mode("behind")
     looks.taken()
     link.setblocking(False)
     with pytest.raises(BlockingIOError):
@@ -184,29 +183,29 @@ def test_an_old_answer_comes_as_the_first_one_to_the_next_question(
 
 
 def test_an_old_answer_comes_though_nobody_asks(
-    wires: Wires, link: socket.socket, echo: Echo, looks: Looks
+    wires: Relays, link: socket.socket, echo: Echo, looks: Looks
 ) -> None:
-    wires.set("hold")
+    wires.set_mode("hold")
     echo.heard(link, b"ask")
     looks.taken()
-    wires.set("behind")
+    wires.set_mode("behind")
     looks.taken()
     looks.now_s = 1e3
     assert link.recv(100) == b"ask"
 
 
-def test_answers_come_in_pieces_as_noise_and_rewritten(wires: Wires, link: socket.socket) -> None:
-    wires.set("pieces")
+def test_answers_come_in_pieces_as_noise_and_rewritten(wires: Relays, link: socket.socket) -> None:
+    wires.set_mode("pieces")
     link.sendall(b"answer")
     assert exactly(link, 6) == b"answer"
-    wires.set("garbage")
+    wires.set_mode("garbage")
     assert said(link, b"answer") == b"tttttt"
-    wires.straight()
+    wires.pass_all()
     wires.rewrite(b"swe", b"SWE")
     assert said(link, b"answer") == b"anSWEr"
 
 
-def test_nobody_is_there_and_comes_back(wires: Wires, link: socket.socket) -> None:
+def test_nobody_is_there_and_comes_back(wires: Relays, link: socket.socket) -> None:
     assert said(link, b"ask") == b"ask"
     wires.refuse()
     with pytest.raises(ConnectionResetError):
@@ -220,7 +219,7 @@ def test_nobody_is_there_and_comes_back(wires: Wires, link: socket.socket) -> No
 
 def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
     with Server(Echo()) as one, Server(lambda link: link.sendall(b"other")) as other:
-        wires = Wires({"rail": {"channel": f"socket://127.0.0.1:{one.port}", "node": 5}})
+        wires = Relays({"rail": {"channel": f"socket://127.0.0.1:{one.port}", "node": 5}})
         try:
             assert wires.options["rail"]["node"] == 5
             wires.lead_to({"rail": {"channel": f"socket://127.0.0.1:{other.port}"}})
@@ -234,7 +233,7 @@ def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
 def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
     with Server(Echo()) as one, Server(Echo()) as other:
         part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
-        wires = Wires({"rail": {"host": "127.0.0.1", "port": one.port, "strip": part}})
+        wires = Relays({"rail": {"host": "127.0.0.1", "port": one.port, "strip": part}})
         try:
             strip = wires.options["rail"]["strip"]
             assert isinstance(strip, dict)
@@ -258,7 +257,7 @@ def test_a_door_that_is_closed_has_handed_its_last_client_on() -> None:
         on.wait()
         handed.append(near)
 
-    door = Door(entered)
+    door = Acceptor(entered)
     with socket.create_connection(("127.0.0.1", door.port)):
         entering.wait()
         closing = threading.Thread(target=door.close)
@@ -270,7 +269,7 @@ def test_a_door_that_is_closed_has_handed_its_last_client_on() -> None:
         handed.pop().close()
 
 
-def test_a_device_has_seen_the_end_of_what_is_dropped(wires: Wires, echo: Echo) -> None:
+def test_a_device_has_seen_the_end_of_what_is_dropped(wires: Relays, echo: Echo) -> None:
     for times in range(1, 20):
         with client(wires) as link:
             assert said(link, b"a") == b"a"
@@ -289,7 +288,7 @@ def test_a_serial_line() -> None:
     tty.setraw(far)
     answering = threading.Thread(target=_answer, args=(near,))
     answering.start()
-    wires = Wires({"tracker": {"channel": f"{os.ttyname(far)}@9600"}})
+    wires = Relays({"tracker": {"channel": f"{os.ttyname(far)}@9600"}})
     try:
         path, _, baud = str(wires.options["tracker"]["channel"]).partition("@")
         assert baud == "9600"
@@ -311,13 +310,13 @@ def test_a_serial_line() -> None:
         os.close(far)
         answering.join()
         os.close(near)
-    assert all(isinstance(each, Line) for each in wires.all)
+    assert all(isinstance(each, SerialRelay) for each in wires.all)
 
 
 @pytest.fixture
-def line() -> Iterator[Line]:
+def line() -> Iterator[SerialRelay]:
     near, far = os.openpty()
-    line = Line(SerialLine(os.ttyname(far)))
+    line = SerialRelay(SerialLine(os.ttyname(far)))
     yield line
     line.close()
     os.close(near)
@@ -325,7 +324,7 @@ def line() -> Iterator[Line]:
 
 
 def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
-    line: Line, looks: Looks, monkeypatch: pytest.MonkeyPatch
+    line: SerialRelay, looks: Looks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entered, joined = threading.Event(), threading.Event()
 
@@ -353,7 +352,7 @@ def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
 
 
 def test_a_line_that_nobody_reads_loses_what_comes_and_can_be_unplugged(
-    line: Line, looks: Looks
+    line: SerialRelay, looks: Looks
 ) -> None:
     line.mode = "flood"
     for _ in range(40):  # of 4096 bytes each: more than a pseudo terminal keeps
