@@ -93,21 +93,21 @@ class Placed:
         return None if self.coverage is None else float(of(self.coverage))
 
 
-def place_words(place: str) -> str:
+def place_label(place: str) -> str:
     """Return the name of a place in a table: a station, or those that are judged together."""
     return "others together" if place == OTHERS else place
 
 
-def placed(budget: TargetBudget) -> list[Placed]:
+def bound_rows(budget: TargetBudget) -> list[Placed]:
     """Return the bounds and what validation found of them, place by place."""
     names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
     return [
-        Placed(place_words(name), budget.in_use.get(name), budget.coverage.get(name))
+        Placed(place_label(name), budget.in_use.get(name), budget.coverage.get(name))
         for name in names
     ]
 
 
-def bounds_sheet(budget: TargetBudget) -> Table:
+def bounds_table(budget: TargetBudget) -> Table:
     note = (
         "95 % of 3-D errors should be inside. In use: any target of the cube, at any temperature "
         "that the check of validity allows. In validation: without what stays the same from grid "
@@ -126,7 +126,7 @@ def bounds_sheet(budget: TargetBudget) -> Table:
         Column("validation bound, max", lambda row: row.validated(lambda c: c.bounds_mm.max()),
                "mm", ".3f"),
     )  # fmt: skip
-    return Table(columns, placed(budget), "95 % bounds of corrected targets", note)
+    return Table(columns, bound_rows(budget), "95 % bounds of corrected targets", note)
 
 
 # -- the uncertainty budget of one coordinate as one table: a measured error, a corrected target ---
@@ -180,7 +180,7 @@ ROWS: tuple[Column[Row], ...] = (
 )
 
 
-def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[str] = ()) -> Table:
+def budget_table(budget: Budget | None, targets: TargetBudget, hidden: Sequence[str] = ()) -> Table:
     """Return the table, nothing where the run allows neither budget; ``hidden`` are errors that no
     line has in it, in words.
     """

@@ -23,18 +23,9 @@ from hilcell.identity import Identity
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
 from hilcell.present.renderers import environment
-from hilcell.report.budgets import placed, target_budget
+from hilcell.report.budgets import bound_rows, target_budget
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import (
-    FirstPage,
-    Judgement,
-    Result,
-    adjustment_words,
-    conditions_words,
-    conformity_words,
-    procedure_words,
-    title,
-)
+from hilcell.report.first_page import Certificate, FirstPage, Judgement, Result
 from hilcell.report.tables import Tables, Validated
 
 # The PTB's schema DCC 3.1.2 gives names and order (namespace ``dcc``), D-SI 2 the quantities
@@ -122,11 +113,11 @@ def dcc_bytes(facts: Facts) -> bytes:
         release=content.release,
         robot=facts.asset("robot") or Identity(),
         statements=content.statements(),
-        title=title(facts),
-        method=procedure_words(facts),
+        title=Certificate(facts).title(),
+        method=Certificate(facts).method(),
         instruments=page.instrument_rows(),
         air=[*content.air()],
-        conditions=conditions_words(facts),
+        conditions=Certificate(facts).conditions(),
         results=[
             ("3-D position error of the tool point", "hilcell_error", [*content.errors()]),
             ("Orientation error of the tool", "hilcell_turn", [*content.turns()]),
@@ -164,9 +155,9 @@ class _Certificate:
             yield Statement(f"Valid for: {valid}.")
         judged = page.judgement()
         only_would_be = self.facts.inputs.simulated and isinstance(judged, Outcome)
-        yield Statement(f"Decision rule: {conformity_words(self.facts)}.", "ISO 14253-1",
+        yield Statement(f"Decision rule: {Certificate(self.facts).conformity()}.", "ISO 14253-1",
                         conformity="" if only_would_be else CONFORMITY.get(judged, ""))  # fmt: skip
-        yield Statement(f"Before and after adjustment: {adjustment_words(self.facts)}.")
+        yield Statement(f"Before and after adjustment: {Certificate(self.facts).adjustment()}.")
         yield Statement("The results relate only to the item described and to its state when it "
                         "was measured. No accreditation is claimed by the software.")  # fmt: skip
 
@@ -223,7 +214,7 @@ class _Certificate:
 
     def bounds(self) -> Iterator[Series]:
         """Yield the 95 % bounds of any target in use, and how many targets kept theirs."""
-        for place in placed(target_budget(self.facts.log, self.facts.run)):
+        for place in bound_rows(target_budget(self.facts.log, self.facts.run)):
             figures = (
                 ("bound in use, mean", place.use(np.mean), MM, "hilcell_boundMean"),
                 ("bound in use, largest", place.use(np.max), MM, "hilcell_boundLargest"),

@@ -132,7 +132,7 @@ class Facts:
                 return "after, IDW" + self.of_paper(" (paper)")
         return f"after, {harmless(self.log.method) or 'chosen'}"
 
-    def outcome_words(self, outcome: Outcome | None, none: str = "") -> str:
+    def outcome_text(self, outcome: Outcome | None, none: str = "") -> str:
         """Return an outcome as the first page says it: of a simulated cell in brackets.
 
         ``none`` status where nothing was judged.

@@ -33,7 +33,7 @@ from hilcell.present.table import Column, Table
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
-from hilcell.report.iso9283 import PoseReport, tests_poses
+from hilcell.report.iso9283 import PoseReport, is_pose_test
 
 BLANK = "…" * 12  # to fill in by hand
 NOT_APPLICABLE = "–"
@@ -80,10 +80,10 @@ class FirstPage:
 
     facts: Facts
 
-    def results_sheet(self, targets: TargetBudget) -> Table:
+    def results_table(self, targets: TargetBudget) -> Table:
         """Return the table of results, nothing where nothing was judged."""
-        if tests_poses(self.facts):
-            return PoseReport(self.facts).results_sheet()
+        if is_pose_test(self.facts):
+            return PoseReport(self.facts).results_table()
         left = len(self.judged_places()) - len(self._shown())
         note = f"{left} stations further from their limits: see Verdicts." if left else ""
         results = [result for name in self._shown() for result in self.results_at(name)]
@@ -91,10 +91,10 @@ class FirstPage:
             results.append(bound)
         return Table(self._columns("3-D position error", "mm", ".3f"), results, "Results", note)
 
-    def turn_results(self) -> Table:
+    def orientation_results(self) -> Table:
         """Return the orientation nearest to its limit, or a pose test's; nothing without limits."""
-        if tests_poses(self.facts):
-            return PoseReport(self.facts).turn_results()
+        if is_pose_test(self.facts):
+            return PoseReport(self.facts).orientation_results()
         turns = {name: each.orientation for name, each in self.judged_places().items()}
         known = {name: turn for name, turn in turns.items() if turn is not None}
         limit_deg, results = self.facts.cell.validation.max_tolerance_deg, []
@@ -115,7 +115,7 @@ class FirstPage:
             Column("after", attrgetter("after"), unit, form),
             Column("U", lambda row: "included" if row.U is None else row.U, unit, form),
             Column("after may be at most", attrgetter("most"), unit, form),
-            Column("verdict", lambda row: self.facts.outcome_words(row.outcome, NOT_APPLICABLE),
+            Column("verdict", lambda row: self.facts.outcome_text(row.outcome, NOT_APPLICABLE),
                    form="s"),
         )  # fmt: skip
 
@@ -133,7 +133,7 @@ class FirstPage:
         nearest = sorted(
             judged, key=lambda name: judged[name].max_mm / judged[name].max_tolerance_mm
         )
-        kept = set(nearest[-most_places(self.facts.cell) :])
+        kept = set(nearest[-max_stations(self.facts.cell) :])
         return [name for name in judged if name in kept]
 
     def nearest_results(self, targets: TargetBudget) -> list[tuple[str, Result]]:
@@ -192,7 +192,7 @@ class FirstPage:
             return "failed check" if outcome is Outcome.REJECTED else "not judged"
         return outcome or Outcome.REJECTED
 
-    def verdict_word(self) -> str:
+    def verdict_title(self) -> str:
         """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
 
         Where it was not, or a cause is suspected and no limit is missed, it is the outcome in
@@ -217,17 +217,17 @@ class FirstPage:
         if not outcomes:
             return ""
         reasons = [
-            f"{place}, {with_signs(each.why)}"
+            f"{place}, {typeset(each.why)}"
             for place, each in failed.items() if each.outcome == gravest(outcomes)
         ]  # fmt: skip
         most = 2  # stations that the verdict's sentence names
         more = f"; and at {len(reasons) - most} more stations" if reasons[most:] else ""
         return f": at {'; at '.join(reasons[:most])}{more}"
 
-    def uncertainty_words(self, budget: Budget | None) -> str:
+    def uncertainty_text(self, budget: Budget | None) -> str:
         """Return U with its coverage factors, of one coordinate and of a 3-D position."""
-        if tests_poses(self.facts):
-            return iso9283.uncertainty_words()
+        if is_pose_test(self.facts):
+            return iso9283.uncertainty_text()
         if budget is None:
             return ""
         return (
@@ -244,9 +244,11 @@ class FirstPage:
         travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
         on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
         stations = (
-            [cell.grid.station] if tests_poses(self.facts) else [each.name for each in cell.station]
+            [cell.grid.station]
+            if is_pose_test(self.facts)
+            else [each.name for each in cell.station]
         )
-        most = most_places(cell)
+        most = max_stations(cell)
         names = ", ".join(stations[:most])
         more = f" and {len(stations) - most} more" if len(stations) > most else ""
         parties = cell.certificate
@@ -342,7 +344,7 @@ class FirstPage:
         )
 
 
-def most_places(cell: Cell) -> int:
+def max_stations(cell: Cell) -> int:
     """Return how many stations the page has room for."""
     long_name, most = 20, 4
     return 1 if any(len(station.name) > long_name for station in cell.station) else most
@@ -381,12 +383,12 @@ def verdicts(facts: Facts) -> Table:
     columns: tuple[Column[tuple[str, Verdict]], ...] = (
         Column("judged", lambda row: verdict_label(row[0])),
         Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
-        Column("by", lambda row: with_signs(row[1].words)),
+        Column("by", lambda row: typeset(row[1].words)),
     )
     return Table(columns, facts.log.verdicts.items(), "Verdicts")
 
 
-def with_signs(words: str) -> str:
+def typeset(words: str) -> str:
     """Return words with the signs of print."""
     signs = {"<=": "≤", r"\+-": "±", r" deg\b": "°", r"\burad\b": "µrad"}
     for written, shown in signs.items():
@@ -416,118 +418,11 @@ class Item:
     part: str = PAGE_1
 
 
-def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> list[Item]:
-    """Return the items in the standard's order."""
-    inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
-    measured_air = bool(facts.log.temperatures_c())
-    kinds = ("tracker", "strip")
-    devices = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
-    serial = "" if robot is None else f", serial {robot.serial}"
-    begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
-    dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
-    results, results_part = "none: nothing was measured", POSES if tests_poses(facts) else STATIONS
-    if facts.log.points:
-        air = ", temperatures °C" if measured_air else ""
-        results = f"the tables of this report; lengths mm, angles °{air}"
-    deviations = [f"a calibration was used although {why}" for why in inputs.accepted]
-    deviations += PoseReport(facts).departures()
-    revoked = f"REVOKED: {facts.revoked}; " if facts.revoked else ""
-    return [
-        Item("7.8.2.1 a", "Title", title(facts)),
-        Item("7.8.2.1 b, c", "Laboratory, place of the calibration", cell.certificate.laboratory),
-        Item("7.8.2.1 d", "Unique identification",
-             f"{facts.run}, journal {facts.fingerprint[:16]}"),
-        Item("7.8.2.1 e", "Customer", cell.certificate.customer),
-        Item("7.8.2.1 e", "Job", inputs.job),
-        Item("7.8.2.1 f", "Method", procedure_words(facts), UNCERTAINTY),
-        Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
-             f"{cell.robot.name}{serial}; {_stands(cell)}"),
-        Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
-        Item("7.8.2.1 i", "Date of measurement", dates),
-        Item("7.8.2.1 j", "Date of issue"),
-        Item("7.5.1", "Measured by", inputs.operator),
-        Item("7.8.2.1 o", "Authorised by (name, signature)"),
-        Item("7.8.2.1 m", "Results and units", results, results_part),
-        Item("7.8.2.1 n", "Deviations from the method", "; ".join(deviations) or "none recorded"),
-        Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
-             UNCERTAINTY),
-        Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
-        Item("7.8.4.1 c", "Measured with", "; ".join(devices)),
-        Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
-             + (", thermometer" if measured_air else "")),
-        Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
-        Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
-        Item("7.8.2.1 l", "Validity",
-             f"{revoked}the results relate only to the item {_limits_of_validity(facts)}"),
-    ]  # fmt: skip
-
-
 def _stands(cell: Cell) -> str:
     if not cell.has_rail:
         return "on the floor, without a rail"
     travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
     return f"{len(cell.station)} stations on a rail of {travel_mm:g} mm"
-
-
-def title(facts: Facts) -> str:
-    """Return the kind of this report: without a validated correction nothing is calibrated."""
-    if tests_poses(facts):
-        return "Pose test after ISO 9283"
-    if not _calibrated(facts):
-        return "Measurement report"
-    if facts.inputs.simulated:
-        return "Simulated calibration"
-    return "Calibration certificate" if FirstPage(facts).certified() else "Calibration report"
-
-
-def _calibrated(facts: Facts) -> bool:
-    return facts.log.calibration == "validated"
-
-
-def procedure_words(facts: Facts) -> str:
-    if _calibrated(facts):
-        return _correction_words(facts)
-    if tests_poses(facts):
-        return PoseReport(facts).method_words()
-    return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
-
-
-def _correction_words(facts: Facts) -> str:
-    log, reflectors = facts.log, len(facts.cell.robot.seats_mm)
-    measured = "Position errors of the flange reflector"
-    if reflectors > 1:
-        measured = "Position and orientation errors of the tool, "
-        measured += f"by {reflectors} reflectors on the flange,"
-    measured += (
-        f" measured by laser tracker at {len(log.select('grid'))} vertices of a grid at "
-        f"{facts.cell.grid.station}"
-    )
-    if turned := len(log.select(ORIENTED)):
-        measured += f", at {turned} in other orientations"
-    if poses := len(log.select("pose")):
-        measured += f" and at {poses} poses chosen by the errors found there"
-    phrases = [measured]
-    if log.curves:
-        fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
-        used = fit is not None and fit.curves.used and fit.method == Kinematic.name
-        swept = f"{axes} {', '.join(map(str, sorted(log.curves)))}{'' if used else ' (not used)'}"
-        phrases.append(f"each gear's error by slow sweeps of {swept}")
-    phrases.append(MODELS[log.method].text if log.method in MODELS else "corrected")
-    if len(facts.cell.station) > 1:
-        phrases.append("transferred to the other stations by station frames")
-    if touched := {point.station for point in log.select("touch")}:
-        stations = ", ".join(sorted(touched))
-        phrases.append(f"the base found again by touch poses on the visit of {stations}")
-    return "; ".join([*phrases, "validated on targets sent and measured."])
-
-
-def _limits_of_validity(facts: Facts) -> str:
-    """Return for what the results hold: the first page states the volume of a calibration."""
-    if not (_calibrated(facts) or FirstPage(facts).validity_facts()):
-        return "described and to its state when it was measured"
-    if facts.log.temperatures_c():
-        return "calibrated, in the volume, orientation and temperatures stated here"
-    return "calibrated, in the volume and orientation stated here; no temperature was measured"
 
 
 def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
@@ -543,53 +438,173 @@ def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
     return words + " (JCGM 100:2008)"
 
 
-def conditions_words(facts: Facts) -> str:
-    """Return the air in words, "" where nothing was measured."""
-    if not facts.log.points:
-        return ""
-    celsius = facts.log.temperatures_c()
-    if not celsius:
-        return "air not measured: the tracker has no weather station"
-    return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker"
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """Texts and items of a calibration certificate (ISO/IEC 17025:2017, 7.8.2, 7.8.4)."""
 
+    facts: Facts
 
-def conformity_words(facts: Facts) -> str:
-    if tests_poses(facts):
-        return PoseReport(facts).conformity_words()
-    limits, plan = facts.cell.validation, facts.cell.plan
-    judged = validation_verdicts(facts.log)
-    rule = RULE
-    if facts.log.verdict(Rechecked) is not None:
-        return "chi-square tests of the errors against those that the calibration predicts"
-    if plan.quick and not facts.procedure.used_in(facts.cell):
-        rule = (
-            f"sequential: that the mean of the volume is below its limit, and less than "
-            f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every station "
-            f"at a risk of {plan.accept_risk:.1%}; {rule}"
+    def items(self, budget: Budget | None, targets: TargetBudget) -> list[Item]:
+        """Return the items in the standard's order."""
+        facts = self.facts
+        inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
+        measured_air = bool(facts.log.temperatures_c())
+        kinds = ("tracker", "strip")
+        devices = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
+        serial = "" if robot is None else f", serial {robot.serial}"
+        begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
+        dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
+        results, results_part = (
+            "none: nothing was measured",
+            POSES if is_pose_test(facts) else STATIONS,
         )
-    if not judged:
-        return rule
-    stated = f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
-    limits_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
-    stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in limits_deg)
-    return f"{stated}; {rule}"
+        if facts.log.points:
+            air = ", temperatures °C" if measured_air else ""
+            results = f"the tables of this report; lengths mm, angles °{air}"
+        deviations = [f"a calibration was used although {why}" for why in inputs.accepted]
+        deviations += PoseReport(facts).departures()
+        revoked = f"REVOKED: {facts.revoked}; " if facts.revoked else ""
+        return [
+            Item("7.8.2.1 a", "Title", self.title()),
+            Item("7.8.2.1 b, c", "Laboratory, place of the calibration",
+                 cell.certificate.laboratory),
+            Item("7.8.2.1 d", "Unique identification",
+                 f"{facts.run}, journal {facts.fingerprint[:16]}"),
+            Item("7.8.2.1 e", "Customer", cell.certificate.customer),
+            Item("7.8.2.1 e", "Job", inputs.job),
+            Item("7.8.2.1 f", "Method", self.method(), UNCERTAINTY),
+            Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
+                 f"{cell.robot.name}{serial}; {_stands(cell)}"),
+            Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
+            Item("7.8.2.1 i", "Date of measurement", dates),
+            Item("7.8.2.1 j", "Date of issue"),
+            Item("7.5.1", "Measured by", inputs.operator),
+            Item("7.8.2.1 o", "Authorised by (name, signature)"),
+            Item("7.8.2.1 m", "Results and units", results, results_part),
+            Item("7.8.2.1 n", "Deviations from the method",
+                 "; ".join(deviations) or "none recorded"),
+            Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
+                 UNCERTAINTY),
+            Item("7.8.4.1 b", "Conditions", self.conditions()),
+            Item("7.8.4.1 c", "Measured with", "; ".join(devices)),
+            Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
+                 + (", thermometer" if measured_air else "")),
+            Item("7.8.4.1 d", "Before and after adjustment", self.adjustment(), STATIONS),
+            Item("7.8.6.2", "Conformity, decision rule", self.conformity()),
+            Item("7.8.2.1 l", "Validity",
+                 f"{revoked}the results relate only to the item {self._validity()}"),
+        ]  # fmt: skip
 
+    def title(self) -> str:
+        """Return the kind of this report: without a validated correction nothing is calibrated."""
+        facts = self.facts
+        if is_pose_test(facts):
+            return "Pose test after ISO 9283"
+        if not self._calibrated():
+            return "Measurement report"
+        if facts.inputs.simulated:
+            return "Simulated calibration"
+        return "Calibration certificate" if FirstPage(facts).certified() else "Calibration report"
 
-def adjustment_words(facts: Facts) -> str:
-    """Return which of the errors before and after adjustment this run measured."""
-    series = [validation(facts.log, names) for names in places(facts.cell).values()]
-    measured = {how for each in series for how in each}
-    if set(BOTH) <= measured:
-        return (
-            "both are reported: “before” is the robot commanded by its nominal kinematics, "
-            "“after” the same robot with corrected targets"
+    def _calibrated(self) -> bool:
+        return self.facts.log.calibration == "validated"
+
+    def method(self) -> str:
+        facts = self.facts
+        if self._calibrated():
+            return self._correction_method()
+        if is_pose_test(facts):
+            return PoseReport(facts).method_text()
+        return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
+
+    def _correction_method(self) -> str:
+        facts = self.facts
+        log, reflectors = facts.log, len(facts.cell.robot.seats_mm)
+        measured = "Position errors of the flange reflector"
+        if reflectors > 1:
+            measured = "Position and orientation errors of the tool, "
+            measured += f"by {reflectors} reflectors on the flange,"
+        measured += (
+            f" measured by laser tracker at {len(log.select('grid'))} vertices of a grid at "
+            f"{facts.cell.grid.station}"
         )
-    if measured:
-        how = "before" if Sent.BEFORE in measured else "after"
-        return f"only “{how}” was measured"
-    if facts.procedure.used_in(facts.cell):
-        return (
-            "not both: targets were commanded with the correction of the calibration used, and "
-            "measured as found"
+        if turned := len(log.select(ORIENTED)):
+            measured += f", at {turned} in other orientations"
+        if poses := len(log.select("pose")):
+            measured += f" and at {poses} poses chosen by the errors found there"
+        phrases = [measured]
+        if log.curves:
+            fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
+            used = fit is not None and fit.curves.used and fit.method == Kinematic.name
+            swept = (
+                f"{axes} {', '.join(map(str, sorted(log.curves)))}{'' if used else ' (not used)'}"
+            )
+            phrases.append(f"each gear's error by slow sweeps of {swept}")
+        phrases.append(MODELS[log.method].text if log.method in MODELS else "corrected")
+        if len(facts.cell.station) > 1:
+            phrases.append("transferred to the other stations by station frames")
+        if touched := {point.station for point in log.select("touch")}:
+            stations = ", ".join(sorted(touched))
+            phrases.append(f"the base found again by touch poses on the visit of {stations}")
+        return "; ".join([*phrases, "validated on targets sent and measured."])
+
+    def _validity(self) -> str:
+        """Return for what the results hold: the first page states the volume of a calibration."""
+        if not (self._calibrated() or FirstPage(self.facts).validity_facts()):
+            return "described and to its state when it was measured"
+        if self.facts.log.temperatures_c():
+            return "calibrated, in the volume, orientation and temperatures stated here"
+        return "calibrated, in the volume and orientation stated here; no temperature was measured"
+
+    def conditions(self) -> str:
+        """Return the air in words, "" where nothing was measured."""
+        if not self.facts.log.points:
+            return ""
+        celsius = self.facts.log.temperatures_c()
+        if not celsius:
+            return "air not measured: the tracker has no weather station"
+        return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker"
+
+    def conformity(self) -> str:
+        facts = self.facts
+        if is_pose_test(facts):
+            return PoseReport(facts).conformity_text()
+        limits, plan = facts.cell.validation, facts.cell.plan
+        judged = validation_verdicts(facts.log)
+        rule = RULE
+        if facts.log.verdict(Rechecked) is not None:
+            return "chi-square tests of the errors against those that the calibration predicts"
+        if plan.quick and not facts.procedure.used_in(facts.cell):
+            rule = (
+                f"sequential: that the mean of the volume is below its limit, and less than "
+                f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every "
+                f"station at a risk of {plan.accept_risk:.1%}; {rule}"
+            )
+        if not judged:
+            return rule
+        stated = (
+            f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
         )
-    return "neither was measured: this run sent no targets to compare"
+        limits_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
+        stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in limits_deg)
+        return f"{stated}; {rule}"
+
+    def adjustment(self) -> str:
+        """Return which of the errors before and after adjustment this run measured."""
+        facts = self.facts
+        series = [validation(facts.log, names) for names in places(facts.cell).values()]
+        measured = {how for each in series for how in each}
+        if set(BOTH) <= measured:
+            return (
+                "both are reported: “before” is the robot commanded by its nominal kinematics, "
+                "“after” the same robot with corrected targets"
+            )
+        if measured:
+            how = "before" if Sent.BEFORE in measured else "after"
+            return f"only “{how}” was measured"
+        if facts.procedure.used_in(facts.cell):
+            return (
+                "not both: targets were commanded with the correction of the calibration used, and "
+                "measured as found"
+            )
+        return "neither was measured: this run sent no targets to compare"

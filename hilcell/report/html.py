@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from operator import attrgetter, itemgetter
@@ -25,37 +26,18 @@ from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
-from hilcell.report.budgets import TargetBudget, bounds_sheet, budget_sheet, target_budget
-from hilcell.report.drawings.error_plots import (
-    air,
-    curve_plots,
-    enlarged,
-    floor_moves,
-    in_order,
-    over_bound,
-    strip,
-    variance_bar,
-    vectors,
-)
+from hilcell.report.budgets import TargetBudget, bounds_table, budget_table, target_budget
+from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.figures import POSE_TEST, drawings
 from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import (
-    FirstPage,
-    certificate,
-    conditions_words,
-    conformity_words,
-    instruments,
-    procedure_words,
-    title,
-    verdicts,
-)
-from hilcell.report.iso9283 import PoseReport, tests_poses
+from hilcell.report.first_page import Certificate, FirstPage, instruments, verdicts
+from hilcell.report.iso9283 import PoseReport, is_pose_test
 from hilcell.report.tables import Tables, worst
-from hilcell.report.timeline import course
+from hilcell.report.timeline import timeline
 
 
-def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
+def volume_table(cell: Cell, tracker_mm: Array) -> Table:
     """Return the table; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
     centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
     cube_mm = centre + np.array([*product((-1.0, 1.0), repeat=3)]) * half
@@ -90,50 +72,7 @@ def _lines(record: CurveMeasured) -> str:
     return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
 
 
-def curves(facts: Facts) -> Table:
-    """Return the swept axes with their lines."""
-    note = (
-        "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
-        "Lag: how much older the joints' readings are than the tracker's. Noise: of one sample. "
-        "Signal: share of the short-wave variance that the lines explain."
-    )
-    columns: tuple[Column[CurveMeasured], ...] = (
-        Column("axis", lambda row: f"A{row.axis}"),
-        Column("cycles: amplitude", _lines, "µrad"),
-        Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
-        Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
-        Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
-        Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
-        Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
-        Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
-        Column("signal", lambda row: 100 * row.share, "%", ".0f"),
-        Column("samples lost", attrgetter("lost"), form="d"),
-    )
-    return Table(columns, facts.log.curves.values(), "Transmission errors", note)
-
-
-def models(facts: Facts) -> Table:
-    """Return how far each model misses poses left out, which one was chosen, and why."""
-    fit = facts.log.verdict(Fitted)
-    columns: tuple[Column[tuple[str | float | None, ...]], ...] = (
-        Column("model", itemgetter(0)),
-        *(Column(name, itemgetter(n), "mm", ".3f") for n, name in enumerate(Figures._fields, 1)),
-    )
-    if fit is None:
-        return Table(columns, (), "Choice of the correction")
-    rows = [
-        (f"{name}, chosen" if name == fit.method else name, *map(figures.get, Figures._fields))
-        for name, figures in fit.loocv.items()
-    ]
-    reasons = [f"Chosen: {fit.reason}."]
-    reasons += [f"No {name} model: {why}." for name, why in fit.refused.items()]
-    reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
-    unswept = facts.result.get("sweeps", {}).get("left_out", "")
-    reasons += [f"Axes not swept: {unswept}."] if unswept else []
-    return Table(columns, rows, "Choice of the correction", " ".join(reasons))
-
-
-WORDS = (
+GLOSSARY = (
     ("3-D error", r"\b3-?D\b", "length from the place commanded to the place measured"),
     ("95 % bound", r"95 % bound",
      "length that the 3-D error of a corrected target keeps with 95 % probability"),
@@ -154,11 +93,11 @@ WORDS = (
 )  # fmt: skip
 
 
-def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
+def glossary_terms(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
     """Return the words that stand in a page, with their meaning in such a cell."""
     text = re.sub(r"<[^>]*>", " ", html)
     own = {} if has_rail else {"Station": "place of the robot, on the floor"}
-    shown = ((name, meaning) for name, pattern, meaning in WORDS if re.search(pattern, text))
+    shown = ((name, meaning) for name, pattern, meaning in GLOSSARY if re.search(pattern, text))
     return [(name, own.get(name, meaning)) for name, meaning in shown]
 
 
@@ -177,146 +116,200 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     """
     budget, targets = measurement_budget(facts.log), target_budget(facts.log, facts.run)
     tables = Tables(facts)
-    measured_here = tests_poses(facts) or any(
+    measured_here = is_pose_test(facts) or any(
         validation(facts.log, stations) for stations in places(facts.cell).values()
     )
     own = Table((), ()) if measured_here else tables.own_table()  # the report has its own of them
-    drawn = _drawn(facts, targets)
+    text = ReportText(facts)
+    drawn = text.drawings(targets)
     accuracy, judged, worst_ones = tables.accuracy(), verdicts(facts), worst(facts, targets)
-    placed = [accuracy, tables.orientation(), tables.stations(), tables.touches()]
+    judged_tables = [accuracy, tables.orientation(), tables.stations(), tables.touches()]
     frames = [tables.frames(), tables.circles()]
     named = {
         "results": own,
-        "stations": any(placed),
+        "stations": any(judged_tables),
         "worst targets": worst_ones,
-        "frames": any(frames) and not any(placed),
+        "frames": any(frames) and not any(judged_tables),
         "drift": drawn["nests"] or drawn["air"],
     }
     stations_title = ", ".join(name for name, there in named.items() if there).capitalize()
     two_faces = TWO_FACES[0] in facts.log.verdicts
     hidden = [] if targets.missing else undetectable_errors(facts.cell, two_faces=two_faces)
     return environment("hilcell.report").get_template("report.html.j2").render(
-        **_first_page(facts, budget, targets),
+        **text.first_page(budget, targets),
         **drawn,
         facts=facts,
         version=__version__,
         pages=pages or {},
         parts=PARTS | {"stations": stations_title},
-        words_of=partial(words_of, has_rail=facts.cell.has_rail),
+        glossary_terms=partial(glossary_terms, has_rail=facts.cell.has_rail),
         controls=sum(each.group == CONTROL for each in facts.log.points.values()),
         page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
-        certificate=certificate(facts, budget, targets),
-        pose_sheets=PoseReport(facts).sheets(),
+        certificate=Certificate(facts).items(budget, targets),
+        pose_tables=PoseReport(facts).tables(),
         has_part=lambda name, body: f' id="{name}"' in body,
-        station_sheets=[*placed, *frames, worst_ones],
-        own_sheet=own,
+        station_tables=[*judged_tables, *frames, worst_ones],
+        procedure_table=own,
         empty=not (own or accuracy or judged),
-        curve_sheet=curves(facts),
-        paper_sheet=tables.paper_rows(),
-        budget_sheet=budget_sheet(budget, targets, hidden),
-        bounds_sheet=bounds_sheet(targets),
-        models=models(facts),
+        curve_table=text.curves(),
+        paper_table=tables.paper_rows(),
+        budget_table=budget_table(budget, targets, hidden),
+        bounds_table=bounds_table(targets),
+        models=text.models(),
         verdicts=judged,
         targets=targets,
-        record_sheets=[
-            course(facts), tables.remeasured(), tables.devices(), tables.conditions(),
+        record_tables=[
+            timeline(facts), tables.remeasured(), tables.devices(), tables.conditions(),
             tables.groups(), tables.software(),
         ],
     )  # fmt: skip
 
 
-def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
-    page, (kind, words) = FirstPage(facts), standing(facts)
-    lead = facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
-    if facts.log.calibration == "validated" and not facts.is_paper:
-        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
-        turned = bool(facts.cell.robot.more_smr_mm)
-        errors = "position and orientation errors of the tool" if turned else (
-            "position errors of the tool point"
-        )  # fmt: skip
-        lead = f"{robot}: {errors} and their correction"
-    return {
-        "title": title(facts),
-        "kind": kind,
-        "standing": words,
-        "lead": lead,
-        "word": page.verdict_word(),
-        "sentence": sentence(facts),
-        "conformity": conformity_words(facts),
-        "results": page.results_sheet(targets),
-        "turn_results": page.turn_results(),
-        "strip": strip(page.nearest_results(targets), facts.inputs.simulated),
-        "uncertainty": page.uncertainty_words(budget),
-        "item": page.item_facts(measured(facts)),
-        "validity": page.validity_facts(),
-        "instruments": instruments(facts),
-        "turns": Tables(facts).orientation_words(),
-        "conditions": conditions_words(facts),
-        "method": procedure_words(facts),
-        "departures": PoseReport(facts).departures(),
-    }
+@dataclass(frozen=True, slots=True)
+class ReportText:
+    """Tables, texts and drawings of one run's report."""
 
+    facts: Facts
 
-def _drawn(facts: Facts, targets: TargetBudget) -> dict[str, object]:
-    world = facts.log.matrix("world") if "world" in facts.log.frames else None
-    tracker_mm = (facts.cell.tracker.pose.matrix() if world is None else world)[:3, 3]
-    simulated, drawn = facts.inputs.simulated, drawings(facts)
-    valid = FirstPage(facts).validity_facts()
-    return {
-        "plan": plan_view(facts.cell, tracker_mm, simulated),
-        "side": side_view(facts.cell, tracker_mm, simulated),
-        "volume": volume_sheet(facts.cell, tracker_mm) if valid else None,
-        "order": in_order(facts),
-        "enlarged": enlarged(facts, targets),
-        "vectors": vectors(facts),
-        "variance": variance_bar(targets, simulated),
-        "nests": floor_moves(facts),
-        "air": air(facts),
-        "histogram": over_bound(facts, targets),
-        "curve_plots": curve_plots(facts),
-        "pose_drawings": [each for each in drawn if each.name in POSE_TEST],
-        "drawings": [each for each in drawn if each.name not in POSE_TEST],
-    }
+    def curves(self) -> Table:
+        """Return the swept axes with their lines."""
+        note = (
+            "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
+            "Lag: how much older the joints' readings are than the tracker's. Noise: of one "
+            "sample. Signal: share of the short-wave variance that the lines explain."
+        )
+        columns: tuple[Column[CurveMeasured], ...] = (
+            Column("axis", lambda row: f"A{row.axis}"),
+            Column("cycles: amplitude", _lines, "µrad"),
+            Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
+            Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
+            Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
+            Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
+            Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
+            Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
+            Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+            Column("samples lost", attrgetter("lost"), form="d"),
+        )
+        return Table(columns, self.facts.log.curves.values(), "Transmission errors", note)
 
+    def models(self) -> Table:
+        """Return how far each model misses poses left out, which one was chosen, and why."""
+        fit = self.facts.log.verdict(Fitted)
+        columns: tuple[Column[tuple[str | float | None, ...]], ...] = (
+            Column("model", itemgetter(0)),
+            *(
+                Column(name, itemgetter(n), "mm", ".3f")
+                for n, name in enumerate(Figures._fields, 1)
+            ),
+        )
+        if fit is None:
+            return Table(columns, (), "Choice of the correction")
+        rows = [
+            (f"{name}, chosen" if name == fit.method else name, *map(figures.get, Figures._fields))
+            for name, figures in fit.loocv.items()
+        ]
+        reasons = [f"Chosen: {fit.reason}."]
+        reasons += [f"No {name} model: {why}." for name, why in fit.refused.items()]
+        reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
+        unswept = self.facts.result.get("sweeps", {}).get("left_out", "")
+        reasons += [f"Axes not swept: {unswept}."] if unswept else []
+        return Table(columns, rows, "Choice of the correction", " ".join(reasons))
 
-def standing(facts: Facts) -> tuple[str, str]:
-    """Return how the run stands: a kind for the style sheet, and words."""
-    end, state = facts.log.end, facts.log.state
-    if facts.revoked:
-        return "bad", f"its calibration is revoked: {facts.revoked}"
-    if facts.finished and end is not None:
-        later = f"; its calibration is superseded by {facts.superseded}" * bool(facts.superseded)
-        return "bad" if end.exit else "good", facts.log.outcome + later
-    if end is None and state not in ("aborted", "faulted"):
-        return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
-    return "open", f"not finished: {facts.log.outcome}"
+    def first_page(self, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
+        facts = self.facts
+        page, (kind, words) = FirstPage(facts), self.status()
+        lead = facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
+        if facts.log.calibration == "validated" and not facts.is_paper:
+            robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
+            turned = bool(facts.cell.robot.more_smr_mm)
+            errors = "position and orientation errors of the tool" if turned else (
+                "position errors of the tool point"
+            )  # fmt: skip
+            lead = f"{robot}: {errors} and their correction"
+        return {
+            "title": Certificate(facts).title(),
+            "kind": kind,
+            "standing": words,
+            "lead": lead,
+            "word": page.verdict_title(),
+            "sentence": self.sentence(),
+            "conformity": Certificate(facts).conformity(),
+            "results": page.results_table(targets),
+            "orientation_results": page.orientation_results(),
+            "strip": strip(page.nearest_results(targets), facts.inputs.simulated),
+            "uncertainty": page.uncertainty_text(budget),
+            "item": page.item_facts(self.time_span()),
+            "validity": page.validity_facts(),
+            "instruments": instruments(facts),
+            "turns": Tables(facts).orientation_text(),
+            "conditions": Certificate(facts).conditions(),
+            "method": Certificate(facts).method(),
+            "departures": PoseReport(facts).departures(),
+        }
 
+    def drawings(self, targets: TargetBudget) -> dict[str, object]:
+        facts = self.facts
+        world = facts.log.matrix("world") if "world" in facts.log.frames else None
+        tracker_mm = (facts.cell.tracker.pose.matrix() if world is None else world)[:3, 3]
+        simulated, drawn = facts.inputs.simulated, drawings(facts)
+        valid = FirstPage(facts).validity_facts()
+        return {
+            "plan": plan_view(facts.cell, tracker_mm, simulated),
+            "side": side_view(facts.cell, tracker_mm, simulated),
+            "volume": volume_table(facts.cell, tracker_mm) if valid else None,
+            "order": ErrorPlots(facts).sorted_errors(),
+            "enlarged": ErrorPlots(facts).errors_after(targets),
+            "vectors": ErrorPlots(facts).vectors(),
+            "variance": variance_bar(targets, simulated),
+            "nests": ErrorPlots(facts).floor_nests(),
+            "air": ErrorPlots(facts).air(),
+            "histogram": ErrorPlots(facts).bound_histogram(targets),
+            "curve_plots": ErrorPlots(facts).gears(),
+            "pose_drawings": [each for each in drawn if each.name in POSE_TEST],
+            "drawings": [each for each in drawn if each.name not in POSE_TEST],
+        }
 
-def sentence(facts: Facts) -> str:
-    if facts.revoked:
-        return "The calibration of this run was revoked: correct nothing by it."
-    if tests_poses(facts):
-        return PoseReport(facts).sentence()
-    for kind in ("recheck", "targets"):
-        if kind in facts.result:
-            return str(facts.result[kind]["text"])
-    only = "In simulation only: " if facts.inputs.simulated else ""
-    match FirstPage(facts).judgement():
-        case "failed check":
-            return "A check of this run is beyond its limit: see the verdicts."
-        case "suspected":
-            return f"{facts.suspected}. Correct nothing by it until that is cleared."
-        case "accepted":
-            return f"{only}After correction the robot keeps its limits, with the uncertainty added."
-        case "rejected":
-            shown = "The robot is not shown to keep its limits, with the uncertainty added"
-            return f"{only}{shown}{FirstPage(facts).deciding()}."
-        case "undecided":
-            shown = "Neither that the robot keeps its limits is shown nor the contrary"
-            return f"{only}{shown}{FirstPage(facts).deciding()}."
-    return "No correction was judged against limits in this run."
+    def status(self) -> tuple[str, str]:
+        """Return how the run stands: a kind for the style sheet, and words."""
+        facts = self.facts
+        end, state = facts.log.end, facts.log.state
+        if facts.revoked:
+            return "bad", f"its calibration is revoked: {facts.revoked}"
+        if facts.finished and end is not None:
+            later = f"; its calibration is superseded by {facts.superseded}" * bool(
+                facts.superseded
+            )
+            return "bad" if end.exit else "good", facts.log.outcome + later
+        if end is None and state not in ("aborted", "faulted"):
+            return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
+        return "open", f"not finished: {facts.log.outcome}"
 
+    def sentence(self) -> str:
+        facts = self.facts
+        if facts.revoked:
+            return "The calibration of this run was revoked: correct nothing by it."
+        if is_pose_test(facts):
+            return PoseReport(facts).sentence()
+        for kind in ("recheck", "targets"):
+            if kind in facts.result:
+                return str(facts.result[kind]["text"])
+        only = "In simulation only: " if facts.inputs.simulated else ""
+        match FirstPage(facts).judgement():
+            case "failed check":
+                return "A check of this run is beyond its limit: see the verdicts."
+            case "suspected":
+                return f"{facts.suspected}. Correct nothing by it until that is cleared."
+            case "accepted":
+                return f"{only}With its correction the robot keeps its limits, uncertainty added."
+            case "rejected":
+                shown = "The robot is not shown to keep its limits, with the uncertainty added"
+                return f"{only}{shown}{FirstPage(facts).deciding()}."
+            case "undecided":
+                shown = "Neither that the robot keeps its limits is shown nor the contrary"
+                return f"{only}{shown}{FirstPage(facts).deciding()}."
+        return "No correction was judged against limits in this run."
 
-def measured(facts: Facts) -> str:
-    """Return from when to when the run went."""
-    return period_text(facts.records[0].t, facts.last.t, facts.zone)
+    def time_span(self) -> str:
+        """Return from when to when the run went."""
+        facts = self.facts
+        return period_text(facts.records[0].t, facts.last.t, facts.zone)

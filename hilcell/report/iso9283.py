@@ -15,7 +15,7 @@ from hilcell.present.table import Column, Table, listed
 from hilcell.report.facts import Facts
 
 
-def tests_poses(facts: Facts) -> bool:
+def is_pose_test(facts: Facts) -> bool:
     """Whether the run is a pose test that has come to its end."""
     return ISO in facts.result
 
@@ -40,15 +40,15 @@ class PoseReport:
     def tested(self) -> PoseTest:
         return typed(self.facts.result[ISO], PoseTest)
 
-    def results_sheet(self) -> Table:
+    def results_table(self) -> Table:
         """Return the worst characteristics of positions, for the first page."""
         rows = [each for each in self.tested().figures() if each.of.unit == "mm"]
         columns = self._columns("mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
         return Table(columns, rows, "Results, at the worst pose")
 
-    def turn_results(self) -> Table:
+    def orientation_results(self) -> Table:
         """Return the worst angles beside their limits, for the first page."""
-        figures = self.tested().figures() if tests_poses(self.facts) else []
+        figures = self.tested().figures() if is_pose_test(self.facts) else []
         rows = [each for each in figures if each.of.unit == "deg"]
         columns = self._columns("°", ".4f", attrgetter("symbol"))
         return Table(columns, rows, "Results, angles at the worst pose")
@@ -64,11 +64,11 @@ class PoseReport:
             f"to them to {test.worst.rp_mm:.3f} mm (RP) at the worst pose.{end}"
         )
 
-    def conformity_words(self) -> str:
+    def conformity_text(self) -> str:
         """Return the decision rule, where limits are stated."""
         return RULE if self.tested().limits else "no limits are stated (iso9283 in the cell file)"
 
-    def method_words(self) -> str:
+    def method_text(self) -> str:
         """Return cycle and approach in words."""
         test = self.tested()
         return (
@@ -78,9 +78,9 @@ class PoseReport:
             "before it, measured at rest by laser tracker."
         )
 
-    def sheets(self) -> list[Table]:
+    def tables(self) -> list[Table]:
         """Return conditions, poses, angles and distance; none of a run that is no pose test."""
-        if not tests_poses(self.facts):
+        if not is_pose_test(self.facts):
             return []
         test = self.tested()
         distance: tuple[Column[Distance], ...] = (
@@ -108,11 +108,11 @@ class PoseReport:
 
     def departures(self) -> list[str]:
         """Return in what a pose test departs from the standard, for the first page."""
-        return self.tested().deviations if tests_poses(self.facts) else []
+        return self.tested().deviations if is_pose_test(self.facts) else []
 
     def stated_conditions(self) -> list[tuple[str, str]]:
         """Return velocity, load and cycles of a pose test, for the first page."""
-        if not tests_poses(self.facts):
+        if not is_pose_test(self.facts):
             return []
         test = self.tested()
         load = ("Load", self._load(test))
@@ -160,12 +160,12 @@ class PoseReport:
             Column("U", attrgetter("U"), unit, form),
             Column("limit", attrgetter("limit"), unit, form),
             Column(
-                "verdict", lambda row: self.facts.outcome_words(row.outcome, "not judged"), form="s"
+                "verdict", lambda row: self.facts.outcome_text(row.outcome, "not judged"), form="s"
             ),
         )
 
 
-def uncertainty_words() -> str:
+def uncertainty_text() -> str:
     return (
         "U: expanded uncertainty, k = 2 (about 95 %). Of AP it holds scatter, tracker, reflector, "
         "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "

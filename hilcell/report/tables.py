@@ -36,7 +36,7 @@ from hilcell.model.results import PaperRow, Repeated
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value, listed, vector
-from hilcell.report.budgets import TargetBudget, place_words
+from hilcell.report.budgets import TargetBudget, place_label
 from hilcell.report.facts import Facts
 
 T = TypeVar("T")
@@ -80,7 +80,7 @@ class Tables:
         """Return each series of targets with its place."""
         return [
             Validated(
-                place_words(place),
+                place_label(place),
                 how,
                 self.facts.series_name(how),
                 errors,
@@ -323,7 +323,7 @@ class Tables:
         """Yield place, way of sending and errors of each series of targets with an orientation."""
         for place, stations in places(self.facts.cell).items():
             for how, turned in validated_orientation_errors(self.facts.log, stations).items():
-                yield place_words(place), how, turned
+                yield place_label(place), how, turned
 
     def orientation(self) -> Table:
         """Return by how much the tool was turned from its nominal orientation, before and after."""
@@ -352,7 +352,7 @@ class Tables:
         )
         return Table(columns, rows, "Orientation", note)
 
-    def orientation_words(self) -> str:
+    def orientation_text(self) -> str:
         """Return the figures at the grid's station in a sentence; "" where none were measured."""
         here = self.facts.cell.grid.station
         turns = validated_orientation_errors(self.facts.log, [here])

@@ -1,4 +1,4 @@
-"""The course of a run in words: its steps, every start and stop of an engine, events on the way."""
+"""The timeline of a run: its steps, every start and stop of an engine, its events."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from hilcell.sanitize import counted
 
 @dataclass(slots=True)
 class Line:
-    """One line of the course: its time, its words, and whether the run stopped there.
+    """One line of the timeline: its time, its text, and whether the run stopped there.
 
     Every session goes through all steps again, past what is measured already: such an ``idle`` step
     is listed only where something was measured, moved at its beginning, or ``computed`` again.
@@ -58,9 +58,9 @@ class Line:
         return f"{self.words} {counted(self.points, 'point')}." if self.points else self.words
 
     def take(self, record: Record, log: Log) -> None:
-        """Take a record of the step under way; ``log`` is without it."""
+        """Take a record of the step in progress; ``log`` is without it."""
         match fact := record.fact:
-            case Point():  # a proof of nests is none of the step
+            case Point():  # a control point is no point of the step
                 if fact.group != CONTROL or fact.id.kind == BACK:
                     self.idle, self.points = False, self.points + 1
             case StreamRecorded() | CurveMeasured():
@@ -72,13 +72,13 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _Timeline:
     facts: Facts
 
     def lines(self) -> list[Line]:
         """Return each line with its time in the journal; a step says how many points it gave."""
         log, last, known, lines = Log(), "", set[str](), list[Line]()
-        step: Line | None = None  # that is under way
+        step: Line | None = None  # in progress
         # of the next session, and written before it
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
@@ -92,7 +92,7 @@ class _Course:
                 step.idle = optional or (fact.name in known and not moves)
                 known.add(fact.name)
             step = None if starts else step
-            if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
+            if record.kind == "point" and record.key in log.retakes:  # whatever step is in progress
                 again = point_label(record.key, self.facts.log)
                 lines.append(Line(record.t, f"Measured again: {again}."))
             elif step is not None:
@@ -132,7 +132,7 @@ class _Course:
         if not log.session:
             job = f", job {self.facts.inputs.job}" if self.facts.inputs.job else ""
             return f"{operator} starts the run{job}, {how}: session 1."
-        return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
+        return f"Goes on in session {log.session + 1}, {len(log.points)} points are stored."
 
     def _happened(self, event: Event | OtherEvent) -> str:
         """Return an event as a sentence, in the screen's words."""
@@ -159,7 +159,7 @@ class _Course:
         """Return how the session before ended, which did not end by itself."""
         newest = [*log.points][-1:]
         since = f"after {point_label(newest[0], log)}" if newest else "before its first point"
-        how = "Engine gone without notice (killed, or power lost)"
+        how = "Engine lost without notice (killed, or power lost)"
         return f"{how} {since}, while the run was {log.state}."
 
     @staticmethod
@@ -168,9 +168,9 @@ class _Course:
         plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
         if not bounds_mm:
             return "none"
-        course = f"{bounds_mm[0]:.3f} mm"
+        progress = f"{bounds_mm[0]:.3f} mm"
         if count:
-            course += f" to {bounds_mm[-1]:.3f} mm"
+            progress += f" to {bounds_mm[-1]:.3f} mm"
         if plan.tilt_deg:
             turned = f"targets that turn by {plan.tilt_deg:g}° (plan.tilt_poses)"
             why = f"{count} are measured for {turned}"
@@ -180,25 +180,25 @@ class _Course:
             why = f"{plan.most_poses} are the most (plan.most_poses)"
         else:
             why = f"more would gain little towards {plan.bound_mm:g} mm"
-        return (
-            f"{count} poses: predicted mean 95 % bound in the cube {course}; no more, because {why}"
-        )
+        return f"{count} poses: predicted mean 95 % bound in the cube {progress}; no more, because {why}"
 
 
-def course(facts: Facts) -> Table:
+def timeline(facts: Facts) -> Table:
     counts = Counter(r.fact.what for r in facts.records if isinstance(r.fact, Event | OtherEvent))
     slide = f", {counts['slide proven']} that the slide did" if facts.cell.has_rail else ""
     note = (
         f"{counted(facts.log.session, 'start')} of an engine. Not listed: "
-        f"{counts['tracker proven']} proofs that the tracker stood still{slide}."
+        f"{counts['tracker proven']} verifications that the tracker did not move{slide}."
     )
     name = facts.zone.tzname(None)  # UTC in brackets where that is another
     columns: tuple[Column[Line], ...] = (
         Column(f"{name} (UTC)" if facts.inputs.utc_offset_min else "UTC", attrgetter("t")),
-        Column("course in words", attrgetter("text")),
+        Column("event", attrgetter("text")),
     )
-    lines = _dated(_Course(facts).lines(), facts)
-    return Table(columns, lines, "Course of the run", note, lambda row: "stop" if row.stop else "")
+    lines = _dated(_Timeline(facts).lines(), facts)
+    return Table(
+        columns, lines, "Timeline of the run", note, lambda row: "stop" if row.stop else ""
+    )
 
 
 def _dated(lines: Sequence[Line], facts: Facts) -> Iterator[Line]:

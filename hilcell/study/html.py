@@ -13,7 +13,7 @@ from hilcell.model.point import Sent
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.report.drawings.drawing import shortened
-from hilcell.report.drawings.figures import COLOURS, INK, MUTED, axes_sheet, in_style, svg_of
+from hilcell.report.drawings.figures import COLOURS, INK, MUTED, axes_grid, in_style, svg_of
 from hilcell.sanitize import harmless
 from hilcell.study.analysis import Answers, Effect
 from hilcell.study.case import RESULTS
@@ -63,7 +63,7 @@ def _error(study: Study) -> str:
 
 def _front(study: Study, found: Answers) -> str:
     """Draw accuracy over minutes of all designs, the front as steps."""
-    figure, axes = axes_sheet(3.6)
+    figure, axes = axes_grid(3.6)
     ax: Axes = axes[0, 0]
     if len(found.front) > 1 and not study.has_costs:
         places = ((each.minutes, each.accuracy.mean) for each in found.front)
@@ -95,7 +95,7 @@ def _levels(
     titles = [each.factor.title for each in effects]
     first = [n == titles.index(title) for n, title in enumerate(titles)]
     heights = np.arange(len(titles)) + 0.5 * np.cumsum(first)
-    figure, axes = axes_sheet(0.8 + 0.2 * float(heights[-1]))
+    figure, axes = axes_grid(0.8 + 0.2 * float(heights[-1]))
     left, right, column_mm = 0.4, 0.84, 34.0  # shares of the width; of factors, and of levels
     figure.subplots_adjust(left=left, right=right)
     ax: Axes = axes[0, 0]

@@ -17,8 +17,8 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import read_facts
-from hilcell.report.first_page import FirstPage, conformity_words
-from hilcell.report.html import standing
+from hilcell.report.first_page import Certificate, FirstPage
+from hilcell.report.html import ReportText
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
@@ -127,10 +127,10 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     assert (end["exit"], end["state"]) == (1, "finished")
     assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
     facts = read_facts(runs / "strict")
-    assert FirstPage(facts).verdict_word() == "WOULD FAIL"
-    assert standing(facts) == ("bad", "out of tolerance")
-    assert conformity_words(facts).startswith("guard band")
-    sheet = FirstPage(facts).results_sheet(TargetBudget("none"))
+    assert FirstPage(facts).verdict_title() == "WOULD FAIL"
+    assert ReportText(facts).status() == ("bad", "out of tolerance")
+    assert Certificate(facts).conformity().startswith("guard band")
+    sheet = FirstPage(facts).results_table(TargetBudget("none"))
     assert sheet is not None
     assert [row[-1] for row in sheet.rows] == ["not judged", "(fail)", "not judged", "not judged"]
 

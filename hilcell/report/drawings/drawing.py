@@ -46,8 +46,8 @@ def text(
     weight = ' font-weight="bold"' if bold else ""
     length = ""
     widest = 1.25  # letters of the widest font of `report.css` to those of Arial
-    if wide_mm(words) * widest > most_mm:
-        fixed_mm = min(wide_mm(words), most_mm)
+    if text_width_mm(words) * widest > most_mm:
+        fixed_mm = min(text_width_mm(words), most_mm)
         length = f' textLength="{fixed_mm:.2f}" lengthAdjust="spacingAndGlyphs"'
     return (
         f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}{length}>'
@@ -57,10 +57,12 @@ def text(
 
 def shortened(words: str, most_mm: float) -> str:
     """Return words that are at most so wide on paper, an ellipsis in their middle where cut."""
-    if wide_mm(words) <= most_mm:
+    if text_width_mm(words) <= most_mm:
         return words
     kept = next(
-        n for n in range(len(words) - 1, -1, -1) if not n or wide_mm(_cut(words, n)) <= most_mm
+        n
+        for n in range(len(words) - 1, -1, -1)
+        if not n or text_width_mm(_cut(words, n)) <= most_mm
     )
     return _cut(words, kept)
 
@@ -69,7 +71,7 @@ def _cut(words: str, kept: int) -> str:
     return f"{words[: (kept + 1) // 2]}…{words[len(words) - kept // 2 :]}"
 
 
-def wide_mm(words: str) -> float:
+def text_width_mm(words: str) -> float:
     """Return how wide bold words are on paper, at most as far as letters of Arial go."""
     narrow_letters = " .,:;-|ijlt()"
     wide = (NARROW if each in narrow_letters else WIDE if each.isupper() else MEDIUM

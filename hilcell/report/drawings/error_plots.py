@@ -42,7 +42,7 @@ from hilcell.report.drawings.drawing import (
     shortened,
     svg,
     text,
-    wide_mm,
+    text_width_mm,
 )
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import Result
@@ -52,107 +52,6 @@ WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22
 PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
 
 
-def in_order(facts: Facts) -> str:
-    """Return all errors in rising order, before and after, against the limits; "" without any."""
-    series = validation(facts.log, [station.name for station in facts.cell.station])
-    shown = {how: series[how].norms_mm for how in BOTH if how in series}
-    if not shown:
-        return ""
-    limits = tolerance_limits(facts.cell)
-    largest = max(*(float(each.max()) for each in shown.values()), limits.max_mm)
-    least_mm = 0.005  # the logarithmic scale begins here
-    frame = _frame(Scale(least_mm, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True))
-    at = frame.y.one(limits.max_mm)
-    parts = [hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, at - TOP_MM),
-             frame.drawn("share of targets, %", "3-D error, mm", PERCENTS)]  # fmt: skip
-    parts += [frame.level(limits.max_mm, INK, 0.6), frame.level(limits.mean_mm, INK, 0.4, "1.4 1")]
-    named = [(at, f"limit {limits.max_mm:g}", INK),
-             (frame.y.one(limits.mean_mm), f"mean {limits.mean_mm:g}", INK)]  # fmt: skip
-    parts += labels(frame.x.end + 1.0, named)
-    parts += _floor(facts, frame)
-    named = []
-    for how, norms_mm in shown.items():
-        colour, name = (BEFORE, "before") if how == Sent.BEFORE else (AFTER, "after")
-        parts.append(_curve(frame, norms_mm, colour, "2 1" if how == Sent.BEFORE else ""))
-        # Left, where the curve after is low, and below that before.
-        y = frame.y.one(float(norms_mm.min() if how == Sent.BEFORE else norms_mm.max())) + 2.6
-        words = f"{name}: mean {norms_mm.mean():.3f}, largest {norms_mm.max():.3f}"
-        named.append((y, words, colour))
-    parts += labels(frame.x.begin + 1.0, named, frame.y.begin - 2.5 - NEAREST_MM)
-    return svg(WIDTH_MM, HEIGHT_MM, "Errors in order, logarithmic", parts, facts.inputs.simulated)
-
-
-def enlarged(facts: Facts, budget: TargetBudget) -> str:
-    """Return the errors after correction by station, linear; "" without any."""
-    norms_mm = {
-        station.name: errors[Sent.CHOSEN].norms_mm
-        for station in facts.cell.station
-        for errors in (validation(facts.log, [station.name]),)
-        if Sent.CHOSEN in errors
-    }
-    if not norms_mm:
-        return ""
-    dashes = ("", "1.6 0.9", "0.4 0.8")  # of the stations
-    most_lines = len(dashes)
-    nearest = sorted(norms_mm, key=lambda name: -float(norms_mm[name].max()))[:most_lines]
-    judged = [budget.coverage.get(each.name) for each in facts.cell.station]
-    bounds_mm = np.concatenate([each.bounds_mm for each in judged if each] or [np.empty(0)])
-    largest = max(*(float(norms_mm[name].max()) for name in nearest), *bounds_mm, 0.01)
-    frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
-    parts = []
-    if len(bounds_mm):
-        top, low = frame.y.one(float(bounds_mm.max())), frame.y.one(float(bounds_mm.min()))
-        parts.append(rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, low - top, BAND))
-        words = f"95 % bounds {bounds_mm.min():.3f} to {bounds_mm.max():.3f}"
-        parts.append(text(frame.x.begin + 2.0, top - 1.0, words))
-    parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
-    named, room_mm = [], RIGHT_MM - 1.0
-    for name, dash in zip(nearest, dashes, strict=False):
-        parts.append(_curve(frame, norms_mm[name], AFTER, dash))
-        high = float(norms_mm[name].max())
-        figure = f" {high:.3f}"
-        shown = shortened(name, room_mm - wide_mm(figure))
-        named.append((frame.y.one(high), shown + figure, AFTER))
-    parts += labels(frame.x.end + 1.0, named, most_mm=room_mm)
-    return svg(WIDTH_MM, HEIGHT_MM, "Errors after correction, enlarged", parts,
-               facts.inputs.simulated)  # fmt: skip
-
-
-def over_bound(facts: Facts, budget: TargetBudget) -> str:
-    """Return how often the error was which share of its own bound; "" without bounds."""
-    judged = [budget.coverage.get(each.name) for each in facts.cell.station]
-    ratios = np.concatenate(
-        [each.errors_mm / each.bounds_mm for each in judged if each] or [np.empty(0)]
-    )
-    if not len(ratios):
-        return ""
-    bin_wide = 0.1  # of error over bound
-    most = max(1.8, bin_wide * np.ceil(ratios.max() / bin_wide))
-    edges = np.arange(0.0, most + bin_wide / 2, bin_wide)
-    counts = np.histogram(ratios, edges)[0]
-    x = Scale(0.0, float(most), LEFT_MM, WIDTH_MM - 4.0)
-    y = Scale(0.0, round_up(1.05 * counts.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
-    frame = Frame(x, y)
-    parts = [frame.drawn("error ÷ own 95 % bound", "targets")]
-    for edge, count in zip(edges, counts, strict=False):
-        left, top = x.one(edge), y.one(float(count))
-        fill = "#7fa6c9" if edge < 1.0 - bin_wide / 2 else "#fff"
-        wide = x.one(edge + bin_wide) - left
-        parts.append(rectangle(left, top, wide, y.begin - top, fill, AFTER))
-    middles = np.linspace(0.0, most, 61)
-    u = 2.796 * middles  # in sigma: a bound is chi of three degrees of freedom, 95 %
-    density = 2.796 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)  # Maxwell's law
-    parts.append(path(frame.at(middles, len(ratios) * bin_wide * density), INK, 0.4, "1.4 1"))
-    at, beyond = x.one(1.0), int((ratios > 1.0).sum())
-    parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
-    share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"
-    texts = (f"{beyond} of {len(ratios)} beyond it", share, "dashed: predicted")
-    for n, words in enumerate(texts):
-        parts.append(text(at + 1.5, TOP_MM + 3.0 + 4.0 * n, words, bold=n == 0))
-    return svg(WIDTH_MM, HEIGHT_MM, "Errors as shares of their own bounds", parts,
-               facts.inputs.simulated)  # fmt: skip
-
-
 def _frame(y: Scale) -> Frame:
     return Frame(Scale(0.0, 100.0, LEFT_MM, WIDTH_MM - RIGHT_MM), y)
 
@@ -160,45 +59,6 @@ def _frame(y: Scale) -> Frame:
 def _curve(frame: Frame, norms_mm: Array, colour: str, dash: str) -> str:
     shares = 100 * (np.arange(len(norms_mm)) + 0.5) / len(norms_mm)
     return path(frame.at(shares, np.sort(norms_mm)), colour, 0.7, dash)
-
-
-def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
-    """Yield the errors that repeatability and tracker noise alone would leave (Maxwell's law)."""
-    repeated = facts.part("repeatability", Repeated)
-    if repeated is None:
-        return
-    from scipy.special import chdtri
-
-    shares = np.linspace(0.5, 99.5, 100)
-    norms_mm = repeated.floor_mm / np.sqrt(8 / np.pi) * np.sqrt(chdtri(3, 1 - shares / 100))
-    yield path(frame.at(shares, norms_mm), MUTED, 0.4, "0.3 0.8")
-    words = f"dotted: floor by repeatability, {repeated.floor_mm:.3f}"
-    yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
-
-
-def vectors(facts: Facts) -> str:
-    """Return the errors of the targets in {W} from three sides, before and after the correction.
-
-    "" where no target was measured.
-    """
-    station = facts.cell.grid.station
-    series = validation(facts.log, [station])
-    name_mm = 60.0  # of a station, at most
-    shown = shortened(station, name_mm)
-    names = ((Sent.BEFORE, "before", BEFORE), (Sent.CHOSEN, "after", AFTER))
-    rows = [
-        (f"{shown}, {name}", series[how], colour) for how, name, colour in names if how in series
-    ]
-    if not rows and (grid := grid_errors(facts.log)) is not None:
-        rows = [(f"{shown}, grid", grid, BEFORE)]
-    if not rows:
-        return ""
-    width_mm, row_mm = 123.0, 47.0
-    parts: list[str] = []
-    for n, (name, errors, colour) in enumerate(rows):
-        parts += _views(name, errors, colour, n * row_mm, width_mm)
-    high, simulated = row_mm * len(rows), facts.inputs.simulated
-    return svg(width_mm, high, "Error vectors in three views", parts, simulated)
 
 
 def _views(name: str, errors: Errors, colour: str, top: float, width_mm: float) -> Iterator[str]:
@@ -339,24 +199,6 @@ def _shares(budget: TargetBudget, most: int) -> list[tuple[str, float, float]]:
     return shown
 
 
-def curve_plots(facts: Facts) -> str:
-    """Return a drawing of each swept axis, the curve of its gear at the left, its spectrum right.
-
-    Between two of them a page may end; "" without any.
-    """
-    records = [record for record in facts.log.curves.values() if record.shown]
-    if not records:
-        return ""
-    width_mm, row_mm = 178.0, 44.0
-    most = max(float(np.array(record.spectrum)[:, 1].max()) for record in records)
-    high_urad, simulated = round_up(most, ENDS), facts.inputs.simulated
-    title = "Transmission error of a gear, and its spectrum, axis"
-    return "".join(
-        svg(width_mm, row_mm, f"{title} {each.axis}", _gear(each, high_urad, width_mm), simulated)
-        for each in records
-    )
-
-
 def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[str]:
     high, low = 8.0, 34.0
     curve_mm, spectrum_mm = (12.0, 108.0), (122.0, 176.0)
@@ -384,71 +226,6 @@ def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[
 
 
 # -- did anything move meanwhile: floor nests and air over time; stops are hatched -----------------
-
-
-def floor_moves(facts: Facts) -> str:
-    """Return how far each floor nest was from its first measurement; "" without any again."""
-    moves, time_axis = control_moves(facts.log), _Times(facts)
-    if not moves:
-        return ""
-    times, points = time_axis.times(), [point for point, _ in moves]
-    at_s = np.array([times[point.key] for point in points])
-    size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
-    limit_mm = float(
-        np.median(watch.motion_limits_mm(facts.cell, run_noise(facts.log), points, points))
-    )
-    beyond = 1.25  # the limit
-    most_mm = beyond * max(limit_mm, float(size_mm.max()))
-    frame = time_axis.frame(0.0, most_mm)
-    limit = frame.y.one(limit_mm)
-    parts = [
-        *time_axis.stops(frame),
-        hatched(frame.x.begin, frame.y.end, frame.x.end - frame.x.begin, limit - frame.y.end),
-        time_axis.drawn(frame, "move since the first, mm"),
-        frame.level(limit_mm, INK, 0.6),
-        text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
-    ]
-    parts += [circle(x, y, 0.7, AFTER, AFTER) for x, y in frame.at(at_s, size_mm)]
-    words = f"largest {size_mm.max():.3f} mm, {len(moves)} measurements"
-    parts.append(text(frame.x.begin + 2.0, limit + 3.4, words, colour=AFTER, bold=True))
-    return time_axis.svg("Moves of the floor nests", parts)
-
-
-def air(facts: Facts) -> str:
-    """Return the air's temperature at the tracker; "" without a weather station."""
-    time_axis = _Times(facts)
-    times, points = time_axis.times(), facts.log.points.values()
-    readings = sorted(
-        (times[p.key], p.temperature_c) for p in points if p.temperature_c is not None
-    )
-    if not readings:
-        return ""
-    at_s, celsius = np.array(readings).T
-    calibration = calibration_so_far(facts.log, facts.run)
-    range_c = calibration.validity.temperature_c if calibration is not None else None
-    margin_k = TEMPERATURE_MARGIN_K
-    valid = None if range_c is None else (range_c[0] - margin_k, range_c[1] + margin_k)
-    ends_c = [*celsius, *(valid or ())]
-    low, high = min(ends_c) - 0.3, max(ends_c) + 0.3
-    frame = time_axis.frame(float(low), float(high))
-    parts, named = [], []
-    if valid is not None:
-        bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
-        parts.append(
-            rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
-        )
-        for value, words in ((valid[1], "valid up to"), (valid[0], "valid from")):
-            parts.append(frame.level(value, INK, 0.4, "1.4 1"))
-            y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
-            named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
-    parts += time_axis.stops(frame)
-    parts.append(time_axis.drawn(frame, "air at the tracker, °C"))
-    places = frame.at(at_s, celsius)
-    parts.append(path(places[:: max(1, len(places) // 300)], AFTER, 0.6))
-    parts += named
-    words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
-    parts.append(text(frame.x.begin + 2.0, frame.y.end + 7.0, words, colour=AFTER, bold=True))
-    return time_axis.svg("Air at the tracker", parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -503,3 +280,244 @@ class _Times:
 
 def _seconds(time: str) -> float:
     return datetime.fromisoformat(time).timestamp()
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorPlots:
+    """The plots of one run; "" for one without data."""
+
+    facts: Facts
+
+    def sorted_errors(self) -> str:
+        """Return all errors in rising order, before and after, against the limits."""
+        facts = self.facts
+        series = validation(facts.log, [station.name for station in facts.cell.station])
+        shown = {how: series[how].norms_mm for how in BOTH if how in series}
+        if not shown:
+            return ""
+        limits = tolerance_limits(facts.cell)
+        largest = max(*(float(each.max()) for each in shown.values()), limits.max_mm)
+        least_mm = 0.005  # the logarithmic scale begins here
+        frame = _frame(
+            Scale(least_mm, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True)
+        )
+        at = frame.y.one(limits.max_mm)
+        parts = [hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, at - TOP_MM),
+                 frame.drawn("share of targets, %", "3-D error, mm", PERCENTS)]  # fmt: skip
+        parts += [
+            frame.level(limits.max_mm, INK, 0.6),
+            frame.level(limits.mean_mm, INK, 0.4, "1.4 1"),
+        ]
+        named = [(at, f"limit {limits.max_mm:g}", INK),
+                 (frame.y.one(limits.mean_mm), f"mean {limits.mean_mm:g}", INK)]  # fmt: skip
+        parts += labels(frame.x.end + 1.0, named)
+        parts += self._floor(frame)
+        named = []
+        for how, norms_mm in shown.items():
+            colour, name = (BEFORE, "before") if how == Sent.BEFORE else (AFTER, "after")
+            parts.append(_curve(frame, norms_mm, colour, "2 1" if how == Sent.BEFORE else ""))
+            # Left, where the curve after is low, and below that before.
+            y = frame.y.one(float(norms_mm.min() if how == Sent.BEFORE else norms_mm.max())) + 2.6
+            words = f"{name}: mean {norms_mm.mean():.3f}, largest {norms_mm.max():.3f}"
+            named.append((y, words, colour))
+        parts += labels(frame.x.begin + 1.0, named, frame.y.begin - 2.5 - NEAREST_MM)
+        return svg(
+            WIDTH_MM, HEIGHT_MM, "Errors in order, logarithmic", parts, facts.inputs.simulated
+        )
+
+    def errors_after(self, budget: TargetBudget) -> str:
+        """Return the errors after correction by station, linear."""
+        facts = self.facts
+        norms_mm = {
+            station.name: errors[Sent.CHOSEN].norms_mm
+            for station in facts.cell.station
+            for errors in (validation(facts.log, [station.name]),)
+            if Sent.CHOSEN in errors
+        }
+        if not norms_mm:
+            return ""
+        dashes = ("", "1.6 0.9", "0.4 0.8")  # of the stations
+        most_lines = len(dashes)
+        nearest = sorted(norms_mm, key=lambda name: -float(norms_mm[name].max()))[:most_lines]
+        judged = [budget.coverage.get(each.name) for each in facts.cell.station]
+        bounds_mm = np.concatenate([each.bounds_mm for each in judged if each] or [np.empty(0)])
+        largest = max(*(float(norms_mm[name].max()) for name in nearest), *bounds_mm, 0.01)
+        frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+        parts = []
+        if len(bounds_mm):
+            top, low = frame.y.one(float(bounds_mm.max())), frame.y.one(float(bounds_mm.min()))
+            parts.append(
+                rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, low - top, BAND)
+            )
+            words = f"95 % bounds {bounds_mm.min():.3f} to {bounds_mm.max():.3f}"
+            parts.append(text(frame.x.begin + 2.0, top - 1.0, words))
+        parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
+        named, room_mm = [], RIGHT_MM - 1.0
+        for name, dash in zip(nearest, dashes, strict=False):
+            parts.append(_curve(frame, norms_mm[name], AFTER, dash))
+            high = float(norms_mm[name].max())
+            figure = f" {high:.3f}"
+            shown = shortened(name, room_mm - text_width_mm(figure))
+            named.append((frame.y.one(high), shown + figure, AFTER))
+        parts += labels(frame.x.end + 1.0, named, most_mm=room_mm)
+        return svg(WIDTH_MM, HEIGHT_MM, "Errors after correction, enlarged", parts,
+                   facts.inputs.simulated)  # fmt: skip
+
+    def bound_histogram(self, budget: TargetBudget) -> str:
+        """Return a histogram of the errors as shares of their own bounds."""
+        judged = [budget.coverage.get(each.name) for each in self.facts.cell.station]
+        ratios = np.concatenate(
+            [each.errors_mm / each.bounds_mm for each in judged if each] or [np.empty(0)]
+        )
+        if not len(ratios):
+            return ""
+        bin_wide = 0.1  # of error over bound
+        most = max(1.8, bin_wide * np.ceil(ratios.max() / bin_wide))
+        edges = np.arange(0.0, most + bin_wide / 2, bin_wide)
+        counts = np.histogram(ratios, edges)[0]
+        x = Scale(0.0, float(most), LEFT_MM, WIDTH_MM - 4.0)
+        y = Scale(0.0, round_up(1.05 * counts.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
+        frame = Frame(x, y)
+        parts = [frame.drawn("error ÷ own 95 % bound", "targets")]
+        for edge, count in zip(edges, counts, strict=False):
+            left, top = x.one(edge), y.one(float(count))
+            fill = "#7fa6c9" if edge < 1.0 - bin_wide / 2 else "#fff"
+            wide = x.one(edge + bin_wide) - left
+            parts.append(rectangle(left, top, wide, y.begin - top, fill, AFTER))
+        middles = np.linspace(0.0, most, 61)
+        u = 2.796 * middles  # in sigma: a bound is chi of three degrees of freedom, 95 %
+        density = 2.796 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)  # Maxwell's law
+        parts.append(path(frame.at(middles, len(ratios) * bin_wide * density), INK, 0.4, "1.4 1"))
+        at, beyond = x.one(1.0), int((ratios > 1.0).sum())
+        parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
+        share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"
+        texts = (f"{beyond} of {len(ratios)} beyond it", share, "dashed: predicted")
+        for n, words in enumerate(texts):
+            parts.append(text(at + 1.5, TOP_MM + 3.0 + 4.0 * n, words, bold=n == 0))
+        return svg(WIDTH_MM, HEIGHT_MM, "Errors as shares of their own bounds", parts,
+                   self.facts.inputs.simulated)  # fmt: skip
+
+    def _floor(self, frame: Frame) -> Iterator[str]:
+        """Yield the error floor of repeatability and tracker noise (Maxwell's law)."""
+        repeated = self.facts.part("repeatability", Repeated)
+        if repeated is None:
+            return
+        from scipy.special import chdtri
+
+        shares = np.linspace(0.5, 99.5, 100)
+        norms_mm = repeated.floor_mm / np.sqrt(8 / np.pi) * np.sqrt(chdtri(3, 1 - shares / 100))
+        yield path(frame.at(shares, norms_mm), MUTED, 0.4, "0.3 0.8")
+        words = f"dotted: floor by repeatability, {repeated.floor_mm:.3f}"
+        yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
+
+    def vectors(self) -> str:
+        """Return the errors of the targets in {W} from three sides, before and after."""
+        facts = self.facts
+        station = facts.cell.grid.station
+        series = validation(facts.log, [station])
+        name_mm = 60.0  # of a station, at most
+        shown = shortened(station, name_mm)
+        names = ((Sent.BEFORE, "before", BEFORE), (Sent.CHOSEN, "after", AFTER))
+        rows = [
+            (f"{shown}, {name}", series[how], colour)
+            for how, name, colour in names
+            if how in series
+        ]
+        if not rows and (grid := grid_errors(facts.log)) is not None:
+            rows = [(f"{shown}, grid", grid, BEFORE)]
+        if not rows:
+            return ""
+        width_mm, row_mm = 123.0, 47.0
+        parts: list[str] = []
+        for n, (name, errors, colour) in enumerate(rows):
+            parts += _views(name, errors, colour, n * row_mm, width_mm)
+        high, simulated = row_mm * len(rows), facts.inputs.simulated
+        return svg(width_mm, high, "Error vectors in three views", parts, simulated)
+
+    def gears(self) -> str:
+        """Return a drawing of each swept axis: the curve of its gear, and its spectrum.
+
+        A page may end between two of them.
+        """
+        records = [record for record in self.facts.log.curves.values() if record.shown]
+        if not records:
+            return ""
+        width_mm, row_mm = 178.0, 44.0
+        most = max(float(np.array(record.spectrum)[:, 1].max()) for record in records)
+        high_urad, simulated = round_up(most, ENDS), self.facts.inputs.simulated
+        title = "Transmission error of a gear, and its spectrum, axis"
+        return "".join(
+            svg(
+                width_mm,
+                row_mm,
+                f"{title} {each.axis}",
+                _gear(each, high_urad, width_mm),
+                simulated,
+            )
+            for each in records
+        )
+
+    def floor_nests(self) -> str:
+        """Return how far each floor nest was from its first measurement."""
+        facts = self.facts
+        moves, time_axis = control_moves(facts.log), _Times(facts)
+        if not moves:
+            return ""
+        times, points = time_axis.times(), [point for point, _ in moves]
+        at_s = np.array([times[point.key] for point in points])
+        size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
+        limit_mm = float(
+            np.median(watch.motion_limits_mm(facts.cell, run_noise(facts.log), points, points))
+        )
+        beyond = 1.25  # the limit
+        most_mm = beyond * max(limit_mm, float(size_mm.max()))
+        frame = time_axis.frame(0.0, most_mm)
+        limit = frame.y.one(limit_mm)
+        parts = [
+            *time_axis.stops(frame),
+            hatched(frame.x.begin, frame.y.end, frame.x.end - frame.x.begin, limit - frame.y.end),
+            time_axis.drawn(frame, "move since the first, mm"),
+            frame.level(limit_mm, INK, 0.6),
+            text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
+        ]
+        parts += [circle(x, y, 0.7, AFTER, AFTER) for x, y in frame.at(at_s, size_mm)]
+        words = f"largest {size_mm.max():.3f} mm, {len(moves)} measurements"
+        parts.append(text(frame.x.begin + 2.0, limit + 3.4, words, colour=AFTER, bold=True))
+        return time_axis.svg("Moves of the floor nests", parts)
+
+    def air(self) -> str:
+        """Return the air's temperature at the tracker."""
+        facts = self.facts
+        time_axis = _Times(facts)
+        times, points = time_axis.times(), facts.log.points.values()
+        readings = sorted(
+            (times[p.key], p.temperature_c) for p in points if p.temperature_c is not None
+        )
+        if not readings:
+            return ""
+        at_s, celsius = np.array(readings).T
+        calibration = calibration_so_far(facts.log, facts.run)
+        range_c = calibration.validity.temperature_c if calibration is not None else None
+        margin_k = TEMPERATURE_MARGIN_K
+        valid = None if range_c is None else (range_c[0] - margin_k, range_c[1] + margin_k)
+        ends_c = [*celsius, *(valid or ())]
+        low, high = min(ends_c) - 0.3, max(ends_c) + 0.3
+        frame = time_axis.frame(float(low), float(high))
+        parts, named = [], []
+        if valid is not None:
+            bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
+            parts.append(
+                rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
+            )
+            for value, words in ((valid[1], "valid up to"), (valid[0], "valid from")):
+                parts.append(frame.level(value, INK, 0.4, "1.4 1"))
+                y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
+                named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
+        parts += time_axis.stops(frame)
+        parts.append(time_axis.drawn(frame, "air at the tracker, °C"))
+        places = frame.at(at_s, celsius)
+        parts.append(path(places[:: max(1, len(places) // 300)], AFTER, 0.6))
+        parts += named
+        words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
+        parts.append(text(frame.x.begin + 2.0, frame.y.end + 7.0, words, colour=AFTER, bold=True))
+        return time_axis.svg("Air at the tracker", parts)

@@ -28,7 +28,7 @@ from hilcell.model.results import FramesRepeated, SurveyedRail, WithU
 from hilcell.model.verdicts import AP, ISO, OTHERS, RP
 from hilcell.ports import Array
 from hilcell.report.facts import Facts
-from hilcell.report.iso9283 import PoseReport, tests_poses
+from hilcell.report.iso9283 import PoseReport, is_pose_test
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,16 +55,17 @@ Drawn = tuple["Figure", str]  # with the caption that belongs to it
 
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
-    figures: list[tuple[str, str, str, Callable[[Facts], Drawn | None]]] = [
-        ("targets", "Error at each target, station of the grid", " (Fig 12)", fig_12),
-        ("transferred", "Error at each target, other stations", " (Fig 13)", fig_13),
-        ("pose-test", "Pose accuracy and repeatability (ISO 9283)", "", fig_poses),
-        ("attained", "Attained positions of each pose", "", fig_attained),
-        ("similarity", "Similarity of errors", " (eq 8)", fig_similarity),
-        ("rail", "Position error of the rail, both ways", " (Fig 1)", fig_1),
-        ("slide", "Roll, pitch and yaw of the slide", "", fig_slide),
-        ("frames", "Repeatability of base and station frames", " (Fig 8)", fig_8),
-        ("strip", "Repeatability of a station", " (Fig 10)", fig_10),
+    of = Figures(facts)
+    figures: list[tuple[str, str, str, Callable[[], Drawn | None]]] = [
+        ("targets", "Error at each target, station of the grid", " (Fig 12)", of.grid_targets),
+        ("transferred", "Error at each target, other stations", " (Fig 13)", of.other_targets),
+        ("pose-test", "Pose accuracy and repeatability (ISO 9283)", "", of.poses),
+        ("attained", "Attained positions of each pose", "", of.attained_positions),
+        ("similarity", "Similarity of errors", " (eq 8)", of.similarity),
+        ("rail", "Position error of the rail, both directions", " (Fig 1)", of.rail),
+        ("slide", "Roll, pitch and yaw of the slide", "", of.slide),
+        ("frames", "Repeatability of base and station frames", " (Fig 8)", of.frames),
+        ("strip", "Repeatability of a station", " (Fig 10)", of.strip),
     ]
     results = {"rail_survey", "frame_repeatability", ISO}
     shown = facts.is_paper or results & facts.result.keys() or facts.log.select("repeat")
@@ -73,7 +74,7 @@ def drawings(facts: Facts) -> list[Drawing]:
     drawn = []
     with in_style():
         for name, title, in_paper, draw in figures:
-            if (made := draw(facts)) is None:
+            if (made := draw()) is None:
                 continue
             figure, caption = made
             if facts.inputs.simulated:
@@ -99,42 +100,6 @@ def in_style() -> Iterator[None]:
 # -- errors at the targets ------------------------------------------------------------------------
 
 
-def fig_12(facts: Facts) -> Drawn | None:
-    """Draw the errors at the grid's station, target by target."""
-    log = facts.log
-    series = validation(log, [facts.cell.grid.station])
-    paper = facts.of_paper("The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
-    return _targets(facts, series, paper)
-
-
-def fig_13(facts: Facts) -> Drawn | None:
-    """Draw the errors at the other stations, target by target, with transferred data."""
-    stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
-    series = validation(facts.log, stations)
-    words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
-    paper = facts.of_paper("The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
-    return _targets(facts, series, words + paper)
-
-
-def _targets(facts: Facts, series: Mapping[Sent, Errors], caption: str) -> Drawn | None:
-    if not series or not facts.is_paper:
-        return None
-    figure, axes = axes_sheet(2.6)
-    ax: Axes = axes[0, 0]
-    for how, errors in series.items():
-        _scatter(ax, how, errors.norms_mm, facts.series_name(how))
-        mean_mm, colour = errors.figures.mean, COLOURS[how]
-        ax.axhline(mean_mm, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
-        if how != Sent.IDW:  # it would lie on the other mean
-            ax.text(1.008, mean_mm, f"{mean_mm:.3f}", color=colour, va="center", fontsize=7.5,
-                    transform=ax.get_yaxis_transform())  # fmt: skip
-    ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
-    ax.set_ylim(bottom=0.0)
-    ax.set(xlabel="target", ylabel="3D error, mm")
-    _legend_above(ax)
-    return figure, "Dashed lines: means. " + caption
-
-
 def _scatter(ax: Axes, how: Sent, y: Array, label: str) -> None:
     x = np.arange(1, len(y) + 1)
     face = "none" if how == Sent.BEFORE else COLOURS[how]
@@ -150,132 +115,8 @@ def _legend_above(ax: Axes) -> None:
 # -- rail, frames, strip --------------------------------------------------------------------------
 
 
-def fig_1(facts: Facts) -> Drawn | None:
-    """Draw the rail's position error, forth and back."""
-    survey = facts.part("rail_survey", SurveyedRail)
-    if survey is None:
-        return None
-    figure, axes = axes_sheet(2.6)
-    ax: Axes = axes[0, 0]
-    for way, how in (("forth", Sent.CHOSEN), ("back", Sent.BEFORE)):
-        nominal_mm, error_mm = np.array(survey.curve[way], dtype=float).reshape(-1, 2).T
-        face = "none" if how == Sent.BEFORE else COLOURS[how]
-        ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
-                markerfacecolor=face, label=way)  # fmt: skip
-    ax.set(xlabel="nominal position on the rail, mm", ylabel="position error, mm")
-    _legend_above(ax)
-    return figure, (
-        f"Backlash {_with_u(survey.backlash_mm, 'mm')}; "
-        f"scale {_with_u(survey.scale_ppm, 'ppm')}. "
-        + facts.of_paper("The paper: error up to 0.5 mm, backlash about 0.2 mm.")
-    )
-
-
 def _with_u(figure: WithU, unit: str) -> str:
     return f"{figure.value:.4g} {unit} (u = {figure.u:.2g} {unit})"
-
-
-def fig_slide(facts: Facts) -> Drawn | None:
-    """Draw how the slide turns along the rail."""
-    survey = facts.part("rail_survey", SurveyedRail)
-    if survey is None:
-        return None
-    figure, axes = axes_sheet(2.2)
-    ax: Axes = axes[0, 0]
-    nominal_mm = [stop[0] for stop in survey.curve["forth"]]
-    turns = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
-    for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
-        ax.plot(nominal_mm, survey.angles_mrad[name], style, color=COLOURS[how], label=name)
-    ax.set(xlabel="nominal position on the rail, mm", ylabel="angle, mrad")
-    _legend_above(ax)
-    off_mm = survey.straightness_mm
-    return figure, (
-        "Forth, against the first stop, from the slide's nests. Straightness of the path, peak to "
-        f"peak: {off_mm['horizontal']:.3f} mm horizontal, {off_mm['vertical']:.3f} mm vertical."
-    )
-
-
-def fig_similarity(facts: Facts) -> Drawn | None:
-    """Draw how errors part with joint and with Cartesian distance, over all pairs of vertices."""
-    known = facts.log.frames.keys() | facts.log.verdicts.keys()
-    if not facts.is_paper or not {"base", "fit"} <= known:
-        return None
-    pairs = grid_pairs(facts.log)
-    count = len(pairs.difference_mm)
-    # each dot is an element of the page: a picture of them its policy would block
-    pairs_drawn = 500
-    every = max(1, count // pairs_drawn)
-    figure, axes = axes_sheet(2.6, 1, 2, sharey=True)
-    for ax, distance, name in (
-        (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
-        (axes[0, 1], pairs.cartesian_mm, "distance of vertices, mm"),
-    ):
-        ax.plot(distance[::every], pairs.difference_mm[::every], ".", color=MUTED, alpha=0.35,
-                markersize=2, label="a pair of vertices")  # fmt: skip
-        edges = np.linspace(0.0, distance.max(), 13)
-        middles, means, _ = binned(distance, pairs.difference_mm, edges)
-        ax.plot(middles, means, color=COLOURS[Sent.CHOSEN], label="mean")
-        ax.set_xlabel(name)
-    axes[0, 0].set_ylabel("difference of errors, mm")
-    _legend_above(axes[0, -1])
-    return figure, (
-        "The similarity of eq 8 is one over this difference: near joints have like errors. Over "
-        "one orientation of the tool the distance of the vertices says the same. Drawn are "
-        f"{len(range(0, count, every))} of {count} pairs; the mean is of all."
-    )
-
-
-def fig_8(facts: Facts) -> Drawn | None:
-    """Draw how far slide points came out from where the reference's frames have them."""
-    repeated = facts.part("frame_repeatability", FramesRepeated)
-    if repeated is None:
-        return None
-    stations = list(repeated.base)
-    figure, axes = axes_sheet(2.5, 1, len(stations), sharey=True)
-    for ax, station in zip(axes[0], stations, strict=True):
-        for kind, off_mm, how, shift in (
-            ("base", repeated.base[station], Sent.BEFORE, -0.2),
-            ("station", repeated.station[station], Sent.CHOSEN, 0.2),
-        ):
-            at = np.arange(1, len(off_mm) + 1) + shift
-            ax.bar(at, off_mm, 0.38, color=COLOURS[how], label=f"{kind} frame")
-        ticks = np.arange(1, len(repeated.base[station]) + 1)
-        ax.set(title=f"station {station}", xlabel="slide point", xticks=ticks)
-        ax.grid(visible=False, axis="x")
-    axes[0, 0].set_ylabel("deviation, mm")
-    _legend_above(axes[0, -1])
-    low, high = repeated.ratio_interval
-    return figure, (
-        f"Against station {facts.cell.grid.station}. The station frame repeats "
-        f"{repeated.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
-        + facts.of_paper("The paper: about 4 times.")
-    )
-
-
-def fig_10(facts: Facts) -> Drawn | None:
-    """Draw where the slide stood after each approach, by drive alone and held by the strip."""
-    held = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
-    ways = [way for way in SIDES if any(len(along_rail_mm(facts.log, how, way)) for how in held)]
-    if not ways:
-        return None
-    figure, axes = axes_sheet(2.6, 1, len(ways), sharey=True)
-    ranges = []
-    for ax, way in zip(axes[0], ways, strict=True):
-        for name, how in held.items():
-            off_mm, label = along_rail_mm(facts.log, name, way), HOLDS[name]
-            if len(off_mm):
-                off_mm = off_mm - off_mm.mean()
-                ranges.append(f"{SIDES[way]}, {label} {np.ptp(off_mm):.4f} mm")
-                _scatter(ax, how, off_mm, label)
-                ax.plot(np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7)
-        ticks = range(1, len(ax.lines[0].get_ydata()) + 1, 2)
-        ax.set(title=SIDES[way], xlabel="approach", xticks=ticks)
-    axes[0, 0].set_ylabel("deviation along the rail, mm")
-    _legend_above(axes[0, -1])
-    return figure, (
-        f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
-        + facts.of_paper("The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
-    )
 
 
 def along_rail_mm(log: Log, how: str, way: str) -> Array:
@@ -286,32 +127,6 @@ def along_rail_mm(log: Log, how: str, way: str) -> Array:
 
 
 # -- the pose test of ISO 9283 ---------------------------------------------------------------------
-
-
-def fig_poses(facts: Facts) -> Drawn | None:
-    """Draw the test cube with its poses, and AP and RP of each."""
-    if not tests_poses(facts):
-        return None
-    test = PoseReport(facts).tested()
-    figure, axes = axes_sheet(2.6, 1, 3)
-    _test_cube(axes[0, 0], test.cube, test.poses)
-    poses = test.poses.values()
-    for ax, of, how, bars in (
-        (axes[0, 1], AP, Sent.BEFORE, [(each.ap_mm, each.ap_u95_mm) for each in poses]),
-        (axes[0, 2], RP, Sent.CHOSEN, [(each.rp_mm, each.rp_u95_mm) for each in poses]),
-    ):
-        values, u95_mm = zip(*bars, strict=True)
-        ax.bar(list(test.poses), values, width=0.6, color=COLOURS[how], yerr=u95_mm,
-               error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
-        ax.set_title(f"{of.symbol}, {of.unit}")
-        ax.set_ylim(bottom=0.0)
-        ax.grid(visible=False, axis="x")
-        if limit_mm := test.limits.get(of.limit):
-            ax.axhline(limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-    return figure, (
-        "Left: the test cube in {B} and the cycle on its plane. Bars: U, k = 2. Dashed: the limit, "
-        "where one is stated."
-    )
 
 
 def _test_cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
@@ -345,40 +160,10 @@ def _test_cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
     ax.set_title("Test cube", loc="left")
 
 
-def fig_attained(facts: Facts) -> Drawn | None:
-    """Draw the attained positions of each pose about their barycentre, from two sides."""
-    if not tests_poses(facts):
-        return None
-    blue, orange = COLOURS[Sent.CHOSEN], COLOURS[Sent.BEFORE]
-    poses = PoseReport(facts).tested().poses
-    clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
-    reach_mm = 1.15 * max(
-        *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),
-        *(each.rp_mm for each in poses.values()),
-    )
-    tick_mm = float(f"{0.6 * reach_mm:.1g}")
-    figure, axes = axes_sheet(3.1, 2, len(clouds), sharex=True, sharey=True)
-    for column, (name, cloud) in enumerate(clouds.items()):
-        off_mm = cloud - cloud.mean(axis=0)
-        for ax, (across, up) in zip(axes[:, column], ((0, 1), (0, 2)), strict=True):
-            ax.plot(*off_mm[:, (across, up)].T, "o", color=blue, markersize=2.2, alpha=0.75)
-            turn, rp_mm = np.linspace(0.0, 2.0 * np.pi, 73), poses[name].rp_mm
-            ax.plot(rp_mm * np.cos(turn), rp_mm * np.sin(turn), color=orange, linewidth=0.9)
-            ax.set(xticks=[-tick_mm, tick_mm], yticks=[-tick_mm, 0.0, tick_mm])
-            ax.set(xlim=(-reach_mm, reach_mm), ylim=(-reach_mm, reach_mm), aspect="equal")
-        axes[0, column].set_title(name)
-        axes[1, column].set_xlabel("x, mm")
-    axes[0, 0].set_ylabel("y, mm")
-    axes[1, 0].set_ylabel("z, mm")
-    return figure, "Attained positions less their barycentre, axes of {B}. Circle: radius RP_l."
-
-
 # -- sheets of axes, and their SVG -----------------------------------------------------------------
 
 
-def axes_sheet(
-    height_in: float, rows: int = 1, columns: int = 1, **more: Any
-) -> tuple[Figure, Any]:
+def axes_grid(height_in: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, Any]:
     """Return a figure whose axes stand at the same places in every report."""
     from matplotlib.figure import Figure
 
@@ -418,3 +203,225 @@ def svg_of(figure: Figure, name: str) -> str:
         return long_number.sub(lambda number: f"{float(number[0]):.2f}", tag)
 
     return re.sub(r"<[^>]+>", one_tag, svg).strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """The figures of one run; None for one without data."""
+
+    facts: Facts
+
+    def grid_targets(self) -> Drawn | None:
+        """Draw the errors at the grid's station, target by target."""
+        facts = self.facts
+        log = facts.log
+        series = validation(log, [facts.cell.grid.station])
+        paper = facts.of_paper("The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
+        return self._targets(series, paper)
+
+    def other_targets(self) -> Drawn | None:
+        """Draw the errors at the other stations, target by target, with transferred data."""
+        facts = self.facts
+        stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
+        series = validation(facts.log, stations)
+        words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
+        paper = facts.of_paper("The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
+        return self._targets(series, words + paper)
+
+    def _targets(self, series: Mapping[Sent, Errors], caption: str) -> Drawn | None:
+        if not series or not self.facts.is_paper:
+            return None
+        figure, axes = axes_grid(2.6)
+        ax: Axes = axes[0, 0]
+        for how, errors in series.items():
+            _scatter(ax, how, errors.norms_mm, self.facts.series_name(how))
+            mean_mm, colour = errors.figures.mean, COLOURS[how]
+            ax.axhline(mean_mm, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
+            if how != Sent.IDW:  # it would lie on the other mean
+                ax.text(1.008, mean_mm, f"{mean_mm:.3f}", color=colour, va="center", fontsize=7.5,
+                        transform=ax.get_yaxis_transform())  # fmt: skip
+        ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
+        ax.set_ylim(bottom=0.0)
+        ax.set(xlabel="target", ylabel="3D error, mm")
+        _legend_above(ax)
+        return figure, "Dashed lines: means. " + caption
+
+    def rail(self) -> Drawn | None:
+        """Draw the rail's position error, forth and back."""
+        survey = self.facts.part("rail_survey", SurveyedRail)
+        if survey is None:
+            return None
+        figure, axes = axes_grid(2.6)
+        ax: Axes = axes[0, 0]
+        for way, how in (("forth", Sent.CHOSEN), ("back", Sent.BEFORE)):
+            nominal_mm, error_mm = np.array(survey.curve[way], dtype=float).reshape(-1, 2).T
+            face = "none" if how == Sent.BEFORE else COLOURS[how]
+            ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
+                    markerfacecolor=face, label=way)  # fmt: skip
+        ax.set(xlabel="nominal position on the rail, mm", ylabel="position error, mm")
+        _legend_above(ax)
+        return figure, (
+            f"Backlash {_with_u(survey.backlash_mm, 'mm')}; "
+            f"scale {_with_u(survey.scale_ppm, 'ppm')}. "
+            + self.facts.of_paper("The paper: error up to 0.5 mm, backlash about 0.2 mm.")
+        )
+
+    def slide(self) -> Drawn | None:
+        """Draw how the slide turns along the rail."""
+        survey = self.facts.part("rail_survey", SurveyedRail)
+        if survey is None:
+            return None
+        figure, axes = axes_grid(2.2)
+        ax: Axes = axes[0, 0]
+        nominal_mm = [stop[0] for stop in survey.curve["forth"]]
+        turns = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
+        for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
+            ax.plot(nominal_mm, survey.angles_mrad[name], style, color=COLOURS[how], label=name)
+        ax.set(xlabel="nominal position on the rail, mm", ylabel="angle, mrad")
+        _legend_above(ax)
+        off_mm = survey.straightness_mm
+        return figure, (
+            "Forth, against the first stop, from the slide's nests. Straightness of the path, peak "
+            f"to peak: {off_mm['horizontal']:.3f} mm horizontal, "
+            f"{off_mm['vertical']:.3f} mm vertical."
+        )
+
+    def similarity(self) -> Drawn | None:
+        """Draw the difference of errors over joint and Cartesian distance, of pairs of vertices."""
+        facts = self.facts
+        known = facts.log.frames.keys() | facts.log.verdicts.keys()
+        if not facts.is_paper or not {"base", "fit"} <= known:
+            return None
+        pairs = grid_pairs(facts.log)
+        count = len(pairs.difference_mm)
+        # each dot is an element of the page: a picture of them its policy would block
+        pairs_drawn = 500
+        every = max(1, count // pairs_drawn)
+        figure, axes = axes_grid(2.6, 1, 2, sharey=True)
+        for ax, distance, name in (
+            (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
+            (axes[0, 1], pairs.cartesian_mm, "distance of vertices, mm"),
+        ):
+            ax.plot(distance[::every], pairs.difference_mm[::every], ".", color=MUTED, alpha=0.35,
+                    markersize=2, label="a pair of vertices")  # fmt: skip
+            edges = np.linspace(0.0, distance.max(), 13)
+            middles, means, _ = binned(distance, pairs.difference_mm, edges)
+            ax.plot(middles, means, color=COLOURS[Sent.CHOSEN], label="mean")
+            ax.set_xlabel(name)
+        axes[0, 0].set_ylabel("difference of errors, mm")
+        _legend_above(axes[0, -1])
+        return figure, (
+            "The similarity of eq 8 is one over this difference: near joints have like errors. "
+            "Over one orientation of the tool the distance of the vertices says the same. "
+            f"Shown: {len(range(0, count, every))} of {count} pairs; the mean is of all."
+        )
+
+    def frames(self) -> Drawn | None:
+        """Draw how far slide points came out from where the reference's frames have them."""
+        facts = self.facts
+        repeated = facts.part("frame_repeatability", FramesRepeated)
+        if repeated is None:
+            return None
+        stations = list(repeated.base)
+        figure, axes = axes_grid(2.5, 1, len(stations), sharey=True)
+        for ax, station in zip(axes[0], stations, strict=True):
+            for kind, off_mm, how, shift in (
+                ("base", repeated.base[station], Sent.BEFORE, -0.2),
+                ("station", repeated.station[station], Sent.CHOSEN, 0.2),
+            ):
+                at = np.arange(1, len(off_mm) + 1) + shift
+                ax.bar(at, off_mm, 0.38, color=COLOURS[how], label=f"{kind} frame")
+            ticks = np.arange(1, len(repeated.base[station]) + 1)
+            ax.set(title=f"station {station}", xlabel="slide point", xticks=ticks)
+            ax.grid(visible=False, axis="x")
+        axes[0, 0].set_ylabel("deviation, mm")
+        _legend_above(axes[0, -1])
+        low, high = repeated.ratio_interval
+        return figure, (
+            f"Against station {facts.cell.grid.station}. The station frame repeats "
+            f"{repeated.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
+            + facts.of_paper("The paper: about 4 times.")
+        )
+
+    def strip(self) -> Drawn | None:
+        """Draw where the slide stood after each approach, by drive alone and held by the strip."""
+        facts = self.facts
+        held = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
+        ways = [
+            way for way in SIDES if any(len(along_rail_mm(facts.log, how, way)) for how in held)
+        ]
+        if not ways:
+            return None
+        figure, axes = axes_grid(2.6, 1, len(ways), sharey=True)
+        ranges = []
+        for ax, way in zip(axes[0], ways, strict=True):
+            for name, how in held.items():
+                off_mm, label = along_rail_mm(facts.log, name, way), HOLDS[name]
+                if len(off_mm):
+                    off_mm = off_mm - off_mm.mean()
+                    ranges.append(f"{SIDES[way]}, {label} {np.ptp(off_mm):.4f} mm")
+                    _scatter(ax, how, off_mm, label)
+                    ax.plot(
+                        np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7
+                    )
+            ticks = range(1, len(ax.lines[0].get_ydata()) + 1, 2)
+            ax.set(title=SIDES[way], xlabel="approach", xticks=ticks)
+        axes[0, 0].set_ylabel("deviation along the rail, mm")
+        _legend_above(axes[0, -1])
+        return figure, (
+            f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
+            + facts.of_paper("The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
+        )
+
+    def poses(self) -> Drawn | None:
+        """Draw the test cube with its poses, and AP and RP of each."""
+        if not is_pose_test(self.facts):
+            return None
+        test = PoseReport(self.facts).tested()
+        figure, axes = axes_grid(2.6, 1, 3)
+        _test_cube(axes[0, 0], test.cube, test.poses)
+        poses = test.poses.values()
+        for ax, of, how, bars in (
+            (axes[0, 1], AP, Sent.BEFORE, [(each.ap_mm, each.ap_u95_mm) for each in poses]),
+            (axes[0, 2], RP, Sent.CHOSEN, [(each.rp_mm, each.rp_u95_mm) for each in poses]),
+        ):
+            values, u95_mm = zip(*bars, strict=True)
+            ax.bar(list(test.poses), values, width=0.6, color=COLOURS[how], yerr=u95_mm,
+                   error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
+            ax.set_title(f"{of.symbol}, {of.unit}")
+            ax.set_ylim(bottom=0.0)
+            ax.grid(visible=False, axis="x")
+            if limit_mm := test.limits.get(of.limit):
+                ax.axhline(limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
+        return figure, (
+            "Left: the test cube in {B} and the cycle on its plane. Bars: U, k = 2. Dashed: the "
+            "limit, where one is stated."
+        )
+
+    def attained_positions(self) -> Drawn | None:
+        """Draw the attained positions of each pose about their barycentre, from two sides."""
+        facts = self.facts
+        if not is_pose_test(facts):
+            return None
+        blue, orange = COLOURS[Sent.CHOSEN], COLOURS[Sent.BEFORE]
+        poses = PoseReport(facts).tested().poses
+        clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
+        reach_mm = 1.15 * max(
+            *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),
+            *(each.rp_mm for each in poses.values()),
+        )
+        tick_mm = float(f"{0.6 * reach_mm:.1g}")
+        figure, axes = axes_grid(3.1, 2, len(clouds), sharex=True, sharey=True)
+        for column, (name, cloud) in enumerate(clouds.items()):
+            off_mm = cloud - cloud.mean(axis=0)
+            for ax, (across, up) in zip(axes[:, column], ((0, 1), (0, 2)), strict=True):
+                ax.plot(*off_mm[:, (across, up)].T, "o", color=blue, markersize=2.2, alpha=0.75)
+                turn, rp_mm = np.linspace(0.0, 2.0 * np.pi, 73), poses[name].rp_mm
+                ax.plot(rp_mm * np.cos(turn), rp_mm * np.sin(turn), color=orange, linewidth=0.9)
+                ax.set(xticks=[-tick_mm, tick_mm], yticks=[-tick_mm, 0.0, tick_mm])
+                ax.set(xlim=(-reach_mm, reach_mm), ylim=(-reach_mm, reach_mm), aspect="equal")
+            axes[0, column].set_title(name)
+            axes[1, column].set_xlabel("x, mm")
+        axes[0, 0].set_ylabel("y, mm")
+        axes[1, 0].set_ylabel("z, mm")
+        return figure, "Attained positions less their barycentre, axes of {B}. Circle: radius RP_l."

@@ -79,8 +79,8 @@ def axis_2_loses_motion(log: Log) -> None:
 
 def wider_circle(log: Log) -> None:
     base = log.frame(MeasuredBase, "base")
-    first, wide_mm = base.radius_mm
-    log.frames["base"] = msgspec.structs.replace(base, radius_mm=[first, wide_mm + 4.0])
+    first, text_width_mm = base.radius_mm
+    log.frames["base"] = msgspec.structs.replace(base, radius_mm=[first, text_width_mm + 4.0])
 
 
 def nest_rises(log: Log) -> None:

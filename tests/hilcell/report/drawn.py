@@ -36,10 +36,12 @@ def boxes(drawing: str | ET.Element) -> list[Box]:
         if each.attrib["fill"] == "none":
             continue
         words = "".join(each.itertext())
-        wide_mm = float(each.get("textLength", _wide_mm(words, bold="font-weight" in each.attrib)))
-        left_mm = float(each.attrib["x"]) - ANCHORS[each.attrib["text-anchor"]] * wide_mm
+        text_width_mm = float(
+            each.get("textLength", _wide_mm(words, bold="font-weight" in each.attrib))
+        )
+        left_mm = float(each.attrib["x"]) - ANCHORS[each.attrib["text-anchor"]] * text_width_mm
         base_mm = float(each.attrib["y"])
-        found.append((words, left_mm, left_mm + wide_mm, base_mm - 0.75 * LABEL_MM, base_mm))
+        found.append((words, left_mm, left_mm + text_width_mm, base_mm - 0.75 * LABEL_MM, base_mm))
     return found
 
 

@@ -15,7 +15,7 @@ from hilcell.report.budgets import (
     ERROR_SUM,
     ROWS,
     TARGET_SUM,
-    budget_sheet,
+    budget_table,
     error_rows,
     target_budget,
     target_rows,
@@ -91,7 +91,7 @@ def part(name: str, source: str, clause: str, variances_mm2: tuple[float, float,
 def test_each_measurand_ends_with_its_sum(golden: GoldenRuns) -> None:
     facts = read_facts(golden["small"].folder)
     budget, targets = measurement_budget(facts.log), target_budget(facts.log, facts.run)
-    found = budget_sheet(budget, targets)
+    found = budget_table(budget, targets)
     assert found.headers == [column.header for column in ROWS]
     sources = [row[0] for row in found.texts()]
     half = sources.index(ERROR_SUM) + 1

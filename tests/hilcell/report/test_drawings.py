@@ -12,16 +12,7 @@ from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import TargetBudget, target_budget
 from hilcell.report.drawings.drawing import MUTED, Scale
-from hilcell.report.drawings.error_plots import (
-    air,
-    enlarged,
-    floor_moves,
-    in_order,
-    over_bound,
-    strip,
-    variance_bar,
-    vectors,
-)
+from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.views import side_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
@@ -52,9 +43,10 @@ def test_a_scale_keeps_values_on_paper() -> None:
 
 def test_every_drawing_of_a_run_keeps_its_words_inside(real: tuple[Facts, TargetBudget]) -> None:
     facts, budget = real
+    plots = ErrorPlots(facts)
     drawings = [
-        in_order(facts), enlarged(facts, budget), over_bound(facts, budget), vectors(facts),
-        variance_bar(budget, simulated=True), floor_moves(facts), air(facts),
+        plots.sorted_errors(), plots.errors_after(budget), plots.bound_histogram(budget),
+        plots.vectors(), variance_bar(budget, simulated=True), plots.floor_nests(), plots.air(),
     ]  # fmt: skip
     for drawn in drawings:
         shown = ET.fromstring(drawn)
@@ -77,7 +69,7 @@ def test_how_many_are_beyond_their_bound(real: tuple[Facts, TargetBudget]) -> No
     names = [station.name for station in facts.cell.station]
     found = [budget.coverage[name] for name in names]
     beyond, every = sum(len(each) - each.inside for each in found), sum(map(len, found))
-    assert f"{beyond} of {every} beyond it" in words(over_bound(facts, budget))
+    assert f"{beyond} of {every} beyond it" in words(ErrorPlots(facts).bound_histogram(budget))
 
 
 def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
@@ -137,7 +129,7 @@ def test_labels_of_the_errors_in_order_do_not_overlap(
         facts.cell.validation, mean_tolerance_mm=limit_mm, max_tolerance_mm=1.5 * limit_mm
     )
     cell = structs.replace(facts.cell, validation=stated)
-    drawn = ET.fromstring(in_order(replace(facts, cell=cell)))
+    drawn = ET.fromstring(ErrorPlots(replace(facts, cell=cell)).sorted_errors())
     for each in [each for each in drawn if each.attrib.get("fill") in ("none", MUTED)]:
         if "dotted" not in "".join(each.itertext()):
             drawn.remove(each)  # ticks, below which nothing is written, and the watermark

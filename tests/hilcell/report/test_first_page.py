@@ -22,9 +22,9 @@ from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.first_page import FirstPage, certificate, instruments, title, with_signs
-from hilcell.report.html import measured, report_html, sentence, standing
-from hilcell.report.timeline import course
+from hilcell.report.first_page import Certificate, FirstPage, instruments, typeset
+from hilcell.report.html import ReportText, report_html
+from hilcell.report.timeline import timeline
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run
@@ -64,7 +64,7 @@ def judged(
 def test_the_verdict_in_a_word(
     tmp_path: Path, code: int, more: dict[str, Any], plan: dict[str, Any], word: str
 ) -> None:
-    assert FirstPage(judged(tmp_path / "r", code=code, plan=plan, **more)).verdict_word() == word
+    assert FirstPage(judged(tmp_path / "r", code=code, plan=plan, **more)).verdict_title() == word
 
 
 TURNED: dict[str, Any] = {
@@ -74,11 +74,11 @@ TURNED: dict[str, Any] = {
 
 
 def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: Path) -> None:
-    undecided = sentence(judged(tmp_path / "r", code=1, **TURNED))
+    undecided = ReportText(judged(tmp_path / "r", code=1, **TURNED)).sentence()
     assert "0.0220 + U 0.0150°" in undecided
     assert "0.03°" in undecided
     both: dict[str, Any] = {"decided": Outcome.REJECTED, "max_mm": 0.4, "mean_mm": 0.1}
-    rejected = sentence(judged(tmp_path / "s", code=1, **(TURNED | both)))
+    rejected = ReportText(judged(tmp_path / "s", code=1, **(TURNED | both))).sentence()
     assert "0.4000 + U 0.0500 mm" in rejected
     assert "0.3 mm" in rejected
     assert "0.0220" not in rejected
@@ -101,12 +101,12 @@ def test_report_and_list_of_runs_have_one_word(
     writer.journal.append("verdict", key, verdict)
     folder = writer.ended(code=code)
     facts = read_facts(folder)
-    assert FirstPage(facts).verdict_word() == word
-    assert row_of(folder).verdict == standing(facts)[1] == word.lower()
+    assert FirstPage(facts).verdict_title() == word
+    assert row_of(folder).verdict == ReportText(facts).status()[1] == word.lower()
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
-    found = FirstPage(judged(tmp_path / "r", max_mm=0.27)).results_sheet(TargetBudget("none"))
+    found = FirstPage(judged(tmp_path / "r", max_mm=0.27)).results_table(TargetBudget("none"))
     assert found.texts() == [
         ["Mean of 4 targets at S1100", "0.120", "2.000", "0.050", "0.040", "0.080", "pass"],
         ["Largest of 4 targets at S1100", "0.300", "3.000", "0.270", "0.050", "0.250", "undecided"],
@@ -132,8 +132,8 @@ def test_certificates_of_the_cell_file_make_it_a_certificate(tmp_path: Path) -> 
     found = instruments(facts)
     assert [row[3] for row in found.texts()] == ["TC-17, 2026-04-17", "SC-88", "KC-90", "simulated"]
     assert found.texts()[0][2] == "750123"
-    assert title(facts) == "Calibration certificate"
-    assert title(judged(tmp_path / "s")) == "Calibration report"
+    assert Certificate(facts).title() == "Calibration certificate"
+    assert Certificate(judged(tmp_path / "s")).title() == "Calibration report"
 
 
 def test_validity_in_full_and_the_file_s_digest(golden: GoldenRuns, tmp_path: Path) -> None:
@@ -164,8 +164,8 @@ def test_the_plan_names_stations_and_tracker() -> None:
         assert 0 <= float(each.attrib["y"]) <= height
 
 
-def words_of(facts: Facts, name: str) -> str:
-    items = certificate(facts, None, TargetBudget("none"))
+def glossary_terms(facts: Facts, name: str) -> str:
+    items = Certificate(facts).items(None, TargetBudget("none"))
     return next(each.words for each in items if each.name == name)
 
 
@@ -175,10 +175,10 @@ def test_a_revoked_calibration_says_so_and_ended_when_it_did(tmp_path: Path) -> 
     facts = writer.facts()
     assert facts.revoked == "wrong reflector"
     assert facts.last.kind == "end"
-    assert standing(facts) == ("bad", "its calibration is revoked: wrong reflector")
-    assert sentence(facts).startswith("The calibration of this run was revoked")
-    assert measured(facts)
-    assert words_of(facts, "Validity").startswith("REVOKED: wrong reflector; the results")
+    assert ReportText(facts).status() == ("bad", "its calibration is revoked: wrong reflector")
+    assert ReportText(facts).sentence().startswith("The calibration of this run was revoked")
+    assert ReportText(facts).time_span()
+    assert glossary_terms(facts, "Validity").startswith("REVOKED: wrong reflector; the results")
 
 
 VALIDATED = replace(
@@ -240,7 +240,7 @@ VALIDATED = replace(
     ],
 )  # fmt: skip
 def test_figures_have_units(verdict: Verdict, figures: list[str]) -> None:
-    words = with_signs(verdict.words)
+    words = typeset(verdict.words)
     assert [each for each in figures if each not in words] == []
 
 
@@ -249,7 +249,7 @@ def test_figures_have_units(verdict: Verdict, figures: list[str]) -> None:
 
 def test_verdicts_of_a_simulation_stand_in_brackets(tmp_path: Path) -> None:
     facts = judged(tmp_path / "s", plan={"simulated": True}, max_mm=0.27)
-    found = FirstPage(facts).results_sheet(TargetBudget("none"))
+    found = FirstPage(facts).results_table(TargetBudget("none"))
     assert [row[-1] for row in found.texts()] == ["(pass)", "(undecided)"]
 
 
@@ -257,7 +257,7 @@ def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Pa
     facts = judged(tmp_path / "r")
     radii_mm = np.array([0.05, 0.074])
     bounds = cast("Bounds", SimpleNamespace(radii_mm=radii_mm))
-    found = FirstPage(facts).results_sheet(TargetBudget(in_use={"S1100": bounds}))
+    found = FirstPage(facts).results_table(TargetBudget(in_use={"S1100": bounds}))
     limit = f"{facts.cell.validation.max_tolerance_mm:.3f}"
     assert found.texts()[-1][1:] == [limit, "–", "0.074", "included", limit, "–"]
 
@@ -266,7 +266,7 @@ def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Pa
     facts = judged(
         tmp_path / "r", decided=Outcome.UNDECIDED, holds=False, decision="too few targets"
     )
-    found = FirstPage(facts).results_sheet(TargetBudget("none"))
+    found = FirstPage(facts).results_table(TargetBudget("none"))
     assert [row[-1] for row in found.texts()] == ["undecided", "pass"]
 
 
@@ -275,15 +275,15 @@ def test_a_later_run_revokes_or_supersedes(tmp_path: Path) -> None:
     finished(tmp_path, "1-made", MADE)
     finished(tmp_path, "2-re-checked", REDO, used="1-made", code=1)
     facts = read_facts(tmp_path / "1-made")
-    assert FirstPage(facts).verdict_word() == "REVOKED"
+    assert FirstPage(facts).verdict_title() == "REVOKED"
     reason = "by 2-re-checked: its re-check says redo"
-    assert standing(facts) == ("bad", f"its calibration is revoked: {reason}")
+    assert ReportText(facts).status() == ("bad", f"its calibration is revoked: {reason}")
     assert FirstPage(facts).validity_facts() == []
     finished(tmp_path, "3-made", MADE)
     finished(tmp_path, "4-made", MADE)
-    words = standing(read_facts(tmp_path / "3-made"))[1]
+    words = ReportText(read_facts(tmp_path / "3-made")).status()[1]
     assert words.endswith("; its calibration is superseded by 4-made")
-    assert "superseded" not in standing(read_facts(tmp_path / "4-made"))[1]
+    assert "superseded" not in ReportText(read_facts(tmp_path / "4-made")).status()[1]
 
 
 def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Path) -> None:
@@ -294,8 +294,8 @@ def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Pat
     cause = {"cause": "mount slipped", "size": 0.24, "unit": "mm", "noticed_by": "re-visits"}
     read = read_facts(writer.ended(code=1))
     facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
-    assert FirstPage(facts).verdict_word() == "SUSPECTED"
-    assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", sentence(facts))
+    assert FirstPage(facts).verdict_title() == "SUSPECTED"
+    assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", ReportText(facts).sentence())
     cleared = dataclasses.replace(facts, status=CalibrationStatus("current"))
     assert facts.suspected
     assert not cleared.suspected
@@ -317,17 +317,17 @@ def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
     writer = validated_run(tmp_path / "r", simulated=False)
     writer.journal.append("verdict", "validation.S1100", verdicts.UNDECIDED)
     writer.journal.append("verdict", "suspicions", verdicts.SUSPECTED)
-    assert FirstPage(read_facts(writer.ended(code=1))).verdict_word() == "UNDECIDED"
+    assert FirstPage(read_facts(writer.ended(code=1))).verdict_title() == "UNDECIDED"
 
 
 def test_times_are_those_of_the_wall_beside_utc(tmp_path: Path) -> None:
     utc = judged(tmp_path / "u")
-    assert measured(utc).endswith(" UTC")
-    assert "UTC+" not in measured(utc)
+    assert ReportText(utc).time_span().endswith(" UTC")
+    assert "UTC+" not in ReportText(utc).time_span()
     there = judged(tmp_path / "r", plan={"utc_offset_min": 330})
-    assert "UTC+05:30 (" in measured(there)
-    assert measured(there).endswith(" UTC)")
-    listed = course(there)
+    assert "UTC+05:30 (" in ReportText(there).time_span()
+    assert ReportText(there).time_span().endswith(" UTC)")
+    listed = timeline(there)
     assert listed.headers[0] == "UTC+05:30 (UTC)"
     hours = [int(time[-9:-7]) * 60 + int(time[-6:-4]) for time, _ in listed.texts()]
     for (time, _), minutes in zip(listed.texts(), hours, strict=True):

@@ -20,7 +20,7 @@ from hilcell.model.verdicts import CurvesUsed
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.html import WORDS, curves, report_html, words_of
+from hilcell.report.html import GLOSSARY, ReportText, glossary_terms, report_html
 from tests.hilcell.identification.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
@@ -141,7 +141,7 @@ def test_a_cell_without_a_rail_has_no_words_of_one(tmp_path: Path) -> None:
         assert words not in text.lower()
     drawn = plan_view(cell, np.array([4400.0, 100.0, 1500.0]))
     assert "rail" not in drawn
-    assert "rail" not in dict(words_of("at S300", has_rail=False))["Station"]
+    assert "rail" not in dict(glossary_terms("at S300", has_rail=False))["Station"]
 
 
 def test_a_folder_cannot_write_style(tmp_path: Path) -> None:
@@ -235,12 +235,12 @@ def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
 
 def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
-    assert not curves(read_facts(writer.folder))
+    assert not ReportText(read_facts(writer.folder)).curves()
     writer.journal.append("event", "", body_of(FOUND))
     writer.journal.append("event", "", body_of(without_curve(4, "upwards: 9 samples")))
     writer.state("calibration", "validated")
     facts = writer.facts()
-    sheet = curves(facts)
+    sheet = ReportText(facts).curves()
     assert [row[:3] for row in sheet.texts()] == [
         ["A2", "40.0: 31.6, 203.5: 20.0", "yes"],
         ["A5", "none", "no: upwards: 9 samples"],
@@ -251,12 +251,12 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
 
 
 def test_a_report_explains_the_words_that_it_uses(tmp_path: Path) -> None:
-    assert words_of('<p class="rms">Place of S300 in {W}</p>') == [
-        (name, meaning) for name, _, meaning in WORDS if name in ("{W}", "Station")
+    assert glossary_terms('<p class="rms">Place of S300 in {W}</p>') == [
+        (name, meaning) for name, _, meaning in GLOSSARY if name in ("{W}", "Station")
     ]
     full = page_of(validated_run(tmp_path / "r1").facts())
     bare = page_of(Writer(tmp_path / "r2").began().facts())
-    known = {name for name, *_ in WORDS}
+    known = {name for name, *_ in GLOSSARY}
     assert {"u", "p95", "3-D error"} <= set(full.of("dt"))
     assert "p95" not in bare.of("dt")
     assert known & set(bare.of("dt")) < known & set(full.of("dt"))

@@ -64,7 +64,7 @@ def test_it_holds_every_figure_of_a_calibration_and_is_small(html: str) -> None:
 
 
 def test_the_course_calls_each_step_as_the_screen_does(html: str) -> None:
-    lines = [row["course in words"] for row in Page(html).table("Course of the run")]
+    lines = [row["event"] for row in Page(html).table("Timeline of the run")]
     for words in ("Home the rail.", "Hold station.", "Robot grid. 27 points."):
         assert lines.count(words) == 1
 

@@ -13,7 +13,7 @@ from hilcell.geometry.frames import from_rotvec
 from hilcell.model.point import PointId, Sent
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.tables import Tables
-from hilcell.report.timeline import course
+from hilcell.report.timeline import timeline
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.verdicts import FITTED
 
@@ -83,7 +83,7 @@ def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
     writer.state("run", "running")
     writer.state("run", "faulted", reason="Tracker: measure validate/S300/chosen/049: no beam")
     writer.state("run", "checking")  # resumed
-    found = course(read_facts(writer.left()))
+    found = timeline(read_facts(writer.left()))
     words = " ".join(row[1] for row in found.texts())
     for session in (1, 2, 3):
         assert f"session {session}" in words
@@ -118,7 +118,7 @@ def test_each_step_and_event_has_its_line(tmp_path: Path) -> None:
         writer.journal.append("event", "", event)
         if event["what"] == "station held":
             writer.validated("S1100", "chosen", AFTER_MM[:2])
-    found = course(writer.facts())
+    found = timeline(writer.facts())
     words = [row[1] for row in found.texts()[1:-1]]
     assert len(words) == len(events)
     assert [word in line for line, (_, word) in zip(words, events, strict=True)] == [True] * 10
@@ -133,7 +133,7 @@ def test_a_step_counts_the_points_that_are_its_own(tmp_path: Path) -> None:
     writer.point(PointId("control", session=1, turn=0, nest="F1"), (1.0, 2.0, 3.0))
     writer.state("run", "checking")
     writer.point(PointId("grid", vertex=(0, 0, 1)), (1.0, 2.0, 3.0))
-    words = [row[1] for row in course(writer.facts()).texts()]
+    words = [row[1] for row in timeline(writer.facts()).texts()]
     assert [each for each in words if "grid" in each and "point." in each] == [
         "Robot grid. 1 point."
     ]
@@ -190,7 +190,7 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
     writer.validated("S1100", "chosen", AFTER_MM[:1])
     writer.state("run", "checking")
     steps("world-frame", "axis-sweeps", "fit", "validate")
-    found = course(read_facts(writer.left()))
+    found = timeline(read_facts(writer.left()))
     lines = [row[1] for row in found.texts()]
     assert [sum(word in line for line in lines) for word in ("World", "sweeps", "Validation")] == [
         1, 1, 1,
@@ -214,7 +214,7 @@ def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Pa
                 writer.point(TARGET, place, "S1100", nominal_mm=place, retaken=True)
         writer.state("run", "finished")
         writer.state("run", "checking")
-    found = course(read_facts(writer.left()))
+    found = timeline(read_facts(writer.left()))
     again = [row[1] for row in found.texts()]
     again = again[next(n for n, line in enumerate(again) if "session 2" in line) :]
     assert sum("grid" in line.lower() for line in again) == 0
@@ -237,9 +237,9 @@ def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -
         else each
         for each in facts.records
     ]
-    found = course(replace(facts, records=late))
+    found = timeline(replace(facts, records=late))
     words = [row[1] for row in found.texts()]
-    at = next(n for n, each in enumerate(words) if each.startswith("Engine gone"))
+    at = next(n for n, each in enumerate(words) if each.startswith("Engine lost"))
     assert before.t[11:19] in found.texts()[at][0]
     assert "session 2" in words[at + 1]
     assert not any("session 14" in each for each in words)
@@ -253,6 +253,6 @@ def test_a_step_that_a_plan_leaves_out_is_not_in_the_course(tmp_path: Path) -> N
         writer.journal.append("event", "", event)
         if seen:
             writer.point(PointId("back", number=0, nest="F1"), (1.0, 2.0, 3.0))
-        found = course(writer.facts())
+        found = timeline(writer.facts())
         lines.append([row[1] for row in found.texts() if "both faces" in row[1]])
     assert lines == [["Tracker in both faces. 1 point."], []]
