@@ -180,7 +180,8 @@ class _Timeline:
             why = f"{plan.most_poses} are the most (plan.most_poses)"
         else:
             why = f"more would gain little towards {plan.bound_mm:g} mm"
-        return f"{count} poses: predicted mean 95 % bound in the cube {progress}; no more, because {why}"
+        poses = f"{count} poses: predicted mean 95 % bound in the cube {progress}"
+        return f"{poses}; no more, because {why}"
 
 
 def timeline(facts: Facts) -> Table:
