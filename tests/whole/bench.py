@@ -260,15 +260,15 @@ class OwnCell:
 
     def __init__(self) -> None:
         self.at_start: list[dict[str, object]] = []
-        self.ask: Callable[..., dict[str, Any]]
+        self.strike: Callable[..., None]
 
     def start(self, cell: Cell, **words: Any) -> SimulatedCell | None:
         """Do what `hilcell.cell.devices.start_simulation` does."""
         found = start_simulation(cell, **words)
         assert isinstance(found, PaperCell)
-        self.ask = Simulation({}, found.address).ask
+        self.strike = Simulation({}, found.address).strike
         for fault in self.at_start:
-            assert self.ask(do="fault", **fault)["ok"]
+            self.strike(**fault)
         return found
 
 

@@ -14,9 +14,8 @@ from drivers.kuka import robot_eki
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
-from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log
-from tests.whole.bench import sets, simulation
+from tests.whole.bench import ran, simulation
 from tests.whole.stations import TOTAL_STATION
 
 pytestmark = pytest.mark.waits
@@ -191,21 +190,16 @@ def struck(runs: Path, cell: str, faults: Mapping[str, tuple[int, object]]) -> l
     values = {**SHORT, **CELLS[cell]}
     with simulation(values=values) as simulated:
         for name, (count, value) in faults.items():
-            simulated.ask(do="fault", name=name, value=value, count=count)
-        words = sets(values | {"simulation.address": simulated.control})
-        main(["run", "base-frame", "--unattended", "--runs", str(runs), "--name", "x", *words])
-    return alarms_of(read_log(runs / "x"), "x", live=False)
+            simulated.strike(name, value, count=count)
+        run = ran(runs, "base-frame", values | {"simulation.address": simulated.control})
+    return alarms_of(read_log(run.folder), "x", live=False)
 
 
 @pytest.mark.parametrize(("cell", "fault", "value", "codes"), cases())
 def test_a_fault_that_ends_a_run_is_named(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    cell: str,
-    fault: str,
-    value: object,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: str, fault: str, value: object,
     codes: list[str],
-) -> None:
+) -> None:  # fmt: skip
     if fault in WAITS_S:
         monkeypatch.setattr(*WAITS_S[fault])
     count = 1 if fault == "rail.strip_jump" else 0  # 0: for ever

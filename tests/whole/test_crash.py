@@ -18,6 +18,7 @@ from tests.whole.bench import (
     cut,
     end_of,
     events,
+    ran,
     sets,
     simulation,
     sweep,
@@ -90,15 +91,6 @@ def test_a_run_resumes_from_between_any_two_records(
             assert value == pytest.approx(wanted[key], abs=limit_mm), (seq, key)
 
 
-def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: GoldenRuns) -> None:
-    whole = golden["small"]
-    cut(whole.folder, tmp_path / "copy", whole.end["seq"])
-    done = command("resume", "copy", "--runs", tmp_path, "--json")
-    assert done.returncode == whole.done.returncode, done.stderr
-    assert (tmp_path / "copy" / "calibration.json").is_file()
-    assert command("resume", "copy", "--runs", tmp_path).returncode == 2  # it is finished
-
-
 @pytest.mark.process
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "100", *sets(SMALL))
@@ -130,12 +122,11 @@ def test_a_device_that_is_lost_in_mid_run(
 
     def hear(event: dict[str, Any]) -> None:
         if event["kind"] == "point" and event["key"] == moment:
-            assert cell.ask(do="fault", name=fault)["ok"]
+            cell.strike(fault)
 
     with simulation() as cell:
-        words = sets(SMALL | {"simulation.address": cell.control})
-        run = ("run", procedure, "--name", "x", "--json", "--runs", tmp_path)
-        printed = events(command(*run, *words, hear=hear).stdout)
+        values = SMALL | {"simulation.address": cell.control}
+        printed = ran(tmp_path, procedure, values, hear=hear).events
         again = command("resume", "x", "--runs", tmp_path, "--json")
     end, device = printed[-1], fault.partition(".")[0].capitalize()
     assert (end["exit"], end["state"]) == (3, "faulted"), end
@@ -167,4 +158,8 @@ def test_a_calibration_file_that_cannot_be_written_is_owed(
     resumed = command(*words)
     assert resumed.returncode == 0, resumed.stderr
     assert events(resumed.stdout) == []  # nothing is measured, nothing moves
+    assert file.is_file()
+    assert command(*words).returncode == 2  # it is finished
+    file.unlink()
+    assert command(*words).returncode == 0  # a lost file is written again
     assert file.is_file()

@@ -35,7 +35,7 @@ def struck(cell: Simulation | OwnCell, fault: str, value: float, key: str, words
     def hear(event: dict[str, Any]) -> None:
         if event["kind"] == "point" and event["key"] in waiting:
             waiting.clear()
-            assert cell.ask(do="fault", name=fault, value=value)["ok"]
+            cell.strike(fault, value)
 
     done = command(*words, "--json", hear=hear)
     assert not waiting, done.stderr
@@ -64,8 +64,7 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     tmp_path: Path, golden: GoldenRuns
 ) -> None:
     with simulation() as cell:
-        with_bump = (cell, "tracker.drift_step", BUMP_MM, "grid/1-1-1")
-        printed = struck(*with_bump, run(cell, tmp_path))
+        printed = struck(cell, "tracker.drift_step", BUMP_MM, "grid/1-1-1", run(cell, tmp_path))
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 0), end
     assert end["result"]["tracker"]["moved"] == 1
@@ -75,6 +74,7 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     assert all(key.startswith("grid/") for key in moved["invalid"])
     assert judge(printed) == []
     whole = golden["small"].result
+    assert whole["suspicions"] == []
     for place in PLACES:  # a single other station has four targets: their mean scatters
         figures = end["result"]["validation"][place]
         wanted = whole["validation"][place]["chosen"]["mean"]
@@ -89,7 +89,7 @@ def test_a_bump_while_the_nests_are_measured_is_no_moved_nest(tmp_path: Path) ->
         if event["kind"] == "point" and "bumped" not in seen:
             seen.append(event["key"])
             if event["group"] == "control" and seen[-2].startswith("grid/"):  # the first nest
-                assert cell.ask(do="fault", name="tracker.drift_step", value=BUMP_MM)["ok"]
+                cell.strike("tracker.drift_step", BUMP_MM)
                 seen.append("bumped")
 
     with simulation() as cell:
@@ -116,10 +116,6 @@ def test_a_transit_axis_that_tilts_in_mid_run_shows_in_both_faces_at_the_end(
     assert found["unit"] == "urad of the transit axis' tilt"
     assert found["size"] == pytest.approx(100.0, abs=10.0)
     assert judge([*earlier, *printed]) == []
-
-
-def test_an_undisturbed_run_suspects_nothing(golden: GoldenRuns) -> None:
-    assert golden["small"].result["suspicions"] == []
 
 
 # Machines of which half of the eight corrected targets lay outside their bounds by chance, or whose
@@ -202,7 +198,7 @@ def test_a_room_that_becomes_warmer_suspends_the_run_until_it_is_back(tmp_path: 
         assert (end["state"], end["exit"]) == ("faulted", 3), end
         assert end["error"]["code"] == "HC-V14"
         assert [each["cause"] for each in end["result"]["suspicions"]] == ["temperature"]
-        assert cell.ask(do="fault", name="tracker.warmer", value=-8.0, after=4)["ok"]
+        cell.strike("tracker.warmer", -8.0, after=4)
         done = command("resume", "x", "--unattended", "--runs", tmp_path, "--json")
     printed, end = events(done.stdout), end_of(done)
     assert (end["state"], end["exit"]) == ("finished", 0), end

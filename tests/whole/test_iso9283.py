@@ -21,24 +21,35 @@ from hilcell.report.first_page import Certificate, FirstPage
 from hilcell.report.html import ReportText
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
-from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
+from tests.whole.bench import (
+    SEATS,
+    SMALL,
+    Ran,
+    Simulation,
+    command,
+    cut,
+    end_of,
+    events,
+    ran,
+    simulation,
+)
 from tests.whole.trace import judge
 
 pytestmark = pytest.mark.waits
 CYCLES = 4
 SHORT = SMALL | {"base_frame.points": "5", "iso9283.cycles": str(CYCLES)}
 Hear = Callable[[dict[str, Any]], object]
-Ran = tuple[Path, list[dict[str, Any]], Simulation]
+Tested = tuple[Path, list[dict[str, Any]], Simulation]
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
+def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tested]:
     """A run that was done, its folder and events, and its cell, which is still up."""
     runs = tmp_path_factory.mktemp("iso9283")
     with simulation(values=SHORT, name="fixed") as cell:
         done = run(cell, runs, "whole")
-        assert end_of(done)["exit"] == 0, done.stderr
-        yield runs, events(done.stdout), cell
+        assert done.end["exit"] == 0, done.done.stderr
+        yield runs, done.events, cell
 
 
 def run(
@@ -47,10 +58,9 @@ def run(
     name: str,
     more: Mapping[str, str] = MappingProxyType({}),
     hear: Hear | None = None,
-) -> Any:
-    words = sets(SHORT | {"simulation.address": cell.control} | dict(more))
-    where = ("--cell", "fixed", "--runs", runs, "--name", name)
-    return command("run", "iso9283", "--json", "--unattended", *where, *words, hear=hear)
+) -> Ran:
+    values = SHORT | {"simulation.address": cell.control} | dict(more)
+    return ran(runs, "iso9283", values, "--cell", "fixed", name=name, hear=hear)
 
 
 def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
@@ -59,8 +69,8 @@ def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
     return found
 
 
-def test_invariants_hold_and_a_pose_is_approached_from_the_one_before_it(ran: Ran) -> None:
-    _, printed, _ = ran
+def test_invariants_hold_and_a_pose_is_approached_from_the_one_before_it(tested: Tested) -> None:
+    _, printed, _ = tested
     assert judge(printed) == []
     moves = [e for e in printed if e["kind"] == "intent" and e.get("key", "").startswith("iso")]
     assert [move["key"].split("/")[1] for move in moves] == ["P5", "P4", "P3", "P2", "P1"] * CYCLES
@@ -68,8 +78,8 @@ def test_invariants_hold_and_a_pose_is_approached_from_the_one_before_it(ran: Ra
         assert move["from_deg"] == before["joints_deg"]
 
 
-def test_its_figures_are_those_of_the_exported_points(ran: Ran, tmp_path: Path) -> None:
-    runs, printed, _ = ran
+def test_its_figures_are_those_of_the_exported_points(tested: Tested, tmp_path: Path) -> None:
+    runs, printed, _ = tested
     found = printed[-1]["result"]["iso9283"]
     whole = exported(runs, "whole", tmp_path / "whole.json")
     T = np.array(whole["frames"]["base"]["matrix"])
@@ -97,9 +107,9 @@ def test_its_figures_are_those_of_the_exported_points(ran: Ran, tmp_path: Path) 
 
 
 def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
-    ran: Ran, tmp_path: Path
+    tested: Tested, tmp_path: Path
 ) -> None:
-    runs, printed, _ = ran
+    runs, printed, _ = tested
     last = next(e for e in printed if e["kind"] == "point" and e["key"] == "iso9283/P3/002")
     cut(runs / "whole", tmp_path / "cut", last["seq"])
     done = command("resume", "cut", "--runs", tmp_path, "--json", "--unattended")
@@ -120,12 +130,11 @@ def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
     )
 
 
-def test_stated_limits_make_a_verdict(ran: Ran) -> None:
-    runs, _, cell = ran
+def test_stated_limits_make_a_verdict(tested: Tested) -> None:
+    runs, _, cell = tested
     done = run(cell, runs, "strict", {"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"})
-    end = end_of(done)
-    assert (end["exit"], end["state"]) == (1, "finished")
-    assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
+    assert (done.end["exit"], done.end["state"]) == (1, "finished")
+    assert done.result["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
     facts = read_facts(runs / "strict")
     assert FirstPage(facts).verdict_title() == "WOULD FAIL"
     assert ReportText(facts).status() == ("bad", "out of tolerance")
@@ -135,18 +144,15 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     assert [row[-1] for row in sheet.rows] == ["not judged", "(fail)", "not judged", "not judged"]
 
 
-SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
-
-
 def test_several_reflectors_give_the_repeatability_of_angles(tmp_path: Path) -> None:
     """Against scipy's Kabsch rotations of the exported readings."""
+    three = {key: value for key, value in SEATS.items() if key == "robot.more_smr_mm"}
     limits = {"iso9283.rp_limit_deg": "0.5", "iso9283.cycles": "3"}
-    with simulation(values=SHORT | SEATS, name="fixed") as cell:
-        done = run(cell, tmp_path, "angles", SEATS | limits)
-    end = end_of(done)
-    assert end["exit"] == 0, done.stderr
-    assert judge(events(done.stdout)) == []
-    found = end["result"]["iso9283"]
+    with simulation(values=SHORT | three, name="fixed") as cell:
+        done = run(cell, tmp_path, "angles", three | limits)
+    assert done.end["exit"] == 0, done.done.stderr
+    assert judge(done.events) == []
+    found = done.result["iso9283"]
     assert found["not_measured"] == ["AP_a", "AP_b", "AP_c"]
     whole = exported(tmp_path, "angles", tmp_path / "angles.json")
     R_W_B = np.array(whole["frames"]["base"]["matrix"])[:3, :3]
@@ -180,8 +186,8 @@ def report_of(runs: Path, name: str) -> str:
     return page.read_text("utf-8")
 
 
-def test_its_report_has_its_figures(ran: Ran) -> None:
-    runs, printed, _ = ran
+def test_its_report_has_its_figures(tested: Tested) -> None:
+    runs, printed, _ = tested
     found, page = printed[-1]["result"]["iso9283"], report_of(runs, "whole")
     assert_references_resolve(page)
     for figure in ("figure-pose-test", "figure-attained"):
@@ -192,8 +198,8 @@ def test_its_report_has_its_figures(ran: Ran) -> None:
     assert f"{0.8 * 3**0.5 * 900:.3f}" in page  # P2 to P4: 80 % of the diagonal
 
 
-def test_a_calibration_is_tested_by_its_corrected_poses(ran: Ran, tmp_path: Path) -> None:
-    runs, _, cell = ran
+def test_a_calibration_is_tested_by_its_corrected_poses(tested: Tested, tmp_path: Path) -> None:
+    runs, _, cell = tested
     words = ("--set", "iso9283.calibration=nothing", "--cell", "fixed", "--runs", runs)
     done = command("run", "iso9283", *words, "--set", f"simulation.address={cell.control}")
     assert done.returncode == 2
@@ -201,24 +207,23 @@ def test_a_calibration_is_tested_by_its_corrected_poses(ran: Ran, tmp_path: Path
 
 
 @pytest.mark.nightly
-def test_a_bumped_tracker_costs_the_cycles_since_its_proof(ran: Ran, tmp_path: Path) -> None:
-    _, printed, _ = ran
+def test_a_bumped_tracker_costs_the_cycles_since_its_proof(tested: Tested, tmp_path: Path) -> None:
+    _, printed, _ = tested
     with simulation(values=SHORT, name="fixed") as cell:
         bumped: list[str] = []
 
         def hear(event: dict[str, Any]) -> None:
             if event.get("key") == "iso9283/P3/001" and event["kind"] == "point" and not bumped:
                 bumped.append(event["key"])
-                assert cell.ask(do="fault", name="tracker.drift_step", value=0.5)["ok"]
+                cell.strike("tracker.drift_step", 0.5)
 
         done = run(cell, tmp_path, "bumped", hear=hear)
-    end = end_of(done)
-    assert end["exit"] == 0, done.stderr
-    assert end["result"]["tracker"]["moved"] == 1
-    assert judge(events(done.stdout)) == []
-    moves = [e for e in events(done.stdout) if e["kind"] == "intent" and "from_deg" in e]
+    assert done.end["exit"] == 0, done.done.stderr
+    assert done.result["tracker"]["moved"] == 1
+    assert judge(done.events) == []
+    moves = [e for e in done.events if e["kind"] == "intent" and "from_deg" in e]
     assert len(moves) == 2 * 5 * CYCLES
-    again = end["result"]["iso9283"]["poses"]
+    again = done.result["iso9283"]["poses"]
     for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
         assert again[name]["count"] == CYCLES
         assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)

@@ -13,7 +13,7 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_for
 from hilcell.tui.text.points import point_page, row_of
 from hilcell.tui.text.side import side_lines
-from tests.whole.bench import SMALL, command, sets
+from tests.whole.bench import SMALL, ran
 from tests.whole.golden import GoldenRuns
 
 LOOK = PlotStyle()
@@ -21,11 +21,10 @@ LOOK = PlotStyle()
 
 def view_of(runs: Path, procedure: str, cell: str, values: dict[str, str]) -> RunView:
     """Return the view of a run that was done in a cell of its own."""
-    words = ["--unattended", "--name", "R", "--runs", str(runs), *sets(values)]
-    done = command("run", procedure, "--cell", cell, *words)
-    assert done.returncode == 0, done.stderr
-    view = RunView("R")
-    for record in read_records(runs / "R"):
+    run = ran(runs, procedure, values, "--cell", cell)
+    assert run.done.returncode == 0, run.done.stderr
+    view = RunView("x")
+    for record in read_records(run.folder):
         view.take(record)
     return view
 

@@ -28,7 +28,17 @@ from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.geometry.kinematics import forward
-from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped, Sweeps
+from hilcell.ports import (
+    Array,
+    DeviceError,
+    DeviceRefused,
+    JointSample,
+    Robot,
+    Stopped,
+    Sweep,
+    Sweeps,
+)
+from tests.drivers.peers import refusal
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import RtdeClient, connected
 from tests.whole.bench import Engine, sets, simulation
@@ -107,6 +117,29 @@ def robot(bench: Bench) -> Iterator[UrRtdeRobot]:
     robot.close()
 
 
+def refused(bench: Bench, **options: Any) -> str:
+    """Return the alarm by which a robot is refused when it is connected."""
+    error = refusal(bench.robot(**options).connect)
+    assert isinstance(error, DeviceRefused)
+    return error.code
+
+
+def works(bench: Bench) -> None:
+    """Connect and move."""
+    robot = bench.robot()
+    robot.connect()
+    assert robot.move_to(TARGET, 100.0).still
+    robot.close()
+
+
+def samples_of(sweep: Sweep) -> list[JointSample]:
+    """Return the samples of a sweep that was just started, until it has ended."""
+    samples = []
+    while not sweep.ended:
+        samples.append(sweep.collect())
+    return samples
+
+
 def test_it_goes_where_it_is_sent(bench: Bench) -> None:
     robot = bench.robot()
     port: Robot = robot
@@ -116,20 +149,17 @@ def test_it_goes_where_it_is_sent(bench: Bench) -> None:
     assert (identity.simulated, identity.maker) == (True, "Universal Robots")
     reading = port.move_to(TARGET, 100.0)
     assert reading.still
+    assert reading.by_factory_links
     assert np.abs(reading.joints_rad - TARGET).max() < 2e-5
     assert np.abs(reading.pose - forward(LAB.robot.arm(), reading.joints_rad)).max() < 1e-6
     assert reading.ended_s is not None
     assert reading.taken_s >= reading.ended_s
     again = port.read()
     assert again.still
+    assert again.by_factory_links
     assert again.taken_s > reading.taken_s
     port.close()
     until(lambda: bench.controller.ask("running").endswith("false"))
-
-
-def test_poses_are_by_the_links_that_the_factory_has_measured(robot: UrRtdeRobot) -> None:
-    assert robot.read().by_factory_links
-    assert robot.move_to(TARGET, 100.0).by_factory_links
 
 
 def test_packages_that_are_split_and_glued(bench: Bench, robot: UrRtdeRobot) -> None:
@@ -172,9 +202,8 @@ def test_a_fault_in_a_motion(
     if fault in WAITS_S:
         monkeypatch.setattr(robot_ur_rtde, *WAITS_S[fault])
     bench.faults.set(fault, value, count=0)
-    with pytest.raises(DeviceError) as found:
-        robot.move_to(TARGET, 100.0 if fault in WAITS_S else 2.0)  # a busy PC, too, sees it move
-    assert found.value.code == code
+    speed = 100.0 if fault in WAITS_S else 2.0  # a busy PC, too, polls while it moves
+    assert refusal(lambda: robot.move_to(TARGET, speed)).code == code
     assert entry_of(code).do
     if fault in PROVES_NOTHING:
         monkeypatch.setattr(robot_ur_rtde.Release, "RELEASE_S", 0.2)
@@ -185,53 +214,34 @@ def test_a_fault_in_a_motion(
 
 @pytest.mark.parametrize(
     ("status", "code"),
-    [
-        (2, "HC-B61"),
-        (3, "HC-B62"),
-        (4, "HC-B65"),
-        (5, "HC-B11"),
-        (6, "HC-B10"),
-        (7, "HC-B10"),
-        (8, "HC-B63"),
-        (9, "HC-B64"),
-        (11, "HC-B65"),
-    ],
-)
+    [(2, "HC-B61"), (3, "HC-B62"), (4, "HC-B65"), (5, "HC-B11"), (6, "HC-B10"), (7, "HC-B10"),
+     (8, "HC-B63"), (9, "HC-B64"), (11, "HC-B65")],
+)  # fmt: skip
 def test_each_safety_status_is_refused(bench: Bench, status: int, code: str) -> None:
     bench.controller.safety = status
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot().connect()
-    assert found.value.code == code
+    assert refused(bench) == code
 
 
 def test_reduced_mode_ends_a_motion(bench: Bench, robot: UrRtdeRobot) -> None:
     bench.controller.safety = 2
-    with pytest.raises(DeviceError) as found:
-        robot.move_to(TARGET, 100.0)
-    assert found.value.code == "HC-B61"
+    assert refusal(lambda: robot.move_to(TARGET, 100.0)).code == "HC-B61"
 
 
 def test_local_control_is_refused(bench: Bench) -> None:
     bench.controller.remote = False
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot().connect()
-    assert found.value.code == "HC-B60"
+    assert refused(bench) == "HC-B60"
 
 
 def test_ports_that_were_mixed_up_are_named(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Dashboard, "ANSWER_S", 0.5)  # there is nobody who would answer
     of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
     for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):
-        with pytest.raises(DeviceError) as found:
-            bench.robot(**{option: port}).connect()
-        assert option in found.value.found
+        assert option in refusal(bench.robot(**{option: port}).connect).found
 
 
 @pytest.mark.parametrize("options", [{"model": "UR5e"}, {"serial": "20225500148"}])
 def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None:
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot(**options).connect()
-    assert found.value.code == "HC-B05"
+    assert refused(bench, **options) == "HC-B05"
 
 
 def test_a_program_of_somebody_else_is_left_alone(
@@ -239,16 +249,12 @@ def test_a_program_of_somebody_else_is_left_alone(
 ) -> None:
     monkeypatch.setattr(robot_ur_rtde.UrRtdeRobot, "BRAKED_S", 0.2)
     bench.play(OTHER)
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot().connect()
-    assert found.value.code == "HC-B67"
+    assert refused(bench) == "HC-B67"
     assert bench.controller.ask("programState") == "PLAYING other"
 
 
 def test_registers_have_one_writer(bench: Bench, robot: UrRtdeRobot) -> None:
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot().connect()
-    assert found.value.code == "HC-B68"
+    assert refused(bench) == "HC-B68"
     assert robot.move_to(TARGET, 100.0).still
 
 
@@ -283,9 +289,7 @@ def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
     until(lambda: bool(errors))
     assert isinstance(errors[0], Stopped)
     until(lambda: not bench.truth.robot.moving)
-    with pytest.raises(DeviceError) as found:
-        robot.move_to(HOME, 100.0)
-    assert found.value.code == "HC-B21"
+    assert refusal(lambda: robot.move_to(HOME, 100.0)).code == "HC-B21"
 
 
 def close_idle_panels(bench: Bench) -> None:
@@ -381,11 +385,10 @@ def test_close_names_a_script_that_plays_on(
     monkeypatch.setattr(robot_ur_rtde.Release, "RELEASE_S", 0.2)
     lose_the_stop_register(bench, monkeypatch)
     refuse_stops(bench, monkeypatch)
-    with pytest.raises(DeviceError) as found:
-        robot.close()
-    assert found.value.code == "HC-B71"
-    assert "runtime_state is 2 (playing)" in found.value.found
-    assert "Failed to execute: stop" in found.value.found
+    error = refusal(robot.close)
+    assert error.code == "HC-B71"
+    assert "runtime_state is 2 (playing)" in error.found
+    assert "Failed to execute: stop" in error.found
     robot.close()  # all wires are closed, nothing is left to confirm
 
 
@@ -401,18 +404,13 @@ def test_another_client_moves_nothing_after_close(
 
 def test_a_script_is_ended_where_connect_fails_behind_it(bench: Bench) -> None:
     bench.faults.set("robot.wrong_tool")
-    with pytest.raises(DeviceRefused) as found:
-        bench.robot().connect()
-    assert found.value.code == "HC-B06"
+    assert refused(bench) == "HC-B06"
     assert bench.controller.ask("running").endswith("false")
 
 
 def test_a_script_left_behind_is_ended_by_the_next_connect(bench: Bench) -> None:
     bench.play(script_text(5))
-    robot = bench.robot()
-    robot.connect()
-    assert robot.move_to(TARGET, 100.0).still
-    robot.close()
+    works(bench)
 
 
 def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
@@ -431,10 +429,7 @@ def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
     monkeypatch.setattr(controller, "state", stopping)
     ask = controller.ask  # the panel has no state of its own for a program that stops
     monkeypatch.setattr(controller, "ask", lambda line: ask(line).replace("STOPPING", "STOPPED"))
-    robot = bench.robot()
-    robot.connect()
-    assert robot.move_to(TARGET, 100.0).still
-    robot.close()
+    works(bench)
 
 
 def test_a_script_of_ours_that_brakes_is_no_program_of_somebody_else(
@@ -446,10 +441,7 @@ def test_a_script_of_ours_that_brakes_is_no_program_of_somebody_else(
     monkeypatch.setattr(
         bench.controller, "_run", lambda: inner() if next(loops, None) is None else None
     )
-    robot = bench.robot()
-    robot.connect()
-    assert robot.move_to(TARGET, 100.0).still
-    robot.close()
+    works(bench)
 
 
 def test_registers_that_arrive_after_the_script_move_nothing(bench: Bench) -> None:
@@ -480,9 +472,7 @@ def test_a_sweep_at_its_speed(bench: Bench, robot: UrRtdeRobot) -> None:
     with robot.sweep(2, end, float(np.radians(20.0))) as sweep:
         assert sweep.speed_rad_s == pytest.approx(np.radians(20.0))
         sweep.kickoff()
-        samples = []
-        while not sweep.ended:
-            samples.append(sweep.collect())
+        samples = samples_of(sweep)
         reading = sweep.complete()
     assert reading.joints_rad[2] == pytest.approx(end, abs=1e-5)
     turned = np.array([sample.joints_rad for sample in samples])
@@ -499,9 +489,7 @@ def test_the_joints_of_a_sweep_bear_the_controller_s_time(bench: Bench, robot: U
         robot.move_to(start, 100.0)
         with robot.sweep(2, float(start[2] + 0.8), 0.1) as sweep:
             sweep.kickoff()
-            samples = [sweep.collect()]
-            while not sweep.ended:
-                samples.append(sweep.collect())
+            samples = [sweep.collect(), *samples_of(sweep)]
             sweep.complete()
         turned = np.array([(s.device_s, s.joints_rad[2]) for s in samples])
         inner = turned[(turned[:, 1] > start[2] + 0.05) & (turned[:, 1] < start[2] + 0.75)]
@@ -593,28 +581,21 @@ def test_the_slider_must_stay_during_a_sweep(bench: Bench, robot: UrRtdeRobot) -
         with robot.sweep(0, float(FAR[0]), 0.5) as sweep:
             sweep.kickoff()
             bench.controller.slide(0.5)
-            while not sweep.ended:
-                sweep.collect()
+            samples_of(sweep)
 
-    with pytest.raises(DeviceError) as found:
-        sweep_on()
-    assert found.value.code == "HC-B70"
+    assert refusal(sweep_on).code == "HC-B70"
 
 
 @pytest.mark.parametrize(
     ("axis", "end", "speed"), [(6, 0.0, 0.1), (0, np.nan, 0.1), (0, 1.0, 9.0), (0, 1.0, np.nan)]
 )
 def test_an_impossible_sweep(robot: UrRtdeRobot, axis: int, end: float, speed: float) -> None:
-    with pytest.raises(DeviceError) as found:
-        robot.sweep(axis, end, speed)
-    assert found.value.code == "HC-B28"
+    assert refusal(lambda: robot.sweep(axis, end, speed)).code == "HC-B28"
 
 
 @pytest.mark.parametrize(("joint", "speed"), [(np.nan, 50.0), (0.0, 0.0), (0.0, np.nan)])
 def test_an_impossible_motion(robot: UrRtdeRobot, joint: float, speed: float) -> None:
-    with pytest.raises(DeviceError) as found:
-        robot.move_to(HOME * 0 + joint, speed)
-    assert found.value.code == "HC-B28"
+    assert refusal(lambda: robot.move_to(HOME * 0 + joint, speed)).code == "HC-B28"
 
 
 @pytest.mark.process
@@ -670,7 +651,5 @@ def test_a_clock_that_stands_is_refused(
     state = robot.link().fresh()
     monkeypatch.setattr(UrLink, "next", lambda link: state)
     monkeypatch.setattr(UrLink, "fresh", lambda link, patiently=False: state)
-    with pytest.raises(DeviceError) as found:
-        robot.rest(state.joints_rad)
-    assert found.value.code == "HC-B26"
+    assert refusal(lambda: robot.rest(state.joints_rad)).code == "HC-B26"
     monkeypatch.undo()

@@ -11,7 +11,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -546,13 +545,6 @@ def test_a_line_that_was_renamed_is_found_by_its_new_name_only(tmp_path: Path, m
         assert tracker.connect()[0].address == str(name)
         tracker.close()
         assert os.path.lexists(name)
-
-
-@pytest.mark.parametrize("channel", ["", "http://x:1", "socket://x", "COM3@fast"])
-def test_wrong_channels_are_refused_with_the_options(channel: str) -> None:
-    values = {"channel": channel, "reflector": SMR, "max_std_mm": 1.0, "find_radius_mm": 5.0}
-    with pytest.raises(msgspec.ValidationError, match="channel"):
-        msgspec.convert(values, Quick.Options)
 
 
 def test_a_stop_ends_a_wait_and_the_motion(
