@@ -258,7 +258,7 @@ def test_a_verdict_of_a_plug_in_passes_through_journal_show_and_export(tmp_path:
     facts = read_facts(folder)
     assert facts.log.verdicts == {"glue-bond": OtherVerdict(holds=False, facts=BOND)}
     (row,) = verdicts_table(facts).texts()
-    assert row == ["glue bond", "does not hold", "worst 0.2500 mm, count 3, dry yes"]
+    assert row == ["glue bond", "fails", "worst 0.2500 mm, count 3, dry yes"]
     shown = json.loads(command("show", "r", "--json", "--runs", tmp_path).stdout)
     assert shown["verdicts"]["glue-bond"] == {"holds": False} | BOND
     out = tmp_path / "verdicts"
