@@ -33,7 +33,7 @@ def validation_table(result: Result) -> Table:
     places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
     rows = list[tuple[Value, ...]]()
     for where, place in places.items():
-        judged = "" if place.decision is None else f", {place.decision.outcome.words}"
+        judged = "" if place.decision is None else f", {place.decision.outcome.text}"
         named = {way: Named(way, way.text) for way in Sent}
         named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
         for way, errors in place.sent.items():

@@ -154,7 +154,7 @@ def judgement(log: Log, stations: list[str]) -> Decided:
     return Decided(
         outcome=outcome,
         targets=counts,
-        text=f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
+        text=f"{outcome.text} after {' + '.join(map(str, counts))} targets: {text}",
         accept_risk=plan.accept_risk,
         reject_risk=plan.reject_risk,
         share_above_max=plan.share_above_max,

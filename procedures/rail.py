@@ -66,7 +66,7 @@ class RailSurvey:
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))
-        ids = [PointId("survey", way=way, number=number, nest=name) for name in names]
+        ids = [PointId("survey", direction=way, number=number, nest=name) for name in names]
         if all(session.log.find(id) for id in ids):
             return
         session.rail_to(position_mm)
@@ -116,7 +116,7 @@ def surveyed(log: Log) -> SurveyedRail:
 
 def path_mm(log: Log, way: str, name: str) -> Array:
     """Return one reflector's positions (N, 3) in {W} in the order of the stops."""
-    points = [point for point in log.select("survey", way=way) if point.id.nest == name]
+    points = [point for point in log.select("survey", direction=way) if point.id.nest == name]
     return apply(log.matrix("world"), positions_mm(points))
 
 
@@ -248,7 +248,7 @@ class StationRepeatability:
         session.judge("station-repeatability", judged)
 
     def _visit(self, session: CellSession, how: str, way: str, number: int, side: int) -> None:
-        id = PointId("repeat", how=how, way=way, number=number, side=side)
+        id = PointId("repeat", how=how, direction=way, number=number, side=side)
         if session.log.find(id):
             return
         station = session.cell.reference
@@ -278,7 +278,7 @@ def random_sides(seed: int, repeats: int) -> list[int]:
 
 def approaches(log: Log, how: str, way: str) -> Approaches:
     """Return the figures of one kind of approach."""
-    points = log.select("repeat", how=how, way=way)
+    points = log.select("repeat", how=how, direction=way)
     points_mm, R = positions_mm(points), log.matrix("world")[:3, :3]
     along_mm = points_mm @ R.T @ np.array(log.cell.layout.rail_direction)
     above = np.array([point.id.side > 0 for point in points])

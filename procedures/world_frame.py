@@ -153,7 +153,9 @@ class TwoFaces:
         if found is None:  # the tracker was moved meanwhile: no front of this set-up
             return
         wrong = [] if found.holds else [found.text]
-        judged = FacesCompared(holds=found.holds, nests=found.nests, found=found.text, wrong=wrong)
+        judged = FacesCompared(
+            holds=found.holds, nests=found.nests, summary=found.text, wrong=wrong
+        )
         session.judge(self._verdict, judged)
         if wrong:
             session.pause(f"the tracker's axes are off: {found.text}")

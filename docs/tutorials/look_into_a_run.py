@@ -64,7 +64,7 @@ print(f"base of the robot: {np.round(run.frames['base'].T[:3, 3], 2)} mm in {{W}
 
 # %%
 for key, verdict in run.verdicts.items():
-    print(f"  {key:18} {verdict.outcome.value:10} {verdict.words.splitlines()[0][:60]}")
+    print(f"  {key:18} {verdict.outcome.value:10} {verdict.text.splitlines()[0][:60]}")
 judged = run.result["validation"]["S1100"]
 before_mm, after_mm = judged["before"]["mean"], judged["chosen"]["mean"]
 print(f"mean error at S1100: {before_mm:.2f} mm as sent, {after_mm:.2f} mm corrected")

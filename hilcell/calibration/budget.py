@@ -204,7 +204,7 @@ class _Lines:
 
     def _strip(self) -> Influence:
         along = np.array(self.log.cell.layout.rail_direction)
-        again = self.log.select("repeat", how="strip", way="random")
+        again = self.log.select("repeat", how="strip", direction="random")
         if len(again) > 1:
             at_mm = apply(self.log.matrix("world"), positions_mm(again)) @ along
             held_mm2, freedom = float(at_mm.var(ddof=1)) * np.outer(along, along), len(again) - 1

@@ -60,7 +60,7 @@ def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
         Cause.CHANGED_SINCE,
         worst.now - worst.then,
         f"{worst.unit} of {worst.name}",
-        f"the calibration of run {run}: {worst.words}",
+        f"the calibration of run {run}: {worst.text}",
     )
 
 

@@ -109,7 +109,7 @@ class TargetPass(msgspec.Struct, frozen=True):
     run: str
     names: list[str]
     poses: list[tuple[float, float, float, float, float, float]]
-    remainders_mm: list[tuple[float, float, float]]
+    residuals_mm: list[tuple[float, float, float]] = msgspec.field(name="remainders_mm")
     own_mm2: list[list[list[float]]]
     common: list[list[float]]
 
@@ -119,14 +119,14 @@ class TargetPass(msgspec.Struct, frozen=True):
             self,
             names=[self.names[n] for n in kept],
             poses=[self.poses[n] for n in kept],
-            remainders_mm=[self.remainders_mm[n] for n in kept],
+            residuals_mm=[self.residuals_mm[n] for n in kept],
             own_mm2=[self.own_mm2[n] for n in kept],
         )
 
     def measured(self) -> Pass:
         return Pass(
             poses_from_zyx(np.array(self.poses, dtype=float).reshape(-1, 6)),
-            np.array(self.remainders_mm, dtype=float).reshape(-1, 3),
+            np.array(self.residuals_mm, dtype=float).reshape(-1, 3),
             np.array(self.own_mm2, dtype=float).reshape(-1, 3, 3),
             np.array(self.common, dtype=float),
         )
@@ -138,7 +138,7 @@ class Targets(msgspec.Struct, frozen=True):
     variance_mm2: float
     passes: list[TargetPass]
 
-    def remainder(self) -> TargetResiduals:
+    def residuals(self) -> TargetResiduals:
         return TargetResiduals([each.measured() for each in self.passes], self.variance_mm2)
 
 
@@ -197,7 +197,7 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     def _error_model(self) -> ErrorModel:  # to restore one and check it takes 7 ms
         model = self.learnt_model()
         return (
-            model if self.targets is None else WithTargetResiduals(model, self.targets.remainder())
+            model if self.targets is None else WithTargetResiduals(model, self.targets.residuals())
         )
 
     def learnt_model(self) -> ErrorModel:
@@ -451,7 +451,7 @@ class _Checks:
             at, count = f"targets of run {each.run[:40]}", len(each.names)
             for name, values, shape, most in (
                 ("poses", each.poses, (count, 6), MOST_MM),
-                ("remainders_mm", each.remainders_mm, (count, 3), self.MOST_ERROR_MM),
+                ("remainders_mm", each.residuals_mm, (count, 3), self.MOST_ERROR_MM),
                 ("own_mm2", each.own_mm2, (count, 3, 3), self.MOST_ERROR_MM**2),
             ):
                 found = self._array(values)
@@ -477,7 +477,7 @@ class _Checks:
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:
-                yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
+                yield f"{at}: is said to hold, but its figures do not: {each.figures_text}"
 
     @staticmethod
     def _is_covariance(found: Array) -> bool:

@@ -113,7 +113,7 @@ class StraightPath:
     covariance_mm2: Array
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Return in words what was corrected and what is left."""
         most_mm = float(lengths_mm(self.shift_mm).max())
         left_mm = float(bounds95_mm(self.covariance_mm2).max())

@@ -311,7 +311,7 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
             "it as well; see that it sits; if it had slipped, seat it, revoke this run and re-check"
         )
 
-    def words_of_worst(self, worst: int) -> str:
+    def verdict_text(self, worst: int) -> str:
         """Return the verdict as a technician reads it."""
         spread = 2.0 * self.u_mm
         match self.verdict:
@@ -344,7 +344,7 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
         pose, causes = self.poses[worst], self.suspicions
         hint = "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
         if causes:
-            hint = f"It would be explained by: {'; or '.join(each.words for each in causes[:3])}."
+            hint = f"It would be explained by: {'; or '.join(each.label for each in causes[:3])}."
             if causes[0].cause is Cause.MOUNT_SLIPPED:
                 hint += (
                     " Seat the reflector again, take this re-check back with `hilcell revoke`, and "
@@ -416,4 +416,4 @@ def recheck_result(log: Log) -> RecheckResult:
         ],
         suspicions=suspicions(found, judgement, log.cell.robot.arm(), commanded_rad(points)),
     )
-    return msgspec.structs.replace(result, text=result.words_of_worst(judgement.worst))
+    return msgspec.structs.replace(result, text=result.verdict_text(judgement.worst))

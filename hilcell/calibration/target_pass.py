@@ -49,8 +49,8 @@ def target_points(log: Log) -> list[Point]:
 def gross_targets(log: Log) -> list[str]:
     """Return the targets that stand out from all others."""
     points, (this, poses) = target_points(log), _pass(log)
-    remainder = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
-    sigmas = remainder.sigmas()
+    residuals = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
+    sigmas = residuals.sigmas()
     gross = 5.0
     return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= gross]
 
@@ -64,8 +64,8 @@ def folded(log: Log, run: str) -> Calibration:
     if not passes:
         return calibration
     measured = [each.measured() for each in passes]
-    remainder = TargetResiduals.learn(measured, _stated_mm2(calibration, poses))
-    return msgspec.structs.replace(calibration, targets=Targets(remainder.variance_mm2, passes))
+    residuals = TargetResiduals.learn(measured, _stated_mm2(calibration, poses))
+    return msgspec.structs.replace(calibration, targets=Targets(residuals.variance_mm2, passes))
 
 
 class TargetError(msgspec.Struct, frozen=True):
@@ -130,7 +130,7 @@ def targets_result(log: Log) -> TargetsResult:
     )
     left, moved = np.ones(1), moved_together(log)
     if after.targets is not None:
-        left = after.targets.remainder().at(_pass(log)[1])[1]
+        left = after.targets.residuals().at(_pass(log)[1])[1]
     return TargetsResult(
         calibration=calibration.provenance.latest,
         station=station,
@@ -183,12 +183,12 @@ def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
     found = visited(log, points, points[0].station)
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
     model_mm = _predicted(calibration, poses).error_mm
-    remainders_mm = found.actual_mm - poses[:, :3, 3] - model_mm
+    residuals_mm = found.actual_mm - poses[:, :3, 3] - model_mm
     this = TargetPass(
         run,
         [point.id.target for point in points],
         [tuple(row) for row in zyx_from_pose(poses).tolist()],
-        [tuple(row) for row in remainders_mm.tolist()],
+        [tuple(row) for row in residuals_mm.tolist()],
         found.own_mm2.tolist(),
         found.common.tolist(),
     )

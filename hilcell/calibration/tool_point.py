@@ -68,8 +68,8 @@ class Tip:
         return STANDOFF_MORE_MM if self.table is None else self.table.least_standoff_mm
 
     @property
-    def words(self) -> str:
-        """Return where targets, corrections and bounds hold, in words."""
+    def scope(self) -> str:
+        """Return for which point targets, corrections and bounds are valid."""
         if self.table is None:
             return "they hold at the reflector's centre"
         return (

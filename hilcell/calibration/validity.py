@@ -82,7 +82,7 @@ def out_of_tolerance(
     if not calibration.verdicts:
         return ["its correction was never validated: its run ended before, or measures none"]
     reasons = [
-        f"validation at {place}: {each.decision}: {each.figure_words}"
+        f"validation at {place}: {each.decision}: {each.figures_text}"
         for place, each in calibration.verdicts.items()
         if not each.holds
     ]
@@ -91,7 +91,7 @@ def out_of_tolerance(
         reasons += [
             f"validation at {place} had another tolerance than the cell given, which has mean "
             f"{limits.mean_mm:g} and largest {limits.max_mm:g} mm{turn}: "
-            f"{each.figure_words}"
+            f"{each.figures_text}"
             for place, each in calibration.verdicts.items()
             if limits != each.limits
         ]

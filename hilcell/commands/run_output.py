@@ -297,7 +297,7 @@ def kind_of(log: Log) -> str:
 def failure_text(key: str, verdict: Verdict) -> str:
     """Return a failed verdict as text: its outcome, its subject, the decisive values."""
     code = code_of_verdict(key, verdict.outcome)
-    text = f"{verdict.outcome.words}: {verdict_label(key)}: {verdict.why}"
+    text = f"{verdict.outcome.text}: {verdict_label(key)}: {verdict.why}"
     return f"{text} (hilcell explain {code})"
 
 

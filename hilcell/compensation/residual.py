@@ -1,9 +1,9 @@
 """The error that a model leaves at targets which were measured, folded in by its share.
 
-A measured remainder is the model's own error, the visit's repeatability, its reading, and the
-frames of that day, which moved all targets together. Only the first comes back, so a remainder
+A measured residual is the model's own error, the visit's repeatability, its reading, and the
+frames of that day, which moved all targets together. Only the first comes back, so a residual
 counts by the first's share of the whole variance: subtracting it in full folds one visit's noise
-into the command. The share follows from the remainders themselves, by marginal likelihood.
+into the command. The share follows from the residuals themselves, by marginal likelihood.
 Between targets the model's errors are taken as independent: gear ripple and all else that a smooth
 model leaves changes within centimetres.
 
@@ -35,14 +35,14 @@ class Pass:
     """
 
     poses: Array
-    remainders_mm: Array
+    residuals_mm: Array
     own_mm2: Array
     common: Array
 
     def every(self, step: int) -> Pass:
         """Return each ``step``-th target."""
         some = slice(None, None, step)
-        return Pass(self.poses[some], self.remainders_mm[some], self.own_mm2[some], self.common)
+        return Pass(self.poses[some], self.residuals_mm[some], self.own_mm2[some], self.common)
 
 
 class TargetResiduals:
@@ -74,7 +74,7 @@ class TargetResiduals:
         return self._known.poses
 
     def at(self, poses: Array) -> tuple[Array, Array]:
-        """Return remainders (M, 3) in {B} at poses (M, 4, 4), the share (M,) of variance left."""
+        """Return residuals (M, 3) in {B} at poses (M, 4, 4), the share (M,) of variance left."""
         known = self._known
         mean_mm, left = np.zeros((len(poses), 3)), np.ones(len(poses))
         near, nearest = known.nearest(poses)
@@ -88,7 +88,7 @@ class TargetResiduals:
         return mean_mm, left
 
     def sigmas(self) -> Array:
-        """Return the remainders (N,) in standard deviations of a coordinate, each by the others."""
+        """Return the residuals (N,) in standard deviations of a coordinate, each by the others."""
         sigmas = np.empty(len(self.poses))
         for group, inverse in zip(self._known.groups, self._inverses, strict=True):
             count, size = group.members.shape
@@ -105,12 +105,12 @@ class WithTargetResiduals:
     """A model with what was measured of its error folded in; its covariance shrinks with it."""
 
     model: ErrorModel
-    remainder: TargetResiduals
+    residuals: TargetResiduals
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at poses (N, 4, 4) in {B}; raises as the model does."""
         found = self.model.predict(poses)
-        mean_mm, left = self.remainder.at(poses)
+        mean_mm, left = self.residuals.at(poses)
         covariance_mm2 = found.covariance_mm2 * left[:, None, None]
         return Prediction(found.error_mm + mean_mm, covariance_mm2, found.orientation)
 
@@ -139,7 +139,7 @@ class _Known:
 
     poses: Array
     places: Array
-    remainders_mm: Array
+    residuals_mm: Array
     levers: Array  # (N, 3, 7 P), by pass
     common: Array  # (7 P, 7 P)
     groups: list[_Groups]
@@ -162,7 +162,7 @@ class _Known:
         return cls(
             poses,
             places,
-            np.concatenate([each.remainders_mm for each in passes]),
+            np.concatenate([each.residuals_mm for each in passes]),
             levers,
             np.array(block_diag(*(each.common for each in passes))),
             [_Groups.of(members, places, own_mm2) for members in cls._members(places)],
@@ -181,11 +181,11 @@ class _Known:
     def solved(self, variance_mm2: float) -> tuple[Array, list[Array], float]:
         """Return the solution under a variance of the model's error.
 
-        The inverse covariance times the remainders (N, 3), its diagonal blocks as `_Groups` has
+        The inverse covariance times the residuals (N, 3), its diagonal blocks as `_Groups` has
         them, and the logarithm of the likelihood.
         """
         alone, log_det = [], 0.0
-        weighted, levered = np.empty_like(self.remainders_mm), np.empty_like(self.levers)
+        weighted, levered = np.empty_like(self.residuals_mm), np.empty_like(self.levers)
         for members, alike, own_mm2 in self.groups:
             inverse = np.linalg.inv(variance_mm2 * alike + own_mm2)
             alone.append(inverse)
@@ -193,7 +193,7 @@ class _Known:
             both = np.concatenate(
                 [
                     self._rows(self.levers, members),
-                    self._rows(self.remainders_mm[..., None], members),
+                    self._rows(self.residuals_mm[..., None], members),
                 ],
                 axis=-1,
             )
@@ -208,7 +208,7 @@ class _Known:
         for (members, _, _), inverse in zip(self.groups, alone, strict=True):
             U = self._rows(levered, members)
             inverses.append(inverse - U @ inner @ np.swapaxes(U, -1, -2))
-        square = float(self.remainders_mm.reshape(-1) @ pull.reshape(-1))
+        square = float(self.residuals_mm.reshape(-1) @ pull.reshape(-1))
         return pull, inverses, -0.5 * (square + log_det)
 
     @staticmethod

@@ -194,7 +194,7 @@ class Body:
     """An arm with its shape, among boxes that stand in {W} and boxes that ride on its slide.
 
     ``base`` is {B} in {W} (4, 4) with the slide at 0, ``direction`` (3,) that of the slide in {W};
-    riding boxes are given in {B}.
+    carried boxes are given in {B}.
     """
 
     RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
@@ -203,8 +203,8 @@ class Body:
     capsules: Capsules
     base: Array
     direction: Array
-    standing: Boxes
-    riding: Boxes
+    fixed: Boxes
+    carried: Boxes
 
     def prove(self, start: Array, end: Array, wanted_mm: float) -> Proof:
         """Judge motions between postures (N, 7)."""
@@ -261,13 +261,13 @@ class Body:
         """Return all boxes (V,) in {B} with the slide at 0, and its direction (V, 3), the axes of
         each box; 0 for those that ride.
         """
-        standing, riding, T_B_W = self.standing, self.riding, inverse(self.base)
+        fixed, carried, T_B_W = self.fixed, self.carried, inverse(self.base)
         boxes = Boxes(
-            np.concatenate([T_B_W @ standing.frames, riding.frames]),
-            np.concatenate([standing.half_mm, riding.half_mm]),
+            np.concatenate([T_B_W @ fixed.frames, carried.frames]),
+            np.concatenate([fixed.half_mm, carried.half_mm]),
         )
         along = (boxes.axes @ T_B_W[:3, :3] @ self.direction).reshape(-1, 3)
-        along[len(standing.half_mm) :] = 0.0
+        along[len(fixed.half_mm) :] = 0.0
         return boxes, along
 
     @cached_property

@@ -45,7 +45,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
         rechecked = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
         words = rechecked.get(self.recheck, "")
         if not words and self.outcome is not None:
-            words = self.outcome.words
+            words = self.outcome.text
         elif not words and self.kind == "made" and not self.validated:
             words = "not validated"
         return "; ".join(filter(None, (words, SUSPECTED if self.suspected else "")))
@@ -110,6 +110,6 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
         return "not begun"
     if state != "finished":
         return state
-    if code and facts.verdict in ("", Outcome.ACCEPTED.words):
-        return Outcome.REJECTED.words
+    if code and facts.verdict in ("", Outcome.ACCEPTED.text):
+        return Outcome.REJECTED.text
     return facts.verdict or NOT_JUDGED[0 if points else 1]

@@ -31,10 +31,10 @@ def point_label(key: str, log: Log) -> str:
     """Return a key in words, with the station where that is known."""
     point = log.points.get(key)
     if point is not None:
-        return point.id.words(point.station)
+        return point.id.text(point.station)
     id = point_id(key, log)
     of_grid = id.kind == "grid" and log.plan is not None and not id.station
-    return id.words(log.cell.grid.station if of_grid else "")
+    return id.text(log.cell.grid.station if of_grid else "")
 
 
 def verdict_label(key: str) -> str:

@@ -450,7 +450,7 @@ class Log:
     def decided(self) -> Outcome | None:
         """Return the outcome; None where nothing was judged and no check failed."""
         facts = self.facts
-        if self.end is not None and self.end.exit and facts.verdict in ("", Outcome.ACCEPTED.words):
+        if self.end is not None and self.end.exit and facts.verdict in ("", Outcome.ACCEPTED.text):
             return Outcome.REJECTED
         return facts.outcome
 
@@ -481,7 +481,7 @@ class Log:
         station: str = "",
         *,
         how: str = "",
-        way: str = "",
+        direction: str = "",
         axis: int | None = None,
         place: int | None = None,
         seat: int | None = None,
@@ -495,7 +495,7 @@ class Log:
             return (
                 station in ("", point.station)
                 and how in ("", point.id.how)
-                and way in ("", point.id.way)
+                and direction in ("", point.id.direction)
                 and axis in (None, point.id.axis)
                 and place in (None, point.id.place)
                 and seat == point.id.seat

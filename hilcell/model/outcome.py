@@ -21,21 +21,21 @@ RULE = (
 class Outcome(StrEnum):
     """The outcome of a figure, a point, a station or a run, the gravest first.
 
-    ``words`` and ``short`` are those for people, ``decision`` names the uncertainty as well,
+    ``text`` and ``short`` are for people, ``decision`` names the uncertainty as well,
     ``decided`` stands between a figure and its limit.
     """
 
-    words: str
+    text: str
     short: str
     decision: str
     decided: str
 
     def __new__(
-        cls, value: str, words: str = "", short: str = "", decision: str = "", decided: str = ""
+        cls, value: str, text: str = "", short: str = "", decision: str = "", decided: str = ""
     ) -> Self:
-        """Make a member of its value in JSON and its words."""
+        """Make a member of its value in JSON and its texts."""
         member = str.__new__(cls, value)
-        member._value_, member.words, member.short = value, words, short
+        member._value_, member.text, member.short = value, text, short
         member.decision, member.decided = decision, decided
         return member
 

@@ -47,7 +47,7 @@ class Sent(StrEnum):
 BOTH = (Sent.BEFORE, Sent.CHOSEN)  # that are compared; the paper's method is measured beside them
 SIDES = {"one_side": "from one side", "random": "from random sides"}
 HOLDS = {"plain": "drive alone", "strip": "by the strip"}
-HOW: dict[str, str] = {  # `PointId.how` and `PointId.way` in words
+HOW: dict[str, str] = {  # texts of `PointId.how` and `PointId.direction`
     Sent.BEFORE: "as sent",
     Sent.IDW: "paper method",
     Sent.CHOSEN: "corrected",
@@ -109,12 +109,13 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     kind: str
     station: str = ""
     session: int | None = None
-    turn: int | None = None  # how often the nest had been measured before, in the whole run
+    # how often the nest had been measured before, in the whole run
+    pass_number: int | None = msgspec.field(name="turn", default=None)
     vertex: tuple[int, ...] = ()
     pose: str = ""
     place: int | None = None
     how: str = ""
-    way: str = ""
+    direction: str = msgspec.field(name="way", default="")
     axis: int | None = None
     number: int | None = None
     side: int = 0
@@ -129,12 +130,12 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
         parts = (
             self.station,
             self.visit is not None and f"v{self.visit}",
-            self.turn is not None and f"{self.session}-{self.turn}",
+            self.pass_number is not None and f"{self.session}-{self.pass_number}",
             self.vertex and "-".join(map(str, self.vertex)),
             self.pose,
             self.place is not None and str(self.place),
             self.how,
-            self.way,
+            self.direction,
             self.axis is not None and self._axis,
             self.number is not None and f"{self.number:03d}{SIGNS.get(self.side, '')}",
             self.nest,
@@ -150,7 +151,9 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             return _GROUPS[self.kind]
         place = "" if self.place is None else str(self.place)
         seat = "" if self.seat is None else "seats"
-        return "_".join((self.kind, *filter(None, (place, self.how, self.way, self._axis, seat))))
+        return "_".join(
+            (self.kind, *filter(None, (place, self.how, self.direction, self._axis, seat)))
+        )
 
     def at_seat(self, seat: int) -> PointId:
         """Return the identity of the same pose's reflector, numbered from 1, the tool point."""
@@ -160,7 +163,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     def _axis(self) -> str:
         return "" if self.axis is None else f"axis{self.axis}"
 
-    def words(self, station: str = "") -> str:
+    def text(self, station: str = "") -> str:
         """Return it in words: *corrected target 50 at S300*, targets count from 1.
 
         ``station``: where it was measured, if the identity does not say it.
@@ -194,7 +197,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             self._kind.all,
             "" if self.place is None else f"place {self.place + 1}",
             HOW.get(self.how, self.how),
-            HOW.get(self.way, self.way),
+            HOW.get(self.direction, self.direction),
             "" if self.axis is None else f"axis {self.axis}",
             "" if self.seat is None else "other reflectors",
         )
@@ -227,7 +230,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             self.target,
             self.pose,
             "-".join(map(str, self.vertex)),
-            HOW.get(self.way, self.way),
+            HOW.get(self.direction, self.direction),
             HOW.get(self.how, self.how),
             "" if self.axis is None else f"A{self.axis}",
             "" if self.place is None else f"{self.place + 1}",

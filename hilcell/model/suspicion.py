@@ -53,13 +53,13 @@ class Suspicion(msgspec.Struct, frozen=True):
         return found
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         return f"{self.cause} ({self.size:.4g} {self.unit})"
 
     @property
     def text(self) -> str:
-        """Return it in words, with the comparison."""
-        return f"{self.words}, noticed by {self.noticed_by}"
+        """Return the label with the comparison."""
+        return f"{self.label}, noticed by {self.noticed_by}"
 
 
 def blamed(facts: Json) -> Json:

@@ -53,15 +53,15 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         return Outcome.ACCEPTED if self.holds else Outcome.REJECTED
 
     @property
-    def figure_words(self) -> str:
+    def figures_text(self) -> str:
         return "; ".join(each.text for each in self.figures)
 
     @property
-    def words(self) -> str:
-        return self._words()
+    def text(self) -> str:
+        return self._text()
 
-    def _words(self) -> str:
-        return self.figure_words
+    def _text(self) -> str:
+        return self.figures_text
 
     @property
     def why(self) -> str:
@@ -70,7 +70,7 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         """
         failed = [each.why for each in self.figures if each.outcome is self.outcome]
         wrong: Sequence[str] = getattr(self, "wrong", ())
-        return "; ".join(self.suspects or wrong or ([] if self.holds else failed)) or self.words
+        return "; ".join(self.suspects or wrong or ([] if self.holds else failed)) or self.text
 
 
 class OtherVerdict(Verdict, frozen=True, kw_only=True):
@@ -82,7 +82,7 @@ class OtherVerdict(Verdict, frozen=True, kw_only=True):
     def suspects(self) -> Sequence[str]:
         return [str(each) for each in self.facts.get("suspected", ())]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return ", ".join(
             _plain(name, value)
             for name, value in self.facts.items()
@@ -160,8 +160,8 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
         """Return the outcome that was decided."""
         return self.decided
 
-    def _words(self) -> str:
-        return f"{self.figure_words}: {self.decision}"
+    def _text(self) -> str:
+        return f"{self.figures_text}: {self.decision}"
 
     @property
     def why(self) -> str:
@@ -256,7 +256,7 @@ class Oriented(Verdict, frozen=True, kw_only=True):
     mean_deg: float
     reflectors_moved_mm: float
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return (
             f"mean error of orientation {self.before_mean_deg:.4f} deg before, "
             f"{self.mean_deg:.4f} deg corrected; reflectors moved "
@@ -292,7 +292,7 @@ class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     outliers: list[PointId]
     orientation: str = ""
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         orientation = f"; orientation {self.orientation}" if self.orientation else ""
         return f"{self.method}, {self.reason}{orientation}"
 
@@ -307,7 +307,7 @@ class SignChecked(Verdict, frozen=True, kw_only=True):
     corrected_mm: float
     ratio: float
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return (
             f"error of one target {self.before_mm:.3f} mm as sent, {self.corrected_mm:.3f} mm "
             f"corrected: {100 * self.ratio:.0f} % of it, limit {100 * self.limit:.0f} %"
@@ -326,7 +326,7 @@ class Rechecked(Verdict, frozen=True, kw_only=True):
     drift_u_mm: float
     doubt: str
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         words = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
         drift = f"drift {self.drift_mm:.3f} mm, u {self.drift_u_mm:.3f} mm"
         return "; ".join(filter(None, (f"{words[self.verdict]}: {drift}", self.doubt)))
@@ -339,7 +339,7 @@ class Touched(Verdict, frozen=True, kw_only=True):
     title: ClassVar[str] = "touch poses"
     station: str
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return f"touched at {self.station}"
 
 
@@ -358,7 +358,7 @@ class Revisited(Verdict, frozen=True, kw_only=True):
     suspicion: Suspicion | None
     suspected: list[str]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         suspected = "".join(f"; suspected: {each}" for each in self.suspected)
         return (
             "differences from the first visits: of the tests of all poses together and of each "
@@ -386,7 +386,7 @@ class LostMotionJudged(Verdict, frozen=True, kw_only=True):
         both = zip(self.lost_urad, self.U_urad, strict=True)
         return [abs(lost) - U - self.limit_urad for lost, U in both]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         both = zip(self.lost_urad, self.U_urad, strict=True)
         lost = ", ".join(f"A{axis} {lost:.0f} +- {U:.0f}" for axis, (lost, U) in enumerate(both, 1))
         return (
@@ -403,7 +403,7 @@ class Suspected(Verdict, frozen=True, kw_only=True):
     title: ClassVar[str] = "suspected causes"
     suspected: list[str]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return "; ".join(self.suspected) or "nothing is suspected"
 
 
@@ -424,7 +424,7 @@ class Parameter(msgspec.Struct, frozen=True):
         return abs(self.now - self.then) <= self.limit
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return (
             f"{self.name} {self.now:.3f} {self.unit}, {self.then:.3f} then, "
             f"limit of the difference {self.limit:.3f}"
@@ -441,8 +441,8 @@ class ChangedSince(Verdict, frozen=True, kw_only=True):
     beyond: list[Parameter]
     compared: int
 
-    def _words(self) -> str:
-        beyond = "; ".join(each.words for each in self.beyond)
+    def _text(self) -> str:
+        beyond = "; ".join(each.text for each in self.beyond)
         kept = f"all {self.compared} parameters are within their limits"
         return f"against the calibration of run {self.before}: {beyond or kept}"
 
@@ -488,7 +488,7 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
     lengths: list[MeasuredLength]
     wrong: list[str]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return "; ".join(each.text for each in self.lengths)
 
 
@@ -516,11 +516,11 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
     keys: ClassVar[tuple[str, ...]] = ("two-face", "two-face.closing")
     title: ClassVar[str] = "both faces of the tracker"
     nests: list[Faces]
-    found: str = field(name="words")
+    summary: str = field(name="words")
     wrong: list[str]
 
-    def _words(self) -> str:
-        return self.found
+    def _text(self) -> str:
+        return self.summary
 
 
 class MeasuredReflector(msgspec.Struct, frozen=True):
@@ -553,7 +553,7 @@ class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
     reflectors: list[MeasuredReflector]
     wrong: list[str]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         return "; ".join(self.wrong) or "none differs from the others"
 
 
@@ -595,7 +595,7 @@ class DriverConforms(Verdict, frozen=True, kw_only=True):
     driver: str
     broken: list[str]
 
-    def _words(self) -> str:
+    def _text(self) -> str:
         broken = f": breaks {', '.join(self.broken)}" if self.broken else ""
         return f"driver {self.driver}{broken}"
 

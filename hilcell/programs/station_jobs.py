@@ -225,7 +225,7 @@ class StationJobs:
             f"tool {self.tip.name}: points are where its tip is to be, z along the drill",
             *self.standoff_remarks,
             *self.unknown_drill,
-            lost.words,
+            lost.text,
             stroke,
             *["SIMULATED: not for a machine"] * targets.stamp.simulated,
         ]
@@ -233,7 +233,7 @@ class StationJobs:
         return StationJob(
             plan,
             targets,
-            "; ".join(filter(None, (stroke, lost.words))),
+            "; ".join(filter(None, (stroke, lost.text))),
             self.standoff_mm,
             writer(drilled, targets.stamp),
             [each.values for each in (drilled.command, drilled.standoff, drilled.approach)],
@@ -387,7 +387,7 @@ class StationJobs:
             status = released.status.text
         if released.accepted:
             status = f"{released.status_text}; OUT OF TOLERANCE, accepted"
-        held_at = tip.words.removeprefix("they hold at ")
+        held_at = tip.scope.removeprefix("they hold at ")
         if tip.table is None and (drill_mm := drill_mm_of(cell)) is not None:
             at_mm = " ".join(f"{each:g}" for each in drill_mm)
             held_at = f"the drill, ({at_mm}) mm from the reflector"

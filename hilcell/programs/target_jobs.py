@@ -195,9 +195,9 @@ class StationTargets(TargetFiles):
     def _where(cell: Cell | None, tip: Tip) -> Iterator[str]:
         """Yield where targets and bounds hold, where that is not the reflector's centre."""
         if cell is None:
-            yield f"{tip.words}: no tool is known without --cell CELL"
+            yield f"{tip.scope}: no tool is known without --cell CELL"
         if tip.table is not None:
-            yield tip.words
+            yield tip.scope
         elif (drill_mm := drill_mm_of(cell)) is not None:
             at_mm = " ".join(f"{each:g}" for each in drill_mm)
             yield f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}"

@@ -490,7 +490,7 @@ class Repeat:
 
 
 REPEATS: tuple[Column[Repeat], ...] = (
-    Column("point", lambda row: row.again.id.words(row.again.station)),
+    Column("point", lambda row: row.again.id.text(row.again.station)),
     Column("why", attrgetter("why")),
     Column("counts", attrgetter("counts")),
     Column("error first", attrgetter("first_mm"), "mm", ".4f"),

@@ -195,7 +195,7 @@ class Watch(Meter):
         kinds = (*PROOFS, LENGTH)
         before = Counter(point.id.nest for kind in kinds for point in log.measured(kind))
         return self._measured(
-            [PointId("control", session=log.session, turn=before[n], nest=n) for n in names]
+            [PointId("control", session=log.session, pass_number=before[n], nest=n) for n in names]
         )
 
     def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
@@ -370,7 +370,7 @@ class Watch(Meter):
         nest = self.cell.layout.slide[0]
         turn = len(self.log.select(HELD, station.name))
         id = PointId(
-            HELD, station=station.name, session=self.log.session, turn=turn, nest=nest.name
+            HELD, station=station.name, session=self.log.session, pass_number=turn, nest=nest.name
         )
         expected_mm = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
         samples = self.cell.tracker.samples  # as quickly as a target

@@ -96,7 +96,7 @@ LENGTHS = LengthsChecked(
     holds=True, lengths=[MeasuredLength(("N1", "N2"), 1000.0, 1000.01, 0.05)], wrong=[]
 )
 FACES = FacesCompared(
-    holds=True, nests=[Faces("N1", 0.01, -0.02, 0.1)], found="N1 differs most", wrong=[]
+    holds=True, nests=[Faces("N1", 0.01, -0.02, 0.1)], summary="N1 differs most", wrong=[]
 )
 REFLECTORS = ReflectorsCompared(
     holds=True, reflectors=[MeasuredReflector("cube", 0.01, 0.02, 0.1)], wrong=[]

@@ -139,4 +139,4 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     verdict = judged(error_mm, error_mm, tolerance_limits(cell), guard, also=judgement.outcome)
     assert verdict.outcome == outcome
     assert "most_targets" not in judgement.text
-    assert judgement.text.startswith(verdict.outcome.words)
+    assert judgement.text.startswith(verdict.outcome.text)

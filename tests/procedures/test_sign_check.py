@@ -98,7 +98,7 @@ class FakeBench:
     def close_step(self, *, carried: bool = False) -> None:
         for nest in CELL.layout.floor:
             self.floor_nest_point(
-                PointId("control", session=1, turn=self.closings, nest=nest.name), nest
+                PointId("control", session=1, pass_number=self.closings, nest=nest.name), nest
             )
         self.closings += 1
 

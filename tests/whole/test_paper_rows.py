@@ -124,11 +124,11 @@ def test_a_way_back_in_the_order_of_the_way_there(
 
 def test_a_way_back_from_the_same_side_shows_no_backlash(paper: PaperRun) -> None:
     log = paper.log
-    last = max(point.id.number or 0 for point in log.select("survey", way="forth"))
+    last = max(point.id.number or 0 for point in log.select("survey", direction="forth"))
     same = []
-    for point in log.select("survey", way="back"):
+    for point in log.select("survey", direction="back"):
         assert point.id.number is not None
-        forth = msgspec.structs.replace(point.id, way="forth", number=last - point.id.number)
+        forth = msgspec.structs.replace(point.id, direction="forth", number=last - point.id.number)
         same.append(msgspec.structs.replace(point, xyz_mm=log.point(forth).xyz_mm))
     assert fails("fig1.backlash", changed(log, same))
 
@@ -305,7 +305,7 @@ def test_a_station_frame_that_is_built_from_circles(paper: PaperRun) -> None:
 
 def approaches_as(log: Log, one: tuple[str, str], other: tuple[str, str]) -> Log:
     """Return the log with approaches (how, way) measured as others."""
-    first, second = (log.select("repeat", how=how, way=way) for how, way in (one, other))
+    first, second = (log.select("repeat", how=how, direction=way) for how, way in (one, other))
     pairs = zip(first, second, strict=True)
     return changed(log, [placed(one, np.array(two.xyz_mm)) for one, two in pairs])
 

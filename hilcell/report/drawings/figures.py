@@ -121,7 +121,7 @@ def _with_u(figure: WithU, unit: str) -> str:
 
 def along_rail_mm(log: Log, how: str, way: str) -> Array:
     """Return positions (N,) along the rail's nominal direction of repeated approaches."""
-    raw_mm = positions_mm(log.select("repeat", how=how, way=way))
+    raw_mm = positions_mm(log.select("repeat", how=how, direction=way))
     along: Array = raw_mm @ log.matrix("world")[:3, :3].T @ np.array(log.cell.layout.rail_direction)
     return along
 

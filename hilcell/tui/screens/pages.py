@@ -472,7 +472,7 @@ def record_text(key: str, fact: Fact) -> str:
             taken_over = f"of calibration {fact.calibration}" if fact.calibration else ""
             return " ".join(filter(None, (key, by, taken_over)))
         case Verdict():
-            return f"{key} {fact.outcome.words}{after(fact.words)}"
+            return f"{key} {fact.outcome.text}{after(fact.text)}"
         case Ended():
             return f"{fact.state}, exit {fact.exit}"
         case _:

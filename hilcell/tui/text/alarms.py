@@ -256,6 +256,6 @@ def newest_line(view: RunView) -> Lines:
         return ends(("no point is measured yet", "$label"), "")
     deviation = deviation_of(view.log, point)
     error = "" if deviation is None else f"|e| {deviation.norm_mm:.3f} mm, "
-    name = point.id.words(point.station)
+    name = point.id.text(point.station)
     age = f"{error}{short_age(view.newest_age_s)} ago"
     return ends((f"newest good point: {name}", "$label"), (age, "$stale"))

@@ -258,7 +258,7 @@ class Finished:
     def words(self) -> tuple[str, str]:
         """Return the verdict in one word, and what it states."""
         undecided = self.outcome is Outcome.UNDECIDED
-        meaning = "neither pass nor fail" if undecided else self.outcome.words
+        meaning = "neither pass nor fail" if undecided else self.outcome.text
         return self.outcome.short.upper(), meaning
 
     @property

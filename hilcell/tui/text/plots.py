@@ -138,7 +138,7 @@ class Measured:
             for point in self.log.measured(kind):
                 id, place = point.id, f"place {(point.id.place or 0) + 1}"
                 if id.kind in (ISO, "repeat"):
-                    place = f"pose {id.pose}" if id.kind == ISO else f"{id.how} {id.way}"
+                    place = f"pose {id.pose}" if id.kind == ISO else f"{id.how} {id.direction}"
                 by_place.setdefault(place, []).append(point)
         return {name: from_mean_mm(positions_mm(points)) for name, points in by_place.items()}
 

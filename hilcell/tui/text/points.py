@@ -286,7 +286,7 @@ def filtered(
 
     def searched(row: PointRow) -> str:
         id, label = row.point.id, row.said()[0]
-        return f"{id.short} {id.words()} {row.point.station} {row.state} {label}".lower()
+        return f"{id.short} {id.text()} {row.point.station} {row.state} {label}".lower()
 
     def badness(row: PointRow) -> tuple[bool, float]:  # raw errors are expected to be large
         norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
@@ -309,7 +309,7 @@ def point_page(view: RunView, key: str) -> Lines:
         return Stack(f"{key}: the journal holds no such point")
     row = row_of(view.log, point)
     facts = [
-        ("point", point.id.words(point.station)),
+        ("point", point.id.text(point.station)),
         ("key", key),
         ("state", row.state),
         ("group", point.group),

@@ -146,9 +146,9 @@ DeviationOf = Callable[[Log, Point], Deviation | None]
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
 SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words, those of an old one
-    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.words, "was in tol."),
-    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.words.upper(), "was undecided"),
-    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.words.upper(), "was out of tol."),
+    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.text, "was in tol."),
+    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.text.upper(), "was undecided"),
+    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.text.upper(), "was out of tol."),
 }
 
 
@@ -177,7 +177,7 @@ class Shown:
         *,
         stale: bool = False,
     ) -> Shown:
-        name = f"{which}: {point.id.words(point.station)}"
+        name = f"{which}: {point.id.text(point.station)}"
         word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
         return cls(name, deviation(log, point), remark, stale, word)
 

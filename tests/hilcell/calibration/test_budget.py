@@ -94,7 +94,7 @@ def test_drift_is_less_the_readings(tmp_path: Path) -> None:
     writer = calibrated(tmp_path / "drift")
     nest = load_cell("paper").layout.floor[0]
     for turn, along in enumerate(((0.03, 0, 0), (0, 0.03, 0)), start=1):
-        id = PointId("control", session=1, turn=turn, nest=nest.name)
+        id = PointId("control", session=1, pass_number=turn, nest=nest.name)
         writer.point(id, nest.xyz_mm + along, samples=4)
     line = lines(writer.facts().log)["Drift"]
     assert line.source == MEASURED
@@ -137,7 +137,7 @@ def test_the_strip_is_held_twice_along_the_rail(log: Log) -> None:
 def test_the_strip_by_its_repeats(tmp_path: Path) -> None:
     writer = calibrated(tmp_path / "strip")
     for number, along_mm in enumerate((0.0, 0.02, 0.04)):
-        id = PointId("repeat", how="strip", way="random", number=number)
+        id = PointId("repeat", how="strip", direction="random", number=number)
         writer.point(id, (0, along_mm, 0))
     line = lines(writer.facts().log)["Strip"]
     np.testing.assert_allclose(shift_mm2(line), np.diag([0, 2 * 0.02**2, 0]))

@@ -38,7 +38,7 @@ class Proven(Log):
             at_mm = NESTS_MM + moved(share, NESTS_MM)
             at_mm = at_mm + SIGMA_MM / np.sqrt(SAMPLES) * rng.standard_normal(at_mm.shape)
             for nest, xyz_mm in zip(CELL.layout.floor, at_mm.tolist(), strict=True):
-                id = PointId("control", session=1, turn=proof, nest=nest.name)
+                id = PointId("control", session=1, pass_number=proof, nest=nest.name)
                 if began:
                     id = PointId("world", number=number or None, nest=nest.name)
                 self._take_point(_point(id, xyz_mm, number), 100 * proof + 1)

@@ -46,7 +46,7 @@ def with_targets(**change: Any) -> Calibration:
         "run": "R",
         "names": ["H1"],
         "poses": [tuple(zyx_from_pose(pose).tolist())],
-        "remainders_mm": [(0.03, 0.0, 0.0)],
+        "residuals_mm": [(0.03, 0.0, 0.0)],
         "own_mm2": [(1e-10 * np.eye(3)).tolist()],
         "common": np.zeros((7, 7)).tolist(),
     }
@@ -68,7 +68,7 @@ def test_a_folded_target_moves_its_command_alone(tmp_path: Path) -> None:
     ("change", "named"),
     [
         ({"poses": []}, "poses"),
-        ({"remainders_mm": [(float("1e9"), 0.0, 0.0)]}, "remainders_mm"),
+        ({"residuals_mm": [(float("1e9"), 0.0, 0.0)]}, "remainders_mm"),
         ({"own_mm2": [np.zeros((3, 3)).tolist()]}, "variance"),
         ({"common": np.eye(6).tolist()}, "common"),
     ],

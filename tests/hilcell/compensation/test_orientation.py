@@ -204,9 +204,9 @@ def test_a_model_of_three_reflectors_comes_back_from_its_file(known: Known) -> N
 def test_targets_folded_in_leave_the_orientation() -> None:
     model, poses = Exact(crooked(1)), poses_at(drawn_mm(2, 3))
     zeros = np.zeros((3, 3))
-    remainder = TargetResiduals([Pass(poses, zeros, np.tile(np.eye(3), (3, 1, 1)), np.eye(7))], 1.0)
+    residuals = TargetResiduals([Pass(poses, zeros, np.tile(np.eye(3), (3, 1, 1)), np.eye(7))], 1.0)
     found, wanted = (
-        WithTargetResiduals(model, remainder).predict(poses).orientation,
+        WithTargetResiduals(model, residuals).predict(poses).orientation,
         model.predict(poses).orientation,
     )
     assert found is not None

@@ -1,4 +1,4 @@
-"""Measured remainders come back by their share: noise of one visit is not folded in."""
+"""Measured residuals come back by their share: noise of one visit is not folded in."""
 
 import numpy as np
 import pytest
@@ -39,10 +39,10 @@ def test_the_share_is_that_of_the_models_error(stated_mm: float) -> None:
     after, naive, left = [], [], []
     for seed in range(5):
         this, error_mm = one_pass(seed)
-        remainder = TargetResiduals.learn([this], stated_mm**2)
-        mean_mm, share_left = remainder.at(this.poses)
+        residuals = TargetResiduals.learn([this], stated_mm**2)
+        mean_mm, share_left = residuals.at(this.poses)
         after.append(np.square(error_mm - mean_mm).mean())
-        naive.append(np.square(error_mm - this.remainders_mm).mean())
+        naive.append(np.square(error_mm - this.residuals_mm).mean())
         left.append(share_left.mean())
     best_mm2 = 1 / (1 / MODEL_MM**2 + 1 / VISIT_MM**2)
     assert np.mean(after) == pytest.approx(best_mm2, rel=0.1)
@@ -53,15 +53,15 @@ def test_the_share_is_that_of_the_models_error(stated_mm: float) -> None:
 def test_a_model_without_error_keeps_its_commands() -> None:
     rng = np.random.default_rng(5)
     noise_mm = VISIT_MM * rng.standard_normal((COUNT, 3))
-    remainder = TargetResiduals.learn([Pass(poses(rng), noise_mm, own(), NO_FRAMES)], 0.02**2)
-    mean_mm, _ = remainder.at(remainder.poses)
+    residuals = TargetResiduals.learn([Pass(poses(rng), noise_mm, own(), NO_FRAMES)], 0.02**2)
+    mean_mm, _ = residuals.at(residuals.poses)
     assert np.abs(mean_mm).max() < 0.4 * VISIT_MM
 
 
 def test_what_moved_all_targets_together_is_not_folded_in() -> None:
     common = np.diag([0.1**2] * 3 + [1e-10] * 3 + [0.0])
     this, error_mm = one_pass(2, common)
-    assert np.abs(this.remainders_mm.mean(axis=0)).max() > 0.05
+    assert np.abs(this.residuals_mm.mean(axis=0)).max() > 0.05
     mean_mm, _ = TargetResiduals.learn([this], MODEL_MM**2).at(this.poses)
     assert np.sqrt(np.square(error_mm - mean_mm).mean()) < 0.024
 
@@ -80,18 +80,18 @@ def test_a_second_pass_knows_more() -> None:
 
 def test_far_from_targets_and_turned_the_model_is_as_it_was() -> None:
     this, _ = one_pass(4)
-    remainder = TargetResiduals([this], MODEL_MM**2)
+    residuals = TargetResiduals([this], MODEL_MM**2)
     aside = this.poses.copy()
     aside[:, 2, 3] += 40.0
     turned = this.poses @ pose_from_zyx(0, 0, 0, 20, 0, 0)
     for elsewhere in (aside, turned):
-        mean_mm, left = remainder.at(elsewhere)
+        mean_mm, left = residuals.at(elsewhere)
         assert not mean_mm.any()
         assert (left == 1.0).all()
     close = this.poses.copy()
     close[:, 0, 3] += 0.1  # as far as a command moves when it is corrected again
     np.testing.assert_allclose(
-        remainder.at(close)[0], remainder.at(this.poses)[0], rtol=1e-3, atol=1e-6
+        residuals.at(close)[0], residuals.at(this.poses)[0], rtol=1e-3, atol=1e-6
     )
 
 
@@ -102,20 +102,20 @@ def test_a_model_with_it_adds_the_mean_and_shrinks_its_covariance() -> None:
             return Prediction(np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1)))
 
     this, _ = one_pass(6)
-    remainder = TargetResiduals([this], MODEL_MM**2)
+    residuals = TargetResiduals([this], MODEL_MM**2)
     aside = this.poses.copy()
     aside[:, 2, 3] += 40.0
     both = np.concatenate([this.poses, aside])
-    mean_mm, left = remainder.at(both)
+    mean_mm, left = residuals.at(both)
     assert left.min() < 0.5 * left.max()
-    found = WithTargetResiduals(Nothing(), remainder).predict(both)
+    found = WithTargetResiduals(Nothing(), residuals).predict(both)
     np.testing.assert_allclose(found.error_mm, 1.0 + mean_mm)
     np.testing.assert_allclose(found.covariance_mm2, left[:, None, None] * np.eye(3))
 
 
 def test_a_gross_reading_stands_out() -> None:
     this, _ = one_pass(7)
-    this.remainders_mm[11] += [0.0, 0.9, 0.0]
+    this.residuals_mm[11] += [0.0, 0.9, 0.0]
     sigmas = TargetResiduals.learn([this], MODEL_MM**2).sigmas()
     assert np.argmax(sigmas) == 11
     assert sigmas[11] > 5 > np.delete(sigmas, 11).max()
@@ -125,7 +125,7 @@ def test_groups_and_frames_are_the_whole_covariance() -> None:
     """Against the dense solution, with two passes, close targets and frames of rank 5."""
     common = np.diag([0.05**2, 0.02**2, 0.0, 1e-9, 1e-9, 1e-10, 0.0])
     first, _ = one_pass(10, common)
-    again = Pass(first.poses[:20].copy(), first.remainders_mm[20:40], own(20), common)
+    again = Pass(first.poses[:20].copy(), first.residuals_mm[20:40], own(20), common)
     again.poses[:10, 0, 3] += 6.0
     passes = [first, again]
     at = np.concatenate([each.poses for each in passes])
@@ -135,7 +135,7 @@ def test_groups_and_frames_are_the_whole_covariance() -> None:
         total[rows, rows] = J @ common @ J.T + VISIT_MM**2 * np.eye(len(J))
     off_mm = np.linalg.norm(at[:, None, :3, 3] - at[None, :, :3, 3], axis=-1)
     K = MODEL_MM**2 * np.kron(np.exp(-(off_mm**2) / 50.0) * (off_mm < 20.0), np.eye(3))
-    measured = np.concatenate([each.remainders_mm for each in passes]).reshape(-1)
+    measured = np.concatenate([each.residuals_mm for each in passes]).reshape(-1)
     inverse = np.linalg.inv(K + total)
     mean_mm, left = TargetResiduals(passes, MODEL_MM**2).at(at)
     np.testing.assert_allclose(mean_mm.reshape(-1), K @ inverse @ measured, atol=1e-9)

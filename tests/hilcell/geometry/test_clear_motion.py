@@ -22,7 +22,7 @@ WANTED_MM = 40.0
 NONE = Boxes(np.zeros((0, 4, 4)), np.zeros((0, 3)))
 
 
-def body(standing: Boxes, riding: Boxes = NONE) -> Body:
+def body(fixed: Boxes, carried: Boxes = NONE) -> Body:
     lines = [(link, line) for link in range(1, 7) for line in joint_lines(ARM, link)]
     capsules = Capsules(
         np.array([link for link, _ in lines]),
@@ -31,7 +31,7 @@ def body(standing: Boxes, riding: Boxes = NONE) -> Body:
     )
     layout = CELL.layout
     base, direction = layout.nominal_base(0.0), np.array(layout.rail_direction)
-    return Body(ARM, capsules, base, direction, standing, riding)
+    return Body(ARM, capsules, base, direction, fixed, carried)
 
 
 def box(

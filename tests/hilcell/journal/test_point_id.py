@@ -12,7 +12,7 @@ from hilcell.model.point import PointId
 # Key and group of one point of every kind.
 KEYS = [
     ("world/F1", "world", PointId("world", nest="F1")),
-    ("control/1-13/F3", "control", PointId("control", session=1, turn=13, nest="F3")),
+    ("control/1-13/F3", "control", PointId("control", session=1, pass_number=13, nest="F3")),
     ("base/axis6/023", "base", PointId("base", axis=6, number=23)),
     ("grid/0-3-2", "grid", PointId("grid", vertex=(0, 3, 2))),
     ("repeatability/2/009", "repeatability_2", PointId("repeatability", place=2, number=9)),
@@ -23,11 +23,11 @@ KEYS = [
     ("sign/before", "sign_before", PointId("sign", how="before")),
     ("validate/S1900/idw/074", "validate_idw", PointId("validate", "S1900", how="idw", number=74)),
     ("survey/back/020/flange", "survey_back",
-     PointId("survey", way="back", number=20, nest="flange")),
+     PointId("survey", direction="back", number=20, nest="flange")),
     ("repeat/strip/one_side/014-", "repeat_strip_one_side",
-     PointId("repeat", how="strip", way="one_side", number=14, side=-1)),
+     PointId("repeat", how="strip", direction="one_side", number=14, side=-1)),
     ("repeat/plain/random/000+", "repeat_plain_random",
-     PointId("repeat", how="plain", way="random", number=0, side=1)),
+     PointId("repeat", how="plain", direction="random", number=0, side=1)),
     ("campaign/17/SMR2", "campaign", PointId("campaign", pose="17", target="SMR2")),
 ]  # fmt: skip
 BODY = {
@@ -77,7 +77,7 @@ def test_points_are_selected_by_fields() -> None:
         (log.select("repeatability", place=2), ["repeatability/2/009"]),
         (log.select("repeatability", place=1), []),
         (log.select("repeat"), ["repeat/plain/random/000+", "repeat/strip/one_side/014-"]),
-        (log.select("repeat", way="random"), ["repeat/plain/random/000+"]),
+        (log.select("repeat", direction="random"), ["repeat/plain/random/000+"]),
         (log.select("repeat", how="strip"), ["repeat/strip/one_side/014-"]),
         (log.select("validate", "S300", how="idw"), []),
     ):

@@ -56,7 +56,7 @@ def test_a_verdict_is_read_as_it_was_written(key: str, verdict: Verdict) -> None
     assert type(read) is type(verdict)
     assert read == verdict
     assert msgspec.json.encode(read) == text
-    assert read.words
+    assert read.text
     assert read.why
 
 
@@ -183,7 +183,7 @@ def test_the_gravest_outcome_is_the_worst() -> None:
 def test_a_figure_says_value_uncertainty_and_limit() -> None:
     figure = Figure("mean", 0.031, "mm", 0.1, 0.0042)
     assert figure.text == "mean 0.0310 + U 0.0042 mm, limit 0.1 mm"
-    assert replace(JUDGED, mean_mm=0.031).words.startswith(
+    assert replace(JUDGED, mean_mm=0.031).text.startswith(
         "mean 0.0310 + U 0.0400 mm, limit 0.12 mm; largest error 0.1000 + U 0.0500 mm, limit 0.3 mm"
     )
 
@@ -197,7 +197,7 @@ def test_an_orientation_that_is_not_known_keeps_no_limit() -> None:
     assert read.orientation is not None
     assert math.isnan(read.orientation.max_deg)
     assert read.figures[-1].outcome is Outcome.REJECTED
-    assert "orientation not known" in read.words
+    assert "orientation not known" in read.text
 
 
 def test_a_characteristic_that_was_not_measured_keeps_no_limit() -> None:

@@ -69,7 +69,7 @@ def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "drift").began()
     writer.point(PointId("world", nest="F1"), (1000, 0, 0))
     for turn, at_mm in enumerate(((1000.03, 0, 0), (1000, 0.03, 0)), start=1):
-        writer.point(PointId("control", session=1, turn=turn, nest="F1"), at_mm)
+        writer.point(PointId("control", session=1, pass_number=turn, nest="F1"), at_mm)
     drift = by_name(measurement_budget(writer.facts().log))["Drift"]
     assert drift.source == MEASURED
     assert drift.u_mm == pytest.approx(0.03 / math.sqrt(3))

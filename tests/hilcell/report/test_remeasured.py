@@ -130,7 +130,7 @@ def test_a_step_counts_the_points_that_are_its_own(tmp_path: Path) -> None:
     event = {"what": "step", "name": "robot-grid", "number": 1, "of": 1}
     writer.journal.append("event", "", event)
     writer.point(PointId("grid", vertex=(0, 0, 0)), (1.0, 2.0, 3.0))
-    writer.point(PointId("control", session=1, turn=0, nest="F1"), (1.0, 2.0, 3.0))
+    writer.point(PointId("control", session=1, pass_number=0, nest="F1"), (1.0, 2.0, 3.0))
     writer.state("run", "checking")
     writer.point(PointId("grid", vertex=(0, 0, 1)), (1.0, 2.0, 3.0))
     words = [row[1] for row in timeline(writer.facts()).texts()]

@@ -52,7 +52,7 @@ def beside_wall(joints_rad: Array, gap_mm: float) -> Cell:
     body = around_of(with_box(face_mm + 500.0, 0.0, size_mm))._body
     enough = np.full((1, 1), np.inf)
     found = body.clearances_mm(posture(S1100.strip_mm, joints_rad)[None], enough)
-    wall = len(body.standing.half_mm) - 1
+    wall = len(body.fixed.half_mm) - 1
     return with_box(face_mm + 500.0 - found[0, :, wall].min() + gap_mm, 0.0, size_mm)
 
 

@@ -218,7 +218,7 @@ def test_the_newest_point_is_named_with_its_age() -> None:
 
 def test_an_alarm_counts_points_as_the_line_of_the_kept_ones_does() -> None:
     """Proofs of nests are no points of the plan: one count, not two beside each other."""
-    log = Log(measuring().point(PointId("control", session=1, turn=0, nest="F1")).records)
+    log = Log(measuring().point(PointId("control", session=1, pass_number=0, nest="F1")).records)
     [alarm] = alarms_of(log, "r", live=False)
     assert alarm.found.endswith("with 8 points")
     assert saved_text(log).startswith("8 of 21 points;")

@@ -48,7 +48,7 @@ SAID: list[tuple[str, Fact, str]] = [
     ("sweep/A1/up", Intended(action="robot.sweep", axis=1), "robot.sweep sweep/A1/up axis 1"),
     ("world", replace(WORLD, points=["world/F1", "world/F2"]), "world by 2 points"),
     ("world", replace(WORLD, calibration="1-made"), "world of calibration 1-made"),
-    ("backlash", BACKLASH, f"backlash in tolerance: {BACKLASH.words}"),
+    ("backlash", BACKLASH, f"backlash in tolerance: {BACKLASH.text}"),
     ("", events.Closed(problems={}), "devices closed"),
     (
         "",
