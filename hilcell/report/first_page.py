@@ -383,7 +383,7 @@ def verdicts(facts: Facts) -> Table:
     columns: tuple[Column[tuple[str, Verdict]], ...] = (
         Column("judged", lambda row: verdict_label(row[0])),
         Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
-        Column("by", lambda row: typeset(row[1].words)),
+        Column("by", lambda row: typeset(row[1].text)),
     )
     return Table(columns, facts.log.verdicts.items(), "Verdicts")
 

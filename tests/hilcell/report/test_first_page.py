@@ -240,7 +240,7 @@ VALIDATED = replace(
     ],
 )  # fmt: skip
 def test_figures_have_units(verdict: Verdict, figures: list[str]) -> None:
-    words = typeset(verdict.words)
+    words = typeset(verdict.text)
     assert [each for each in figures if each not in words] == []
 
 
