@@ -22,9 +22,9 @@ print([main(words.split()) for words in ("check paper", "plant show", "study rep
 
 @pytest.mark.process
 def test_other_commands_need_no_optional_package() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3]
-    )
+    command = [sys.executable, "-c", WITHOUT]
+    root = Path(__file__).parents[3]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=root)
     assert done.stdout.endswith("[0, 2, 2]\n"), done.stderr
     assert "plant: not installed: sqlalchemy, alembic, psycopg" in done.stderr
     assert "study: pyarrow is not installed" in done.stderr
