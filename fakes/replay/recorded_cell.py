@@ -17,8 +17,7 @@ from typing import Any
 import msgspec
 
 from fakes.replay.dialects import Dialect, dialects_of
-from fakes.replay.event_time import EventTime, RecordedLooks
-from fakes.replay.recorded_wire import RecordedWire
+from fakes.replay.player import ClockReadings, EventTime, RecordedWire
 from fakes.time import CountedTime
 from hilcell.cell.devices import TABLES, stand_ins, stated_options
 from hilcell.cell.differences import differences
@@ -195,7 +194,7 @@ class RecordedCell:
         self._wires: list[RecordedWire] = []
         self._time, channels = EventTime(), dict[str, str]()
         clock = pieces.pop(CLOCK)
-        self._looks = RecordedLooks(self._time, *clock_readings(clock))
+        self._looks = ClockReadings(self._time, *clock_readings(clock))
         self._expect_end(paths, clock, pieces)
         tables = {table: getattr(cell, table) for table, _group in TABLES}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
@@ -258,7 +257,7 @@ class RecordedClock:
     Every wait on a wire looks here, so here a run learns that its recording goes no further.
     """
 
-    def __init__(self, looks: RecordedLooks, time: EventTime, stop: Event, act: str) -> None:
+    def __init__(self, looks: ClockReadings, time: EventTime, stop: Event, act: str) -> None:
         """``act`` is what to do where the recording ends."""
         self._looks, self._time, self._stop, self._act = looks, time, stop, act
         self.now_s, self.pc_s = looks.now_s, CountedTime().now_s

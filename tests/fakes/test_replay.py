@@ -12,11 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.kuka.robot_c3 import decode_body, encode
-from fakes.replay import event_time
+from fakes.replay import player
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
-from fakes.replay.event_time import EventTime, RecordedLooks
-from fakes.replay.recorded_wire import (
+from fakes.replay.player import (
     STUCK,
+    ClockReadings,
+    EventTime,
     Exchange,
     Flow,
     Names,
@@ -202,7 +203,7 @@ def test_a_question_is_shown_as_text_or_in_hex(asked: bytes, words: str) -> None
 
 def test_a_wait_on_a_wire_that_was_cut_is_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 0.0
-    monkeypatch.setattr(event_time, "time", SimpleNamespace(monotonic=lambda: now_s))
+    monkeypatch.setattr(player, "time", SimpleNamespace(monotonic=lambda: now_s))
     time = EventTime()
     time.expect([1.0, 50.0], [])
     time.end_at(60.0, "robot:9")
@@ -282,7 +283,7 @@ def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
 def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
     time = EventTime()
     time.expect([1.0, 2.0, 3.0], [])
-    looks = RecordedLooks(time, [1.1, 1.2, 2.1, 2.9], [50.0, 50.5, 60.0, 70.0])
+    looks = ClockReadings(time, [1.1, 1.2, 2.1, 2.9], [50.0, 50.5, 60.0, 70.0])
     time.reach(1.05)
     assert [looks.now_s(), looks.now_s()] == [50.0, 50.5]
     looks.wait(4.0)
@@ -298,7 +299,7 @@ def test_a_wait_that_was_not_recorded_shortens_none_that_was() -> None:
     """A dwell behind it would else be too short, and a slide not known to stand."""
     time = EventTime()
     time.expect([1.0, 2.0, 3.0], [])
-    looks = RecordedLooks(time, [1.1, 2.1, 3.1], [50.0, 50.1, 50.5])
+    looks = ClockReadings(time, [1.1, 2.1, 3.1], [50.0, 50.1, 50.5])
     time.reach(1.05)
     assert looks.now_s() == 50.0
     looks.wait(0.3)
@@ -313,10 +314,10 @@ def test_a_wait_that_was_not_recorded_shortens_none_that_was() -> None:
 def test_no_time_of_the_pc_passes_on_the_recorded_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is paired by the clock would else be paired otherwise than it was."""
     now_s = 7.0
-    monkeypatch.setattr(event_time, "time", SimpleNamespace(monotonic=lambda: now_s))
+    monkeypatch.setattr(player, "time", SimpleNamespace(monotonic=lambda: now_s))
     time = EventTime()
     time.expect([1.0, 2.0], [])
-    looks = RecordedLooks(time, [1.1, 2.1], [50.0, 60.0])
+    looks = ClockReadings(time, [1.1, 2.1], [50.0, 60.0])
     time.reach(1.05)
     shown_s = [looks.now_s()]
     for pause_s in (0.03, 1.7):
@@ -396,7 +397,7 @@ def test_more_questions_for_fresh_states_than_before_pass_no_question_elsewhere(
 
 def test_states_that_nobody_asked_for_move_no_clock() -> None:
     flow, time = moving([0, 0, 0, 1], [], [2.0])
-    looks = RecordedLooks(time, [1.05, 1.15, 1.35], [50.0, 60.0, 70.0])
+    looks = ClockReadings(time, [1.05, 1.15, 1.35], [50.0, 60.0, 70.0])
     run(flow)
     assert time.now_s == pytest.approx(1.4)
     assert [looks.now_s() for _ in range(4)] == [50.0, 60.0, 70.0, 70.0]

@@ -25,8 +25,7 @@ import pytest
 from drivers import strips
 from drivers.canopen import process_image, sdo
 from fakes.replay.dialects import Dialect, dialects_of
-from fakes.replay.event_time import EventTime
-from fakes.replay.recorded_wire import Exchange, Script, exchanges, landmarks
+from fakes.replay.player import EventTime, Exchange, Script, exchanges, landmarks
 from hilcell.cell.devices import check_options, stand_ins
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
