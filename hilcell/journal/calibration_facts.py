@@ -18,14 +18,14 @@ Kind = Literal["", "made", "base", "targets", "touch"]
 
 
 class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """``kind`` says how a run that finishes comes to a calibration: measured, or one of before with
-    base, targets or a station's base changed; "" is none. ``used`` is the run whose calibration it
-    took, ``validated`` whether places were validated and all hold, ``recheck`` what a re-check says
-    of the used one, and ``doubt`` what would explain an update of it as well. ``revoked`` is why
-    somebody has revoked its own. ``suspected`` says that the run suspects a cause that was not
-    cleared, ``judged`` that it held the robot against limits, ``outcome`` is that of all verdicts,
-    None where nothing was judged and no check failed. ``changed_since`` is the run of a calibration
-    that this one differs from, where nothing else is against it: a person says which is right.
+    """``kind`` is the origin of the run's calibration: measured, or an earlier one with base,
+    targets or a station's base changed; "" is none. ``used`` is the run of the calibration that it
+    used, ``validated`` whether places were validated and all pass, ``recheck`` the verdict on the
+    used one, ``doubt`` another explanation of its update. ``revoked`` is the reason of the run's
+    revocation. ``suspected``: a suspected cause was not cleared; ``judged``: the robot was compared
+    with limits; ``outcome`` is that of all verdicts, None where nothing was judged and no check
+    failed. ``changed_since`` is the run of a calibration from which this one differs, if nothing
+    else is against it: an operator decides which is right.
     """
 
     kind: Kind = ""
@@ -41,7 +41,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Return the outcome in words, and whether a cause is suspected."""
+        """Return the outcome as text, with a suspected cause."""
         rechecked = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
         words = rechecked.get(self.recheck, "")
         if not words and self.outcome is not None:
@@ -54,7 +54,6 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
 def facts_of(
     verdicts: Mapping[str, Verdict], used: str = "", revoked: str = ""
 ) -> CalibrationFacts:
-    """Return what verdicts say, by their keys."""
     all_of = list(verdicts.values())
     broken = [each for each in all_of if not each.holds]
     places = [each for key, each in verdicts.items() if key.startswith(VALIDATION)]
@@ -86,7 +85,6 @@ def facts_of(
 
 
 def _kind(verdicts: Mapping[str, Verdict], recheck: Rechecked | None) -> Kind:
-    """Return the kind, as `calibration_after` tells them apart."""
     if "fit" in verdicts:
         return "made"
     if "touch" in verdicts:
@@ -97,14 +95,13 @@ def _kind(verdicts: Mapping[str, Verdict], recheck: Rechecked | None) -> Kind:
 
 
 def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) -> str:
-    """Return in a word how a run in ``state`` with exit ``code`` came out; "" without an end.
+    """Return the outcome of a run in ``state`` with exit ``code``; "" without an end.
 
-    List of runs, history, screen and report say this word. A run that judged nothing has
-    "measured", or "done" where it measured nothing either.
+    A run without verdicts is "measured", or "done" without points.
     """
     if code is None:
         return ""
-    if code == EXIT_REFUSED:  # the devices may have been asked, and nothing moved
+    if code == EXIT_REFUSED:  # devices may have connected, nothing moved
         return "refused"
     if state == "idle":
         return "not begun"

@@ -1,21 +1,21 @@
 """Which calibration of a cell is current, and which are superseded, revoked or out of date.
 
-It follows from the runs of a folder, in the order in which they name one another, not by the clock:
-a later calibration that was validated supersedes those before it, as does one that a re-check or a
-pass over targets has made of the current one. A re-check whose verdict is redo revokes the one that
-it judged, `hilcell revoke` any; one that was made of a revoked one is revoked as well. One that
-somebody has revoked supersedes nothing: it is as if it had not been made. One that differs from the
-current one beyond its uncertainty supersedes it only when that is revoked. A touched base is out of
-date as soon as the cell has moved in a later run.
+It follows from the runs of a folder in the order in which they name one another, not by the clock.
+A later validated calibration supersedes those before it, as does one that a re-check or a pass over
+targets has derived from the current one. A re-check with the verdict redo revokes the one that it
+checked, `hilcell revoke` any; one derived from a revoked one is revoked as well. A revoked
+calibration supersedes nothing. One that differs from the current one beyond its uncertainty
+supersedes it only when that is revoked. A touched base is out of date once the cell has moved in a
+later run.
 
-Where the journal of a run cannot be read its calibration is in doubt: it may have been revoked.
+The calibration of an unreadable journal is in doubt: it may have been revoked.
 
-A copied folder is the run that it was copied from, revoked as soon as one of both is revoked.
+A copied folder is the same run; it is revoked as soon as one of both is revoked.
 
 A replay of a recorded run measures nothing: it changes no status, and has one of its own.
 
-Simulated cells of one name are as many cells as machines were started for them: each has a current
-calibration, and is named where there are several.
+Each simulated machine is a cell of its own with a current calibration; it is named where there are
+several.
 """
 
 from __future__ import annotations
@@ -141,9 +141,9 @@ def _runs(rows: Iterable[RunRow]) -> tuple[dict[str, RunRow], dict[str, str]]:
 
 
 def _cell(row: RunRow, known: Mapping[str, RunRow]) -> tuple[str, ...]:
-    """Return what tells cells apart; the last part is a simulated machine, "" for a real one.
+    """Return the identity of a run's cell; last is the simulated machine, "" for a real one.
 
-    A run that uses a calibration was made on the machine of that, wherever its simulator was.
+    A run that uses a calibration counts for the machine of that.
     """
     first = _origins(row, known)[-1]
     machine = _simulated(first.machine_seed) if first.simulated else ""
@@ -151,7 +151,7 @@ def _cell(row: RunRow, known: Mapping[str, RunRow]) -> tuple[str, ...]:
 
 
 def _origins(row: RunRow, known: Mapping[str, RunRow]) -> list[RunRow]:
-    """Return a run, the one whose calibration it used, and so on."""
+    """Return a run, the run whose calibration it used, and so on."""
     found = [row]
     while (used := known.get(found[-1].facts.used)) is not None and used not in found:
         found.append(used)
@@ -163,7 +163,6 @@ def _simulated(seed: int | None) -> str:
 
 
 def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, CalibrationStatus]:
-    """Return the statuses of one cell's calibrations; rows in their order."""
     found: dict[str, CalibrationStatus] = {}
     touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
     revoked = _revoked(rows)
@@ -171,7 +170,7 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Calibra
     for row in (row for row in rows if row.calibrates):
         made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
         if made and not (row.facts.validated and _accepted(row, revoked)):
-            found[row.name] = _unproven(row.facts)
+            found[row.name] = _not_validated(row.facts)
         elif not made and current and used != current:
             found[row.name] = CalibrationStatus("superseded", current)
         else:
@@ -189,15 +188,14 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Calibra
 
 
 def _accepted(row: RunRow, revoked: Mapping[str, CalibrationStatus]) -> bool:
-    """Whether nothing is against a calibration that was validated.
+    """Whether a validated calibration counts.
 
-    One that differs from the calibration before it stands once that one is revoked: so a person
-    says which of both is right.
+    One that differs from the calibration before it counts once that one is revoked by an operator.
     """
     return row.exit == 0 or row.facts.changed_since in revoked
 
 
-def _unproven(facts: CalibrationFacts) -> CalibrationStatus:
+def _not_validated(facts: CalibrationFacts) -> CalibrationStatus:
     if facts.outcome is Outcome.UNDECIDED:
         return CalibrationStatus("undecided")
     if not (facts.suspected and facts.validated):
@@ -209,9 +207,9 @@ def _unproven(facts: CalibrationFacts) -> CalibrationStatus:
 
 
 def _revoked(rows: list[RunRow]) -> dict[str, CalibrationStatus]:
-    """Return the revoked ones: by somebody, by a re-check, and those made of them afterwards.
+    """Return those revoked by an operator or a re-check, and those derived from them afterwards.
 
-    Made before a re-check that judged an older one, an update stands: it knows what has changed.
+    An update made before the re-check of an older calibration is not revoked by it.
     """
     found: dict[str, CalibrationStatus] = {}
     for row in rows:
@@ -228,7 +226,7 @@ def _revoked(rows: list[RunRow]) -> dict[str, CalibrationStatus]:
 
 
 def _left(rows: list[RunRow], found: dict[str, CalibrationStatus]) -> dict[str, CalibrationStatus]:
-    """Return the touched bases whose visit is over: a later run has moved the cell."""
+    """Return the touched bases that are out of date: a later run has moved the cell."""
     left = {}
     for number, row in enumerate(rows):
         if row.name in found and row.facts.kind == "touch":

@@ -1,10 +1,9 @@
 """An index over all runs, derived from their journals, and the order in which they ran.
 
-A history shows it, and runs are found by it. It is one file in the folder of runs that may be
-deleted at any time. A journal is always right against it: a row counts only while the journal is
-the very file that it was read from; a run without an end, or with a live engine, is read again each
-time. Rows are sealed, as they decide which calibration is current: an index with a row that does
-not match its seal is made again.
+It is one file in the folder of runs that may be deleted at any time. The journal takes precedence:
+a row counts only while the journal is the same file; a run without an end, or with a live engine,
+is read each time. Rows are sealed, since they decide which calibration is current: an index with a
+row that does not match its seal is rebuilt.
 """
 
 from __future__ import annotations
@@ -47,9 +46,9 @@ from hilcell.model.results import Place
 from hilcell.model.verdicts import Verdict
 
 NAME = "index.sqlite"
-SCHEMA = 11  # to be raised whenever `RunRow` changes, or what its fields mean
-BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
-SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
+SCHEMA = 11  # increase it whenever `RunRow` or the meaning of its fields changes
+BUSY_S = 2.0  # wait for another writer; then the journals are read instead
+SETTLED_S = 3.0  # file times have a resolution of up to 2 s
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 T = TypeVar("T")
 
@@ -102,25 +101,24 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Return how the run came out, in words; "" where it has not ended."""
+        """Return the run's outcome as text; "" where it has not ended."""
         code = None if self.live or self.gone else self.exit
         return outcome(self.facts, self.state, code, self.points)
 
     @property
     def readable(self) -> bool:
-        """Whether the journal could be read, and holds something."""
         return self.state not in (UNREADABLE, NEVER_BEGAN)
 
     @property
     def gone(self) -> bool:
-        """Whether the engine was lost: a journal that just ends was left by a crash."""
-        # A resume that was refused writes an end, but leaves the state as the crash left it.
+        """Whether the engine was lost: the journal has no end."""
+        # A refused resume writes an end but keeps the state of the crash.
         ended = self.exit is not None and self.state in ("idle", *OVER)
         return self.readable and not (self.live or ended or self.unbegun)
 
     @property
     def unbegun(self) -> bool:
-        """Whether there is a plan and no more: the engine is starting, or died before it did."""
+        """Whether there is only a plan: the engine is starting, or died while starting."""
         return self.state == "idle" and not self.live and self.exit is None
 
     @property
@@ -131,22 +129,21 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_index(runs: Path) -> list[RunRow]:
-    """Return all runs of a folder, newest first; raises `StorageError` where it is unusable."""
+    """Return all runs of a folder, newest first; raises `StorageError`."""
     stamps = _stamps(runs)
-    rows = _known(runs / NAME, stamps) if stamps else {}
+    rows = _stored_rows(runs / NAME, stamps) if stamps else {}
     missing = (name for name in stamps if name not in rows)
-    # So many rows a commit: a first build that is interrupted is not lost.
+    # In batches: an interrupted first build is not lost.
     while batch := {name: row_of(runs / name) for name in islice(missing, 200)}:
-        _keep(runs / NAME, batch, stamps)
+        _store(runs / NAME, batch, stamps)
         rows |= batch
     return in_order(rows.values())[::-1]
 
 
 def find_run(runs: Path, name: str) -> Path:
-    """Return the folder of the run with this name, or that begins so, or of the ``last`` one.
+    """Return the folder of a run by its name, a unique prefix, or ``last``.
 
-    The last one is by the order of runs, which no clock decides. Raises `HilcellError` where none
-    or several are meant.
+    Raises `HilcellError` where no run or several runs match.
     """
     if name and is_run(Path(name)):
         return Path(name)
@@ -157,17 +154,19 @@ def find_run(runs: Path, name: str) -> Path:
     if len(meant) == 1:
         return runs / meant[0]
     if meant:
-        raise HilcellError(f"run {name!r} is one of {', '.join(meant)}; say which", code="HC-J09")
+        raise HilcellError(f"run {name!r} is ambiguous: {', '.join(meant)}", code="HC-J09")
     if Path(name).parts:  # neither "" nor "."
         _check_journal(runs / name)
     if not _is_folder(runs):
         raise HilcellError(
-            f"run {name[:80]!r} is not there, nor is the folder of runs {runs}; name another "
-            "folder with --runs, or make the first run with `hilcell run`",
+            f"run {name[:80]!r} not found: no folder of runs {runs}; name another folder with "
+            "--runs, or start the first run with `hilcell run`",
             code="HC-J09",
         )
     newest = ", ".join(row.name for row in read_index(runs)[2::-1]) or "none"
-    raise HilcellError(f"run {name[:80]!r} is not in {runs}; newest there: {newest}", code="HC-J09")
+    raise HilcellError(
+        f"run {name[:80]!r} not found in {runs}; newest there: {newest}", code="HC-J09"
+    )
 
 
 def _check_journal(folder: Path) -> None:
@@ -182,7 +181,7 @@ def _check_journal(folder: Path) -> None:
 
 
 def _is_folder(path: Path) -> bool:
-    with suppress(OSError):  # a name that no file can have
+    with suppress(OSError):  # not a valid file name
         return path.is_dir()
     return False
 
@@ -198,25 +197,25 @@ def row_of(folder: Path) -> RunRow:
 
 
 def matches(row: RunRow, words: str) -> bool:
-    """Whether a row matches all ``words`` that a technician typed, in any order and case.
+    """Whether a row matches all ``words`` of a search, in any order and case.
 
-    ``field:word`` looks into one field only, ``-word`` excludes. A word not yet typed to its end
-    (``-``, ``state:``) excludes nothing.
+    ``field:word`` searches one field, ``-word`` excludes. An incomplete word (``-``, ``state:``)
+    excludes nothing.
     """
-    whole = "\n".join([look(row) for look in _LOOKS.values()]).casefold()
+    whole = "\n".join([text_of(row) for text_of in _FIELDS.values()]).casefold()
 
     def holds(word: str) -> bool:
         text, where = word.removeprefix("-"), whole
         field, colon, value = text.partition(":")
-        if colon and field in _LOOKS:
-            text, where = value, _LOOKS[field](row).casefold()
+        if colon and field in _FIELDS:
+            text, where = value, _FIELDS[field](row).casefold()
         found = text == where if where.isdecimal() else text in where
         return not text or found != word.startswith("-")
 
     return all(map(holds, words.casefold().split()))
 
 
-_LOOKS: dict[str, Callable[[RunRow], str]] = {
+_FIELDS: dict[str, Callable[[RunRow], str]] = {
     "run": attrgetter("name"),
     "begun": attrgetter("begun"),
     "ended": attrgetter("ended"),
@@ -237,10 +236,9 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 
 # -- the order of runs ----------------------------------------------------------------------------
 
-# No clock decides it. A run that begins, or goes on, journals the run before it and takes the next
-# number of the folder. Runs of one cell exclude one another, so their numbers say which one ended
-# later, also where the clock of the PC was wrong meanwhile. Runs of another folder are merged with
-# them by the clock.
+# It does not depend on a clock. A run that begins or continues journals the run before it and takes
+# the next number of the folder. Runs of one cell exclude one another, so their numbers order their
+# ends, even with a wrong PC clock. Runs of other folders are merged by the clock.
 
 
 def in_order(rows: Iterable[RunRow]) -> list[RunRow]:
@@ -267,7 +265,7 @@ def next_order(rows: Iterable[RunRow]) -> FolderOrder:
 
 def clock_notes(rows: Iterable[RunRow], now: datetime | None = None) -> Iterator[str]:
     """Yield where the PC's clock ran back between two runs of a folder, and before ``now``."""
-    step = timedelta(minutes=1)  # that a clock is set back by the network says nothing
+    step = timedelta(minutes=1)  # adjustments by network time
     latest: dict[str, RunRow] = {}
     for row in in_order(row for row in rows if row.order.folder):
         before = latest.setdefault(row.order.folder, row)
@@ -285,7 +283,7 @@ def _ran_back(before: RunRow, earlier: datetime, then: str, later: datetime) -> 
     hours = (earlier - later) / timedelta(hours=1)
     return (
         f"the clock ran back by {hours:.2f} h: run {before.name} began {_utc(earlier)}, {then} "
-        f"{_utc(later)}; the order of the runs holds, their times do not: check the PC's clock"
+        f"{_utc(later)}; the order of the runs is right, their times are not: check the PC's clock"
     )
 
 
@@ -327,9 +325,7 @@ def _facts(records: Iterable[Record], kind: type[T]) -> list[tuple[Record, T]]:
 def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     """Return the row of a run without an engine.
 
-    Raises `StorageError` and `msgspec.ValidationError`.
-
-    `Log` says the same and more, but loads arrays and all points for it.
+    Raises `StorageError` and `msgspec.ValidationError`. Unlike `Log` it loads no arrays.
     """
     records = list(records)
     facts = [each for each in records if each.kind not in ("intent", "frame", "point")]
@@ -342,7 +338,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     began = next((record for record, change in reversed(life) if change.to == "checking"), plan)
     ends = [each for each in _facts(facts, Ended) if each[0].seq > began.seq]
     end, last = ends[-1] if ends else (None, None)
-    # A session takes its number before it begins: one that is refused has none.
+    # A refused session has no number.
     ordered = [each for record, each in _facts(facts, SessionOrdered) if record.seq < began.seq]
     orders = [inputs.order]
     orders += [FolderOrder(each.folder, each.number, each.after) for each in ordered]
@@ -382,8 +378,8 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 
 
 def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...]:
-    """Return mean before, mean and maximum after (mm), where the result has them."""
-    with suppress(msgspec.ValidationError):  # another's procedure has figures of its own there
+    """Return mean before, mean and maximum after (mm), or None."""
+    with suppress(msgspec.ValidationError):  # a plug-in's procedure may have other figures
         main = typed(result, _Result)
         if place := main.validation.get(station):
             return place.before.mean, place.chosen.mean, place.chosen.max
@@ -398,11 +394,11 @@ def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...
 
 
 def _stamps(runs: Path) -> dict[str, str]:
-    """Return a stamp by the run's name, which changes with its journal; "" where it is unknown."""
+    """Return stamps of the journals by run, which change with the files; "" if unknown."""
     try:
         names = os.listdir(runs)  # noqa: PTH208 - of ten thousand runs a Path each is too slow
     except FileNotFoundError:
-        return {}  # no run was ever made there
+        return {}  # no run yet
     except OSError as error:
         raise unusable(runs, error) from error
     now_s = time.time()
@@ -417,9 +413,9 @@ def _stamp(journal: str, now_s: float) -> str | None:
         return None if error.errno in NOT_FOUND_ERRNOS else ""  # reading it reports the cause
     if not stat.S_ISREG(file.st_mode):
         return None
-    # Records that are committed but not yet in the main file leave that one as it was.
+    # Committed records may not be in the main file yet.
     settled = file.st_mtime < now_s - SETTLED_S and not _size(f"{journal}-wal")
-    settled = settled and journal.isprintable()  # a name that is no text cannot be kept
+    settled = settled and journal.isprintable()  # names must be UTF-8
     return f"{file.st_mtime_ns} {file.st_size}" if settled else ""
 
 
@@ -438,10 +434,10 @@ def _written(folder: Path) -> str:
     return _utc(datetime.fromtimestamp(written_s, UTC))
 
 
-def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
+def _stored_rows(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     """Return the rows whose journals are still the files that they were read from."""
     rows: dict[str, RunRow] = {}
-    with _spared(index), closing(_opened(index)) as base:
+    with _optional_index(index), closing(_opened(index)) as base:
         # As bytes: damage is noticed by the seal.
         parts = ", ".join(f"CAST({each} AS BLOB)" for each in ("name", "stamp", "row", "seal"))
         stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608 - no word is a user's
@@ -457,8 +453,8 @@ def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     return rows
 
 
-def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
-    """Store the rows of runs that have ended and whose files have come to rest."""
+def _store(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
+    """Store the rows of ended runs whose files are unchanged."""
     encode = msgspec.json.encode
     lasting = [
         (name, stamps[name], encode(row))
@@ -467,7 +463,7 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
     ]
     sealed = [(*each, _seal(each[0].encode(), each[1].encode(), each[2])) for each in lasting]
     if sealed:
-        with _spared(index), closing(_opened(index)) as base:
+        with _optional_index(index), closing(_opened(index)) as base:
             base.execute("BEGIN IMMEDIATE")
             base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)", sealed)
             base.execute("COMMIT")
@@ -481,10 +477,7 @@ def _seal(*parts: bytes | None) -> bytes:
 
 
 def own_file(file: Path) -> Path:
-    """Return a file that may be written and thrown away; a link leads to what is somebody's.
-
-    Raises `sqlite3.DatabaseError`.
-    """
+    """Return a file that may be overwritten; raises `sqlite3.DatabaseError` for a link."""
     with suppress(FileNotFoundError):
         found = file.lstat()
         if stat.S_ISLNK(found.st_mode) or (stat.S_ISREG(found.st_mode) and found.st_nlink != 1):
@@ -497,7 +490,7 @@ def _opened(index: Path) -> sqlite3.Connection:
     definition = "SELECT sql FROM sqlite_master WHERE name = 'run'"
     base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
-        base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
+        base.execute("PRAGMA synchronous=OFF")  # rebuilt after power loss
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**20)  # bytes of a row
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
             base.execute("BEGIN IMMEDIATE")
@@ -514,8 +507,8 @@ def _opened(index: Path) -> sqlite3.Connection:
 
 
 @contextmanager
-def _spared(index: Path) -> Iterator[None]:
-    """Do without an index that is locked or cannot be written; throw away a damaged one."""
+def _optional_index(index: Path) -> Iterator[None]:
+    """Ignore an index that is locked or cannot be written; delete a damaged one."""
     try:
         yield
     except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

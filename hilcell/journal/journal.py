@@ -1,9 +1,9 @@
 """The journal: one SQLite file a run, append-only, hash-chained, one commit a record.
 
 A record that `Journal.append` has returned is durable: it survives kill -9 and power loss (WAL with
-synchronous=FULL). Nothing may be shown, counted or acted upon before that return. Others can still
-damage the files while they are written: that is looked for before each record, and what was written
-is read back every `READ_BACK` records and before the end.
+synchronous=FULL). Nothing may be shown, counted or acted upon before that return. Other processes
+can still damage the files: they are checked before each record, and records are read back every
+`READ_BACK` records and before the end.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from hilcell.errors import EXIT_REFUSED, EXIT_STORAGE, HilcellError
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.records import Fact, Kind, fact_of
 
-# The writer goes on without any error in a file that was deleted, replaced or cut short.
+# SQLite reports no error while it writes into a deleted, replaced or truncated file.
 
 
 class OpenFile:
     """A file that only grows while it is open."""
 
     def __init__(self, path: Path) -> None:
-        """The file need not be there yet."""
+        """The file may not exist yet."""
         self.path = path
         self._name = os.fspath(path)
         self._found = self._look()
 
     def note(self) -> None:
-        """Note how far the file was written, unless it was harmed: that is found later."""
+        """Note the file's size, unless it was damaged."""
         if not self.lost():
             self._found = self._look()
 
     @property
     def size(self) -> int:
-        """Return its size in bytes when it was last noted; 0 where it is not there."""
+        """Return the last noted size in bytes; 0 without a file."""
         return 0 if self._found is None else self._found[2]
 
     def lost(self) -> str:
-        """Return what somebody has done to the file since it was last noted; "" for nothing."""
+        """Return the damage to the file since it was last noted; "" for none."""
         if self._found is None:
             return ""
         now = self._look()
@@ -61,7 +61,7 @@ class OpenFile:
         return "cut short" if now[2] < self._found[2] else ""
 
     def _look(self) -> tuple[int, int, int] | None:
-        """Return which file is at the path and its size in bytes, or None where none is."""
+        """Return device, inode and size in bytes of the file at the path, or None."""
         try:
             found = os.stat(self._name)  # noqa: PTH116 - twice a record: a Path's takes longer
         except OSError:
@@ -72,8 +72,8 @@ class OpenFile:
 Body: TypeAlias = Json | msgspec.Struct  # of a record to be written
 
 FORM = 2
-READ_BACK = 500  # records between two checks that the file holds what was acknowledged
-SYNCHRONOUS = "FULL"  # an append returns when its record is on the disk
+READ_BACK = 500  # records between two checks of the written file
+SYNCHRONOUS = "FULL"  # an append returns once its record is on the disk
 NOT_FOUND_ERRNOS = (
     errno.ENOENT,
     errno.ENOTDIR,
@@ -82,11 +82,11 @@ NOT_FOUND_ERRNOS = (
 )  # other errors hide a file
 MAX_JOURNAL_BYTES = 2**28  # bytes of a journal; one of a thousand points has some 2**23
 MAX_RECORD_BYTES = 2**25  # bytes
-# Of SQLite's machine, which takes some 15 for a record: reading ends, also of a hostile file.
+# Of SQLite's virtual machine, some 15 a record: bounds the reading of a hostile file.
 MAX_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
 RESTORE_ADVICE = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
-# Raised where a file is read that is no journal of ours.
+# Raised while reading a file that is no journal.
 CONTENT_ERRORS = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
 
 _TABLES = """
@@ -113,7 +113,7 @@ ACCESS_ERRORS = (  # errors that are not of the file's content
 
 
 class StorageError(HilcellError):
-    """The journal cannot be written or read. ``record`` is the number of the first bad one."""
+    """The journal cannot be written or read; ``record`` is the number of the first bad record."""
 
     code = "HC-J04"
     exit_code = EXIT_STORAGE
@@ -123,13 +123,13 @@ class StorageError(HilcellError):
         self.record = record
 
     def facts(self) -> Json:
-        """Return what the journal keeps of the error, plain enough for JSON."""
+        """Return the error as JSON."""
         fields = {} if self.record is None else {"fields": {"record": self.record}}
         return super().facts() | fields
 
 
 class Damaged(StorageError):
-    """Records that are not the ones which were written; ``damage`` says where and how."""
+    """Records that differ from those written; ``damage`` states where and how."""
 
     code = "HC-J02"
 
@@ -143,14 +143,14 @@ class Damaged(StorageError):
 
 
 class NeverBegan(StorageError):
-    """The journal holds no record: the run died before its first, and nothing is lost."""
+    """The journal has no record: the run died before its first; nothing is lost."""
 
     code = "HC-J06"
     exit_code = EXIT_REFUSED
 
 
 class NotFinite(HilcellError):
-    """A record holds a NaN or an infinity, which JSON cannot state; nothing was written."""
+    """A record has a NaN or an infinity, which JSON cannot represent; nothing was written."""
 
     code = "HC-J12"
 
@@ -187,7 +187,7 @@ class Journal:
     """A run's journal, open for writing. Safe to use from several threads."""
 
     def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
-        """``again`` is the command to repeat once a failed disk is mended; usually ``resume``."""
+        """``again`` is the command to repeat once a failed disk is repaired."""
         self.path, self.run = path, run
         self._again = again or command_on(path.parent, "resume")
         self._lock = threading.Lock()
@@ -203,7 +203,7 @@ class Journal:
             self._base.execute(f"PRAGMA synchronous={SYNCHRONOUS}")
             self._base.execute("PRAGMA cache_size=-256")  # KiB: the last pages are enough
             if create:
-                self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
+                self._base.executescript(f"BEGIN;{_TABLES}")  # atomic
                 meta = (("form", str(FORM)), ("run", run))
                 self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
                 self._base.execute("COMMIT")
@@ -225,7 +225,7 @@ class Journal:
         self._read_back_to = self._seq
 
     def listen(self, listener: Callable[[Record], None]) -> None:
-        """Call ``listener`` with every record appended from now on, once it is durable."""
+        """Call ``listener`` with every appended record once it is durable."""
         self._listeners.append(listener)
 
     def append(self, kind: Kind, key: str, body: Body) -> Record:
@@ -255,20 +255,19 @@ class Journal:
         return record
 
     def read_back(self) -> None:
-        """Read the whole file as another process would; raises `StorageError`, then and ever after.
-
-        The file must hold every record that was acknowledged.
+        """Read the whole file as another process would; raises `StorageError` for missing records,
+        also at all later appends.
         """
         with self._lock:
             self._check_files()
             self._read_back(0)
 
     def _read_back(self, after: int) -> None:
-        """Read what was written after a record, once it is in the main file."""
+        """Read the records after one, once they are in the main file."""
         seq, last = after, b""
         try:
             self._base.execute("PRAGMA wal_checkpoint(PASSIVE)")
-            with closing(_reader(self.path)) as base:  # a new one: it has cached nothing
+            with closing(_reader(self.path)) as base:  # a new connection has no cache
                 for record, stored in _stored(base, self.path, after):
                     seq, last = record.seq, stored
         except sqlite3.Error as error:
@@ -286,15 +285,15 @@ class Journal:
     def _no_room(self, found: str, error: sqlite3.Error) -> StorageError:
         return StorageError(
             f"journal {self.path}: {found}: {error}; "
-            f"make room or mend the disk, then `{self._again}`",
+            f"make room or repair the disk, then `{self._again}`",
             code="HC-J01",
         )
 
     def _refuse(self, found: str, record: int) -> None:
         """Acknowledge nothing more."""
         self._unsound = StorageError(
-            f"journal {self.path}: it does not hold the {self._seq} records that were written: "
-            f"{found}; somebody or the disk has damaged the file while run {self.run} wrote it; "
+            f"journal {self.path}: it lacks some of the {self._seq} records that were written: "
+            f"{found}; the file was damaged while run {self.run} wrote it; "
             "check the disk, then fetch the run's folder from the backup or start a new run",
             code="HC-J13",
             record=record,
@@ -302,12 +301,12 @@ class Journal:
         raise self._unsound
 
     def _take(self, record: Record) -> None:
-        """Hand a durable record on: one that the file held before, or one just appended."""
+        """Pass a durable record on, read or just appended."""
         for listener in self._listeners:
             listener(record)
 
     def _check_files(self) -> None:
-        """Refuse to write into files that nobody will find again, or that have lost records."""
+        """Refuse to write into files that were removed, replaced or truncated."""
         if self._unsound is not None:
             raise self._unsound
         for file in self._files:
@@ -320,7 +319,7 @@ class Journal:
                 )
 
     def _check_size(self) -> None:
-        """Write no journal that nobody reads."""
+        """Refuse to write a journal too large to be read."""
         if (size := sum(file.size for file in self._files)) > MAX_JOURNAL_BYTES:
             raise StorageError(
                 f"journal {self.path}: it has {size} bytes, expected at most {MAX_JOURNAL_BYTES}; "
@@ -346,7 +345,7 @@ def plain_body(body: Body, what: str, then: str = "") -> tuple[Json, bytes]:
 
 
 def _not_finite(value: object) -> str:
-    """Return the first number below ``value`` that is not finite, by its place; "" for none."""
+    """Return the path of the first number in ``value`` that is not finite; "" for none."""
     if isinstance(value, float):
         return "" if math.isfinite(value) else f" is {value}"
     if isinstance(value, dict):
@@ -359,7 +358,7 @@ def _not_finite(value: object) -> str:
 
 
 def is_regular_file(path: Path) -> bool:
-    """Whether a file is at a path; raises `OSError` where that cannot be found out."""
+    """Whether a regular file is at a path; raises `OSError` where that is unknown."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError as error:
@@ -368,19 +367,19 @@ def is_regular_file(path: Path) -> bool:
         raise
 
 
-def _refusal(path: Path, wanted: int) -> str:
-    """Return which permission is missing; SQLite only says that it cannot open the file."""
-    if not os.access(path, wanted):
-        return "no permission to read it" if wanted == os.R_OK else "no permission to write it"
-    if wanted != os.R_OK and not os.access(path.parent, wanted):
+def _refusal(path: Path, mode: int) -> str:
+    """Return the missing permission, which SQLite does not report."""
+    if not os.access(path, mode):
+        return "no permission to read it" if mode == os.R_OK else "no permission to write it"
+    if mode != os.R_OK and not os.access(path.parent, mode):
         return "no permission to write into its folder"
     return ""
 
 
 def read_journal(path: Path, after: int = 0) -> list[Record]:
-    """Return the records after ``after``; raises `StorageError` where the file is not sound.
+    """Return the records after ``after``; raises `StorageError` for a damaged file.
 
-    Reading from the first record on verifies the hash chain.
+    Reading from the first record verifies the whole hash chain.
     """
     try:
         if not is_regular_file(path):
@@ -396,9 +395,9 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
 
 
 def _check_kinds(path: Path) -> None:
-    """Raise `StorageError` for files that are no journal's, or larger; `OSError`.
+    """Raise `StorageError` for files that are not regular or too large; `OSError`.
 
-    Opening a pipe may never end, and what a huge file holds fills the memory.
+    Opening a pipe may block, and a huge file would exhaust the memory.
     """
     size = 0
     for end in ("", "-wal", "-shm", "-journal"):
@@ -420,7 +419,7 @@ def _check_kinds(path: Path) -> None:
 
 
 def _bound(base: sqlite3.Connection) -> None:
-    """Let no record be larger than one may be, and no query take for ever."""
+    """Limit the size of records and the duration of queries."""
     left = iter(range(MAX_STEPS // STEPS))
     base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
     base.set_progress_handler(lambda: next(left, None) is None, STEPS)
@@ -428,17 +427,16 @@ def _bound(base: sqlite3.Connection) -> None:
 
 @cache
 def _own_schema() -> frozenset[tuple[str, str, str]]:
-    """Return type, name and definition of each part of a journal."""
     with closing(sqlite3.connect(":memory:")) as base:
         base.executescript(_TABLES)
         return frozenset(base.execute(_SCHEMA))
 
 
 def _check_schema(base: sqlite3.Connection, path: Path) -> bool:
-    """Return whether the file has the parts of a journal; of a new one it has none.
+    """Whether the file has the tables of a journal; a new one has none.
 
-    Raises `StorageError` for another form, and `ValueError` for other parts: a view, or a column
-    that is computed, may have no end.
+    Raises `StorageError` for another form, and `ValueError` for other objects: a view or a computed
+    column may be endless.
     """
     found, own = {*base.execute(_SCHEMA)}, _own_schema()
     if any(name == "meta" for _, name, _ in found & own):
@@ -451,19 +449,18 @@ def _check_schema(base: sqlite3.Connection, path: Path) -> bool:
                 code="HC-J03",
             )
     elif found:
-        raise ValueError("it has no table of a journal's form")
+        raise ValueError("it has no table of a journal")
     if other := sorted(name for _, name, _ in found - own):
         raise ValueError(f"no part of a journal: {', '.join(other)[:80]!r}")
     return bool(found)
 
 
 def _wal(path: Path) -> Path:
-    """Return where the records are that are not in the journal's own file yet."""
     return path.with_name(f"{path.name}-wal")
 
 
 def _reader(path: Path) -> sqlite3.Connection:
-    """Open a journal to read it, also one whose folder may not be written."""
+    """Open a journal for reading, also in a read-only folder."""
     where = f"{path.resolve().as_uri()}?mode=ro"
     base = sqlite3.connect(where, uri=True, isolation_level=None)
     _bound(base)
@@ -487,36 +484,35 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
 
     Raises `StorageError`, and `sqlite3.Error` where the file cannot be read.
     """
-    wanted = after + 1
+    expected = after + 1
     try:
         if not _check_schema(base, path):
             _check_pages(base, path)
-            return  # killed while it was made: nothing was recorded
+            return  # killed before the first record
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
-        # As bytes: a text that is damaged is noticed where it is decoded.
+        # As bytes: decoding detects damaged text.
         texts = ", ".join(f"CAST({each} AS BLOB)" for each in ("t", "kind", "key", "body"))
         rows = f"SELECT seq, {texts}, hash FROM record WHERE seq > ? ORDER BY seq"  # noqa: S608 - ours
         for row in base.execute(rows, (after,)):
             record, stored = _record(row)
             before = chain(before, record)
-            if record.seq != wanted or before != stored:
-                raise ValueError("it is not the one that was written")
+            if record.seq != expected or before != stored:
+                raise ValueError("it differs from the one that was written")
             yield record, stored
-            wanted += 1
+            expected += 1
         if not after:
-            _check_pages(base, path)  # they may hide the last records, while the chain holds
+            _check_pages(base, path)  # damaged pages may hide the last records
     except (*CONTENT_ERRORS, sqlite3.Error) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
         if code in ACCESS_ERRORS:
             raise
         other = "not a journal, or " if code == sqlite3.SQLITE_NOTADB else ""
-        damage = f"{other}damaged at record {wanted}: {_cause(error)}"
-        raise Damaged(path, damage, wanted) from error
+        damage = f"{other}damaged at record {expected}: {_cause(error)}"
+        raise Damaged(path, damage, expected) from error
 
 
 def _cause(error: Exception) -> str:
-    """Return in one line what is wrong with a record or a page."""
     if isinstance(error, UnicodeError):
         return "its text is not UTF-8"
     if isinstance(error, sqlite3.Error):
@@ -525,7 +521,7 @@ def _cause(error: Exception) -> str:
 
 
 def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
-    """Return a row as it was written; raises `ValueError` where it cannot have been."""
+    """Return a row's record and hash; raises `ValueError`."""
     seq, t, kind, key, body, stored = row
     texts = {"t": t, "kind": kind, "key": key}
     found = {"seq": seq, "body": msgspec.json.decode(body)}
@@ -534,9 +530,9 @@ def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
 
 
 def _check_pages(base: sqlite3.Connection, path: Path) -> None:
-    """Raise `ValueError` where SQLite finds its own pages damaged: they may hide records."""
+    """Raise `ValueError` for damaged pages: they may hide records."""
     (found,) = base.execute("PRAGMA integrity_check(1)").fetchone()
     if found != "ok":
         raise ValueError("the pages of the file are damaged")
     if 0 < path.stat().st_size < 512:  # bytes of the smallest page
-        raise ValueError("the file is cut short")  # SQLite takes it for a new one
+        raise ValueError("the file is cut short")  # SQLite treats it as new

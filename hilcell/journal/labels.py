@@ -1,8 +1,8 @@
-"""Words for people: of procedures, steps, events and times, and texts with words for every key.
+"""Labels of procedures, steps, points, verdicts, events and times for display.
 
-Errors name a point by its key: ``measure grid/1-0-0``. Raw keys are for the log and for the details
-of a point; everywhere else the screen says *grid point 1-0-0 at S1100*. Journals are dated in UTC;
-times of day are said in a zone, too.
+Errors name a point by its key: ``measure grid/1-0-0``. Keys are for the log and for the details of
+a point; elsewhere the screen shows *grid point 1-0-0 at S1100*. Journals are dated in UTC; times of
+day are shown in a zone, too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
 
 
 def with_labels(text: str, log: Log) -> str:
-    """Return a text with its keys of points and verdicts in words."""
+    """Return a text with labels in place of keys of points and verdicts."""
     verdict = r"(?<![\w/])verdict ([^\s,;:]*[^\s,;:.])"
     text = re.sub(verdict, lambda found: verdict_label(found[1]), text)
     key = rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]"
@@ -28,7 +28,7 @@ def with_labels(text: str, log: Log) -> str:
 
 
 def point_label(key: str, log: Log) -> str:
-    """Return a key in words, with the station where that is known."""
+    """Return the label of a point's key, with its station if known."""
     point = log.points.get(key)
     if point is not None:
         return point.id.text(point.station)
@@ -38,7 +38,7 @@ def point_label(key: str, log: Log) -> str:
 
 
 def verdict_label(key: str) -> str:
-    """Return the subject of a verdict: *validation at S1100*."""
+    """Return the label of a verdict's key: *validation at S1100*."""
     if key.startswith(VALIDATION):
         place = key.removeprefix(VALIDATION)
         return f"validation at {'the other stations' if place == OTHERS else place}"
@@ -46,7 +46,7 @@ def verdict_label(key: str) -> str:
 
 
 def point_id(key: str, log: Log) -> PointId:
-    """Return a point's identity, as far as its key shows it where it is not measured."""
+    """Return a point's identity; of an unmeasured point as far as its key has it."""
     if key in log.points:
         return log.points[key].id
     kind, *parts = key.split("/")
@@ -55,21 +55,21 @@ def point_id(key: str, log: Log) -> PointId:
         r"(?P<number>\d{3})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|"
         rf"{SEAT}(?P<seat>\d{{1,3}})"
     )
-    found: Json = {}
+    fields: Json = {}
     rest: list[str] = []
     for part in parts:
         if part in stations:
-            found["station"] = part
+            fields["station"] = part
         elif match := re.fullmatch(numbered, part):
             digits = match.groupdict() | {"side": match["side"] and f"{match['side']}1"}
-            found |= {name: int(text) for name, text in digits.items() if text}
+            fields |= {name: int(text) for name, text in digits.items() if text}
         elif kind in ("sign", "validate") or part in HOLDS:
-            found["how"] = part
+            fields["how"] = part
         else:
             rest.append(SIDES.get(part, part))
     if kind in ("world", "control", *CHECKS, "slide", "three"):  # its nest is the last part
         rest = rest[-1:]
-    return PointId(kind, target=" ".join(rest), **found)
+    return PointId(kind, target=" ".join(rest), **fields)
 
 
 def procedure_label(name: str) -> str:
@@ -84,7 +84,6 @@ def procedure_label(name: str) -> str:
 
 
 def step_label(name: str, *, has_rail: bool) -> str:
-    """Return a step's name in words; without a rail the robot alone is homed."""
     without_rail = {
         "home": "Park the robot",
         "hold-station": "No slide to hold",
@@ -104,7 +103,7 @@ def step_label(name: str, *, has_rail: bool) -> str:
 
 
 def event_label(event: Event | OtherEvent, log: Log) -> str:
-    """Return an event in words, its points by name; "" where there is nothing to say."""
+    """Return an event's text with labels; "" for none."""
     if isinstance(event, StepBegun):
         has_rail = log.plan is None or log.cell.has_rail
         return replace(event, name=step_label(event.name, has_rail=has_rail)).text
@@ -112,34 +111,33 @@ def event_label(event: Event | OtherEvent, log: Log) -> str:
 
 
 def in_zone(t: str, zone: tzinfo | None = None) -> datetime:
-    """Return a journal's time in a zone; None is that of this PC."""
+    """Return a journal's time in a zone, by default the PC's."""
     return datetime.fromisoformat(t).astimezone(zone)
 
 
 def zone_of(offset_min: int) -> timezone:
-    """Return the zone that is so many minutes ahead of UTC."""
     return timezone(timedelta(minutes=offset_min))
 
 
 def offset_min() -> int:
-    """Return by how many minutes the clock on this PC's wall is ahead of UTC now."""
+    """Return the PC's present offset from UTC, minutes."""
     ahead = datetime.now(UTC).astimezone().utcoffset()
     return 0 if ahead is None else round(ahead.total_seconds() / 60)
 
 
 def local_time_text(t: str, zone: tzinfo | None = None) -> str:
-    """Return the time of day in a zone, which is named."""
+    """Return the time of day with its zone."""
     return f"{in_zone(t, zone):%H:%M:%S %Z}"
 
 
 def time_text(t: str, zone: tzinfo | None = None) -> str:
-    """Return the time of day with its zone, and in UTC where that is another."""
+    """Return the time of day with its zone, and in UTC if different."""
     ahead = in_zone(t, zone).utcoffset()
     return f"{local_time_text(t, zone)}, {t[11:19]} UTC" if ahead else local_time_text(t, zone)
 
 
 def period_text(first: str, last: str, zone: tzinfo | None = None) -> str:
-    """Return from when to when, to the second, with the zone, and in UTC where that is another."""
+    """Return begin and end to the second with the zone, and in UTC if different."""
     begin, end = in_zone(first, zone), in_zone(last, zone)
     same_day = begin.date() == end.date()
     words = f"{begin:%Y-%m-%d %H:%M:%S} to {end:{'%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S'}}"

@@ -1,7 +1,7 @@
 """A journal as typed objects: points, frames, states, the frozen plan.
 
-The same class reads a live run, a finished one and one left by a crash; every result is computed
-from it, so a result can always be rebuilt.
+The same class reads a live, a finished and a crashed run; every result is computed from it and can
+be computed again.
 """
 
 from __future__ import annotations
@@ -52,11 +52,10 @@ Args = TypeVarTuple("Args")
 
 # -- the tracker's set-ups -------------------------------------------------------------------------
 
-# A tracker that was moved is at a new set-up, with a {W} of its own: its frame is ``world.1``,
-# ``world.2``, that of the first ``world``.
+# A moved tracker has a new set-up with a {W} of its own: ``world``, then ``world.1``, ``world.2``.
 
 PROOFS = ("world", "control")  # kinds of points
-UNWATCHED_STATES = ("paused", "suspended", "checking")  # states in which nobody sees a bump
+UNWATCHED_STATES = ("paused", "suspended", "checking")  # a bump may go unnoticed
 
 
 def world_key(set_up: int) -> str:
@@ -76,9 +75,9 @@ def carried(xyz_mm: Three, std_mm: Three, T_first: Array, T_own: Array) -> tuple
 
 
 class SetUps:
-    """``number`` is the present set-up's, ``unproven`` the keys of points and streams since the
-    tracker was last proven; ``interrupted`` whether the run has waited since then. ``refuted`` are
-    the keys of control points that found it moved.
+    """``number`` is the present set-up's, ``unproven`` are the keys of points and streams since the
+    last verification of the tracker, ``interrupted``: the run has waited since. ``refuted`` are
+    the keys of control points that showed a moved tracker.
     """
 
     def __init__(self) -> None:
@@ -86,15 +85,15 @@ class SetUps:
         self.unproven: dict[str, None] = {}
         self.interrupted = False
         self.refuted: set[str] = set()
-        self._proofs: list[str] = []  # control points that have proven nothing yet
+        self._proofs: list[str] = []  # control points of the verification in progress
 
     @property
     def open(self) -> bool:
-        """Whether points wait for a proof; those of which nothing is built do not."""
+        """Whether points wait for a verification; points of mere checks do not."""
         return any(key.partition("/")[0] not in CHECKS for key in self.unproven)
 
     def take(self, record: Record) -> list[str]:
-        """Add one record; return the keys of what has become invalid by it."""
+        """Apply one record; return the keys that it invalidates."""
         match record.fact:
             case Point(id=PointId(kind=kind), key=key):
                 if kind not in PROOFS:
@@ -128,35 +127,35 @@ class SetUps:
 
 
 class VisitedPoses:
-    """Takes a run's records in their order.
+    """Poses that the robot has reached, from a run's records in sequence.
 
-    A motion has come to its end where a point or another motion follows it in the same session.
+    A motion has ended where a point or another motion follows it in the same session.
     """
 
     def __init__(self) -> None:
         self._ends = array("d")  # of each seven: the strip's reading, six joints in deg
-        self._under_way: list[float] | None = None
+        self._moving_to: list[float] | None = None
 
     def take(self, record: Record) -> None:
         match record.fact:
             case StateChanged(to="checking"):
-                self._under_way = None  # its session ended before it was seen to arrive
+                self._moving_to = None  # its session has ended
             case Intended(action="robot.move", strip_mm=float(strip_mm), joints_deg=joints_deg):
                 self._arrived()
-                self._under_way = [strip_mm, *joints_deg]
+                self._moving_to = [strip_mm, *joints_deg]
             case Intended() | Point():
                 self._arrived()
 
     def _arrived(self) -> None:
-        if self._under_way is not None:
-            self._ends.extend(self._under_way)
-        self._under_way = None
+        if self._moving_to is not None:
+            self._ends.extend(self._moving_to)
+        self._moving_to = None
 
     def has(self, strip_mm: float, joints_rad: Array) -> bool:
-        """Whether a motion ended at joints (6,) with the slide there."""
+        """Whether a motion has ended at joints (6,) with the slide at ``strip_mm``."""
         if not self._ends:
             return False
-        same_mm, same_deg = 5.0, 1.0  # of the slide; of each axis: corrections turn less
+        same_mm, same_deg = 5.0, 1.0  # slide; each axis: corrections are smaller
         off = np.abs(np.reshape(self._ends, (-1, 7)) - [strip_mm, *np.degrees(joints_rad)])
         near = (off[:, 0] <= same_mm) & (off[:, 1:] <= same_deg).all(axis=1)
         return bool(near.any())
@@ -187,10 +186,7 @@ class _Row(Point, frozen=True, kw_only=True, array_like=True):
 
 
 class _Packed(MutableMapping[str, Point]):
-    """Points by key, packed: those of a month would take 3 kB each as objects, and take 0.5 kB.
-
-    Each access gives a new object, equal to the one that was set.
-    """
+    """Points by key, packed: 0.5 kB each instead of 3 kB; each access decodes a new object."""
 
     def __init__(self) -> None:
         learn(_Row)
@@ -217,7 +213,7 @@ class _Packed(MutableMapping[str, Point]):
 
 
 class Log:
-    """The journal so far. ``take`` adds one record. ``packed`` points take little memory."""
+    """The journal so far; ``take`` applies one record. ``packed`` points need little memory."""
 
     def __init__(self, records: Iterable[Record] = (), *, packed: bool = True) -> None:
         self.plan: PlanRecord | None = None
@@ -225,34 +221,34 @@ class Log:
         self.points: MutableMapping[str, Point] = _Packed() if packed else {}
         self.repeated: dict[str, list[Point]] = {}  # earlier measurements of targets, by key
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
-        self.changed: dict[str, int] = {}  # by point: number of the record that made it as it is
-        self.celsius: dict[str, float] = {}  # by point, where a weather station measured the air
+        self.changed: dict[str, int] = {}  # by point: the record of its last change
+        self.celsius: dict[str, float] = {}  # by point, with a weather station
         self.frames: dict[str, Frame] = {}
         self.verdicts: dict[str, Verdict] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
         self.events: list[Record] = []
         self.state: RunState = "idle"
         self.calibration: CalibrationState = "unknown"
-        self.life: list[Change] = []  # the states that the run went through
-        self.session, self.began = 0, 0  # its number, and the record with which it began
+        self.life: list[Change] = []  # the run's states
+        self.session, self.began = 0, 0  # its number and first record
         self.end: Ended | None = None
         self.fault = ""
         self.moved = False  # in this session
-        self.visit = 0  # one more with each order to the slide: a touched base is of one visit
+        self.visit = 0  # counts motions of the slide; a touched base belongs to one visit
         self.visited_poses = VisitedPoses()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
-        self.link: events.LinkCounted | None = None  # of all sessions that have ended by themselves
+        self.link: events.LinkCounted | None = None  # of all sessions without a crash
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, events.Seated] = {}
         self.streams: dict[str, events.StreamRecorded] = {}
         self.curves: dict[int, events.CurveMeasured] = {}  # by axis, 1 to 6
-        self.assets: list[Identity] = []  # that answered when they were last connected
+        self.assets: list[Identity] = []  # as last connected
         self.newest: Record | None = None
         self.version = self.measured_version = 0  # newest record; newest point, frame or event
-        self._worked: Record | None = None  # the newest that is no end: a refused resume has one
-        self.order: OrderedMotion | None = None  # the last motion that is not known to have ended
-        self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
+        self._worked: Record | None = None  # the newest except ends, which a refused resume has
+        self.order: OrderedMotion | None = None  # the last motion without a known end
+        self.cut_off: list[CutOff] = []  # earlier crashed sessions
         self._computed: dict[object, tuple[int, Any]] = {}
         for record in records:
             self.take(record)
@@ -290,7 +286,7 @@ class Log:
             self._drop(key)
 
     def read(self, record: Record) -> Point:
-        """Return the point of a record, a later one may count, as seen from the first set-up."""
+        """Return the point of a record, superseded or not, as seen from the first set-up."""
         assert isinstance(record.fact, Point)  # noqa: S101 - a record of another kind is none
         return self._carried(record.fact)
 
@@ -303,14 +299,14 @@ class Log:
         return msgspec.structs.replace(point, xyz_mm=seen[0], std_mm=seen[1])
 
     def _carry_nests(self, frame: str, seq: int) -> None:
-        """Carry the nests that a later set-up's frame was built of."""
+        """Transform the nests of a later set-up's frame."""
         for key, point in self.points.items():
             if point.set_up and frame == world_key(point.set_up):
                 self.points[key] = self._carried(point)
                 self.changed[key] = seq
 
     def _drop(self, key: str) -> None:
-        """Leave out a point of a tracker that had moved; it stays in the journal."""
+        """Remove an invalid point; the journal keeps it."""
         self.streams.pop(key, None)
         self.retakes.pop(key, None)
         self.repeated.pop(key, None)
@@ -347,7 +343,7 @@ class Log:
             case events.Connected():
                 self.assets = event.devices
                 if any(asset.simulated for asset in self.assets):
-                    # Its own statement counts, with any cell file.
+                    # Independent of the cell file.
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case events.StreamRecorded():
                 self.streams[event.key] = event
@@ -373,21 +369,21 @@ class Log:
             self.fault = change.reason
 
     def once(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
-        """Return ``compute(log, *args)``, which is computed once until the next record comes."""
-        return self._kept(self.version, compute, *args)
+        """Return ``compute(log, *args)``, cached until the next record."""
+        return self._cached(self.version, compute, *args)
 
     def once_measured(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
-        """Return ``compute(log, *args)``, which is computed once until more is measured: it reads
-        points, frames and events, no motion, state or verdict.
+        """Return ``compute(log, *args)``, cached until the next point, frame or event: it must not
+        read motions, states or verdicts.
         """
-        return self._kept(self.measured_version, compute, *args)
+        return self._cached(self.measured_version, compute, *args)
 
-    def _kept(self, version: int, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
+    def _cached(self, version: int, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
         known = self._computed.get((compute, args))
         if known is None or known[0] != version:
             known = self._computed[compute, args] = (version, compute(self, *args))
-        found: T = known[1]
-        return found
+        value: T = known[1]
+        return value
 
     def verdict(self, kind: type[V], key: str = "") -> V | None:
         """Return the verdict of a type, by the first of its keys or ``key``; None before it."""
@@ -396,7 +392,7 @@ class Log:
 
     @property
     def method(self) -> str:
-        """Return the error model that was chosen, "" before."""
+        """The chosen error model, "" before."""
         fitted = self.verdict(Fitted)
         return "" if fitted is None else fitted.method
 
@@ -417,32 +413,31 @@ class Log:
 
     @property
     def result(self) -> Json:
-        """Return the result with which the last session ended; nothing before its end."""
+        """Return the result of the last session; {} before its end."""
         return {} if self.end is None else self.end.result
 
     @property
     def over(self) -> bool:
-        """Whether the last session has come to an end of its own: no crash has cut it off."""
+        """Whether the last session has ended without a crash."""
         return self.state in OVER
 
     @property
     def by_factory_links(self) -> bool:
-        """Whether the controller computes with links that its maker has measured on this arm."""
+        """Whether the controller uses the maker's measured link lengths of this arm."""
         return bool(self.happened(events.FactoryLinks))
 
     @property
     def calibrates(self) -> bool:
-        """Whether the run ended with a calibration, which has a file of its own."""
+        """Whether the run wrote a calibration file."""
         return self.state == "finished" and self.facts.kind != ""
 
     @property
     def facts(self) -> CalibrationFacts:
-        """Return what the verdicts say of the run's calibration."""
         return facts_of(self.verdicts)
 
     @property
     def outcome(self) -> str:
-        """Return how the run came out, in a word, as a list of runs says it; "" without an end."""
+        """Return the run's outcome as in the list of runs; "" without an end."""
         code = None if self.end is None else self.end.exit
         return outcome(self.facts, self.state, code, len(self.points))
 
@@ -456,20 +451,18 @@ class Log:
 
     @property
     def cell(self) -> Cell:
-        """Return the cell as it was frozen when the run began."""
         if self._cell is None:
             self._cell = convert(self.inputs.cell, Cell, "the journal's cell")
         return self._cell
 
     @property
     def inputs(self) -> PlanRecord:
-        """Return the frozen inputs; a run writes them first."""
+        """Return the frozen inputs; raises `NeverBegan`."""
         if self.plan is None:
             raise NeverBegan("the journal holds no plan: the run died before its first record")
         return self.plan
 
     def find(self, id: PointId) -> Point | None:
-        """Return a point, or None where it was not measured yet."""
         return self.points.get(id.key)
 
     def point(self, id: PointId) -> Point:
@@ -486,9 +479,9 @@ class Log:
         place: int | None = None,
         seat: int | None = None,
     ) -> list[Point]:
-        """Return the points of a kind in the order of their keys; all stated values must agree.
+        """Return the points of a kind that match all given values, in the order of their keys.
 
-        Those of the tool point, or of another ``seat``.
+        ``seat`` is that of a further reflector on the flange; None is the tool point.
         """
 
         def agrees(point: Point) -> bool:
@@ -510,27 +503,27 @@ class Log:
         return (point for point in points if point.id.seat is None)
 
     def recorded(self, point: Point) -> int:
-        """Return the number of the record that holds a point."""
+        """Return the number of a point's record."""
         return self._keys[point.id.kind][point.key]
 
     def last_recorded(self, besides: Collection[str]) -> int:
-        """Return the number of the last record with a point of no kind of ``besides``."""
+        """Return the number of the last point's record, of other kinds than ``besides``."""
         kinds = (keys for kind, keys in self._keys.items() if kind not in besides)
         return max(chain.from_iterable(keys.values() for keys in kinds))
 
     @property
     def counted(self) -> int:
-        """Return how many points are measured, as plans count them: without proofs of nests."""
+        """Return the number of points as in plans: without control points."""
         return sum(point.id.group != CONTROL for point in self.points.values())
 
     @property
     def was_connected(self) -> bool:
-        """Whether all devices were connected in this session: else how they stand is not known."""
+        """Whether all devices were connected in this session."""
         connected = (each.seq for each in self.events if isinstance(each.fact, events.Connected))
         return max(connected, default=0) > self.began
 
     def temperatures_c(self) -> list[float]:
-        """Return the air's temperature at every point; nothing without a weather station."""
+        """Return the air temperature of every point; none without a weather station."""
         return [*self.celsius.values()]
 
     def matrix(self, frame: str) -> Array:
@@ -539,21 +532,17 @@ class Log:
 
 
 class Records(Protocol):
-    """Takes the records of a run; ``path`` is in the folder that takes its streams."""
+    """Takes the records of a run; ``path`` is in the folder of its streams."""
 
     log: Log
     path: Path
 
     def append(self, kind: Kind, key: str, body: Body) -> Record:
-        """Keep one record, apply it to the log and return it; raises `NotFinite`."""
+        """Store one record, apply it to the log and return it; raises `NotFinite`."""
 
 
 class RunJournal(Journal):
-    """The journal of a run, open for writing, and its log, which are one.
-
-    Each appended record is applied to the log. That has what the file held before, so a resumed run
-    is set up as a new one is.
-    """
+    """The journal of a run, open for writing, with its log up to date."""
 
     def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
         self.log = Log()
@@ -570,7 +559,7 @@ def positions_mm(points: Iterable[Point]) -> Array:
 
 
 def repeated_visits(log: Log) -> list[list[Point]]:
-    """Return the points of each place that the robot visited repeatedly."""
+    """Return the points of each place with repeated visits."""
     places: dict[int | None, list[Point]] = {}
     for point in log.select("repeatability"):
         places.setdefault(point.id.place, []).append(point)
@@ -578,7 +567,7 @@ def repeated_visits(log: Log) -> list[list[Point]]:
 
 
 def commanded_rad(points: Iterable[Point]) -> Array:
-    """Return the joints (N, 6) that were commanded."""
+    """Return the commanded joints (N, 6)."""
     commanded_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
     return np.radians(commanded_deg).reshape(-1, 6)
 
@@ -590,24 +579,24 @@ def variances_mm2(points: Sequence[Point]) -> Array:
 
 
 def covariances_mm2(points: Sequence[Point], R: Array) -> Array:
-    """Return the covariances (N, 3, 3) of the averaged readings, turned by ``R`` (3, 3)."""
-    turned: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2(points), R)
-    return turned
+    """Return the covariances (N, 3, 3) of the averaged readings, rotated by ``R`` (3, 3)."""
+    rotated: Array = np.einsum("ij,nj,kj->nik", R, variances_mm2(points), R)
+    return rotated
 
 
 def of_measured(compute: Callable[[Log, *Args], T]) -> Callable[[Log, *Args], T]:
-    """Compute what a log's points show once until more is measured, as `Log.once_measured` does."""
+    """Cache a function of a log's measurements by `Log.once_measured`."""
 
     @wraps(compute)
-    def kept(log: Log, *args: *Args) -> T:
+    def cached(log: Log, *args: *Args) -> T:
         return log.once_measured(compute, *args)
 
-    return kept
+    return cached
 
 
 @of_measured
 def run_noise(log: Log) -> BeamNoise:
-    """Return the noise of readings, from the scatter that all points of a run state."""
+    """Return the noise of readings from the standard deviations of all points of a run."""
     points = list(log.points.values())
     std_mm = [point.std_mm for point in points]
     return beam_noise(positions_mm(points), std_mm, [point.samples for point in points])
@@ -619,10 +608,7 @@ def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
 
 
 def changed_asset_kinds(before: Mapping[str, Identity], now: Mapping[str, Identity]) -> list[str]:
-    """Return the kinds of assets that are not the same ones now; both are by kind.
-
-    A firmware that was not stated once proves nothing.
-    """
+    """Return the kinds of assets that have changed; an unknown firmware is no change."""
 
     def same(one: Identity | None, other: Identity | None) -> bool:
         if one is None or other is None:
@@ -637,7 +623,7 @@ def changed_asset_kinds(before: Mapping[str, Identity], now: Mapping[str, Identi
 def different_assets(
     first: list[Identity], second: list[Identity]
 ) -> list[tuple[Identity, Identity]]:
-    """Return the assets of one kind that are not the same ones in both runs, by serial number."""
+    """Return the pairs of assets of one kind whose serial numbers differ."""
     there = {asset.kind: asset for asset in second}
     pairs = ((one, there[one.kind]) for one in first if one.kind in there)
     return [pair for pair in pairs if pair[0].serial != pair[1].serial]

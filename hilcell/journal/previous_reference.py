@@ -1,4 +1,4 @@
-"""Floor, base and stations as the run of the cell's current calibration measured them."""
+"""Floor, base and stations as measured by the run of the cell's current calibration."""
 
 from __future__ import annotations
 
@@ -24,35 +24,32 @@ FLOOR_NESTS = 3  # that span {W}, the first ones
 
 
 def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> PreviousReference | None:
-    """Return them; None without such a run, or where the cell file has moved the floor nests.
-
-    ``machine_seed`` is a simulated machine's, where it is known.
-    """
+    """Return them; None without such a run, or where the cell file has moved the floor nests."""
     rows = read_index(runs)
     name = current_of(rows, cell.name, cell.serial, cell.simulation is not None, machine_seed)
     if not name:
         return None
     log = read_log(runs / name)
     _refuse_other_order(name, log.cell, cell)
-    found, first = _Measured(log, cell).floor(name), measured_by(rows, name)
-    if found is None or first == name:
-        return found
+    floor, first = _Measured(log, cell).floor(name), measured_by(rows, name)
+    if floor is None or first == name:
+        return floor
     origin = _Measured(read_log(runs / first), cell).floor(first)
-    return found if origin is None else _with_frames(found, origin, runs / name / CALIBRATION, cell)
+    return floor if origin is None else _with_frames(floor, origin, runs / name / CALIBRATION, cell)
 
 
 class _Calibration(msgspec.Struct):
-    """The part of a calibration file that says where an update has found the base."""
+    """The part of a calibration file with the base of an update."""
 
     provenance: Provenance
     stations: dict[str, StationEntry]
 
 
 def _with_frames(
-    found: PreviousReference, origin: PreviousReference, updated: Path, cell: Cell
+    floor: PreviousReference, origin: PreviousReference, updated: Path, cell: Cell
 ) -> PreviousReference:
-    """Return floor nests with the frames of the run that measured them, and the base as the
-    calibration file ``updated`` has it; without a base where that cannot be read.
+    """Return floor nests with the frames of their run and the base of the calibration file
+    ``updated``; without a base if that is unreadable.
     """
     base = None
     with suppress(OSError, msgspec.DecodeError, KeyError):
@@ -66,9 +63,9 @@ def _with_frames(
             base = Frame(matrix=T.tolist(), covariance=covariance.tolist())
     return msgspec.structs.replace(
         origin,
-        run=found.run,
-        nests_mm=found.nests_mm,
-        temperature_c=found.temperature_c,
+        run=floor.run,
+        nests_mm=floor.nests_mm,
+        temperature_c=floor.temperature_c,
         base=base,
         frames_c=origin.temperature_c,
     )
@@ -76,19 +73,19 @@ def _with_frames(
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """The log of an earlier run, seen from the cell as it is now."""
+    """The log of an earlier run, compared with the present cell."""
 
     log: Log
     cell: Cell
 
     def floor(self, name: str) -> PreviousReference | None:
-        """Return what the run ``name`` measured, as far as the cell still has it."""
+        """Return the measurements of the run ``name`` that still apply to the cell."""
         log, then = self.log, self.log.cell
         nests = {point.id.nest: point for point in log.select("world") if point.id.number is None}
         if then.layout.floor != self.cell.layout.floor or len(nests) != len(then.layout.floor):
             return None
-        kept = self._same_robot() and then.grid == self.cell.grid
-        clouds = repeated_visits(log) if kept else []  # of places that the cell still has
+        same_grid = self._same_robot() and then.grid == self.cell.grid
+        clouds = repeated_visits(log) if same_grid else []
         air_c = [each.temperature_c for each in nests.values() if each.temperature_c is not None]
         return PreviousReference(
             name,
@@ -101,14 +98,14 @@ class _Measured:
         )
 
     def _base(self) -> Frame | None:
-        """Return the base as circles gave it; None where the grid has another station now."""
+        """Return the base from circles; None if the grid's station has changed."""
         then, frame = self.log.cell, self.log.frames.get("base")
         if not isinstance(frame, MeasuredBase) or then.reference != self.cell.reference:
             return None
         return Frame(matrix=frame.matrix, covariance=frame.covariance)
 
     def _stations(self) -> dict[str, Frame]:
-        """Return the slide at the stations, and with the nests, that the cell still has."""
+        """Return the slide at the stations that the cell still has, if its nests are the same."""
         if self.log.cell.layout.slide != self.cell.layout.slide:
             return {}
         return {
@@ -120,16 +117,15 @@ class _Measured:
         }
 
     def _same_robot(self) -> bool:
-        """Whether both have one robot, whatever is stated of its repeatability."""
+        """Whether the robot is the same, apart from its repeatability."""
         now = self.cell.robot
         return msgspec.structs.replace(self.log.cell.robot, rp_mm=now.rp_mm) == now
 
 
 def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
-    """Refuse the same places under other names, or in an order that spans {W} by other nests.
+    """Refuse renamed nests, and an order that spans {W} by other nests, at the same places.
 
-    Distances of nests do not show it, and {W} lies elsewhere, by as much as nests are beside their
-    places.
+    Distances do not show it, and {W} would shift by the nests' deviations from their places.
     """
     before, after = then.layout.floor, now.layout.floor
     places = [
@@ -139,13 +135,13 @@ def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
     spans = [nests[:FLOOR_NESTS] for nests in (before, after)]
     if places[0] != places[1] or (named[0] == named[1] and spans[0] == spans[1]):
         return
-    wanted, found = (", ".join(nest.name for nest in nests) for nests in spans)
+    expected, actual = (", ".join(nest.name for nest in nests) for nests in spans)
     raise DeviceError(
         "HC-T32",
         "Tracker",
         "world frame",
-        f"the cell file spans {{W}} by {found}, at places that had other names or another order",
-        expected=f"{wanted}, each at its place, as in run {run}",
+        f"the cell file spans {{W}} by {actual}, at places that had other names or another order",
+        expected=f"{expected}, each at its place, as in run {run}",
         act="put names and order of layout.floor back, or revoke that run's calibration",
         fields={"run": run, "nests": [nest.name for nest in spans[1]]},
     )

@@ -1,6 +1,6 @@
-"""The folder of runs: one folder a run, with a journal in it, and the room on its disk.
+"""The folder of runs: one folder a run with its journal, and the free disk space.
 
-While an engine writes a run's journal, a file beside it says where that engine listens.
+While an engine writes a run's journal, a file beside it has that engine's address.
 """
 
 from __future__ import annotations
@@ -38,23 +38,18 @@ ANSWER_S = 5.0  # of an engine
 
 
 def new_run(procedure: str) -> str:
-    """Return a new run's name: when, what, and four characters against collisions."""
+    """Return a new run's name: time, procedure, and four characters against collisions."""
     return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{procedure}-{secrets.token_hex(2)}"
 
 
 def short_run(run: str) -> str:
-    """Return the part of a run's name that tells it from others: its own name, or the end of one
-    that `new_run` gave.
-    """
+    """Return a run's given name, or the last four characters of a name by `new_run`."""
     given = re.fullmatch(r"\d{8}-\d{6}-.+-[0-9a-f]{4}", run)
     return run[-4:] if given else run
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a run, with an empty journal; raises `StorageError`.
-
-    A folder without one is that of a run whose journal was lost.
-    """
+    """Make the folder of a run with an empty journal; raises `StorageError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / JOURNAL).touch(mode=0o644)
@@ -63,7 +58,7 @@ def make_folder(folder: Path) -> None:
 
 
 def remove_unbegun(folder: Path) -> None:
-    """Remove the journal of a run that never began, and its folder where nothing else is in it."""
+    """Remove the journal of a run that never began, and its folder if empty."""
     for suffix in ("", "-wal", "-shm"):
         (folder / f"{JOURNAL}{suffix}").unlink(missing_ok=True)
     with suppress(OSError):
@@ -71,25 +66,24 @@ def remove_unbegun(folder: Path) -> None:
 
 
 def run_folders(runs: Path) -> list[Path]:
-    """Return the folders that hold a journal, oldest first; raises `StorageError`."""
+    """Return the folders with a journal, oldest first; raises `StorageError`."""
     try:
         folders = list(runs.iterdir())
     except FileNotFoundError:
-        return []  # no run was ever made there
+        return []  # no run yet
     except OSError as error:
         raise unusable(runs, error) from error
     return sorted(filter(is_run, folders))
 
 
 def unusable(runs: Path, error: OSError) -> HilcellError:
-    """Return the error of a folder of runs that cannot be read; another name mends a file."""
     if isinstance(error, NotADirectoryError):
         return HilcellError(f"runs folder {runs} is a file: name the folder of runs")
     return StorageError(f"runs folder {runs} cannot be used: {error.strerror}")
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder holds a journal, or may: one that must not be looked into counts."""
+    """Whether a folder has a journal, or may: one without read permission counts."""
     try:
         return is_regular_file(folder / JOURNAL)
     except OSError:
@@ -105,10 +99,10 @@ def read_log(folder: Path) -> Log:
         return Log(records)
     except HilcellError:
         raise
-    except Exception as error:  # whatever its records hold, they are refused in words
+    except Exception as error:  # invalid records of any kind
         raise StorageError(
-            f"journal {folder / JOURNAL}: its records are no run's: {one_line(error)}; another "
-            f"version of hilcell wrote it, or somebody has changed it; {RESTORE_ADVICE}",
+            f"journal {folder / JOURNAL}: invalid records: {one_line(error)}; another version "
+            f"of hilcell wrote it, or it was changed; {RESTORE_ADVICE}",
             code="HC-J02",
         ) from error
 
@@ -135,7 +129,7 @@ def read_records(folder: Path) -> list[Record]:
 
 
 class EngineFile(msgspec.Struct, frozen=True):
-    """Where a live engine listens, and the folder of its run; "" is not known."""
+    """The address of a live engine and the folder of its run, "" if unknown."""
 
     pid: int
     socket: str
@@ -143,34 +137,34 @@ class EngineFile(msgspec.Struct, frozen=True):
 
 
 def read_engine_file(folder: Path) -> EngineFile | None:
-    """Return where an engine of a run has listened last; None where the file says nothing.
+    """Return the last engine of a run; None without one.
 
-    That of a copied folder speaks of the original's engine, which moves the machine.
+    The file of a copied folder is the original's engine, which moves the machine.
     """
     engine = _engine_file_in(folder)
     if engine is None or not engine.folder:
         return engine
-    first = Path(engine.folder)  # a copied folder's still has the file, a moved one's has not
+    first = Path(engine.folder)  # exists if the folder was copied, not moved
     try:
         return None if not first.samefile(folder) and _engine_file_in(first) == engine else engine
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):  # not a valid file name
         return engine
 
 
 def _engine_file_in(folder: Path) -> EngineFile | None:
     try:
         if not is_regular_file(folder / ENGINE):
-            return None  # opening a pipe may never end
+            return None  # opening a pipe may block
         with (folder / ENGINE).open("rb") as file:
-            return decoded(file.read(2**16), EngineFile)  # a longer one is none
+            return decoded(file.read(2**16), EngineFile)  # a longer one is invalid
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 
 
 def live_engine(folder: Path) -> EngineFile | None:
-    """Return where the engine of a run listens, or None where none lives.
+    """Return the live engine of a run, or None.
 
-    One whose process stands still lives: it moves again as soon as it goes on.
+    A suspended process counts as alive: it moves again once it continues.
     """
     engine = read_engine_file(folder)
     if engine is None:
@@ -180,17 +174,17 @@ def live_engine(folder: Path) -> EngineFile | None:
         try:
             link.connect(engine.socket)
         except (BlockingIOError, TimeoutError):
-            return engine  # it lives, and takes nobody any more
+            return engine  # alive, but accepts no connection
         except (OSError, ValueError):
             return None
     return engine
 
 
-# -- room on the disk ------------------------------------------------------------------------------
+# -- disk space ------------------------------------------------------------------------------
 
 
 def bytes_needed(points: int) -> int:
-    """Return how much room a run of so many planned points needs, with a margin.
+    """Return the disk space for a run of so many planned points, with a margin.
 
     A quick calibration of 308 points wrote a journal of 647 kB, and 1.2 MB in all: with its
     streams, its calibration and the index.
@@ -200,7 +194,7 @@ def bytes_needed(points: int) -> int:
 
 
 def bytes_free(folder: Path) -> int:
-    """Return the room on the disk of a folder, which may be yet to be made; raises `OSError`."""
+    """Return the free disk space for a folder, existing or not; raises `OSError`."""
     import shutil  # a list of runs does without
 
     return shutil.disk_usage(nearest_existing(folder)).free
@@ -213,7 +207,7 @@ def nearest_existing(folder: Path) -> Path:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether a folder can be made and written in, were there room for it."""
+    """Whether a folder can be made and written, apart from the disk space."""
     import tempfile
 
     try:
@@ -224,13 +218,13 @@ def is_writable(folder: Path) -> bool:
 
 
 def check_space(runs: Path, points: int) -> None:
-    """Refuse a run that its disk has no room for; raises `HilcellError`."""
-    with suppress(OSError):  # a folder that cannot be looked at is refused where it is made
-        free, wanted = bytes_free(runs), bytes_needed(points)
-        if free < wanted and is_writable(runs):
+    """Raise `HilcellError` for a run without enough disk space."""
+    with suppress(OSError):  # refused where the folder is made
+        free, needed = bytes_free(runs), bytes_needed(points)
+        if free < needed and is_writable(runs):
             raise HilcellError(
                 f"folder of runs {runs.absolute()}: {free / 1e6:.1f} MB of its disk are free, "
-                f"expected {wanted / 1e6:.1f} MB for a run of {points} points; make room, or "
+                f"expected {needed / 1e6:.1f} MB for a run of {points} points; make room, or "
                 "choose a folder of another disk with --runs",
                 code="HC-J15",
             )

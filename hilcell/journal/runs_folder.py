@@ -1,7 +1,4 @@
-"""The folder of runs where none is named: one for each user, whatever the current directory.
-
-``HILCELL_RUNS`` names another.
-"""
+"""The default folder of runs: one for each user; ``HILCELL_RUNS`` names another."""
 
 from __future__ import annotations
 
@@ -15,10 +12,9 @@ OVERRIDE = "HILCELL_RUNS"
 
 
 def usual_runs(environment: Mapping[str, str]) -> tuple[Path, str]:
-    """Return the folder of runs that holds without ``--runs``, and why it is not the user's own
-    where nobody has asked for that.
+    """Return the folder of runs without ``--runs`` and a warning, "" for none.
 
-    The user's data are where the XDG base directory specification has them.
+    The user's data follow the XDG base directory specification.
     """
     if named := environment.get(OVERRIDE):
         return at_home(Path(named)), ""
@@ -33,8 +29,7 @@ def usual_runs(environment: Mapping[str, str]) -> tuple[Path, str]:
 
 
 def at_home(folder: Path) -> Path:
-    """Return a folder with the ``~`` at its begin expanded, which only shells do."""
-    with suppress(RuntimeError):  # no home, or a user that there is not
+    with suppress(RuntimeError):  # no home, or an unknown user
         return folder.expanduser()
     return folder
 

@@ -1,11 +1,10 @@
 """The samples of a stream: a file of their own beside the journal, and one record in it.
 
-180 000 samples are not 180 000 commits. So a sweep's samples are appended to a file, made durable
-when the stream has ended, and only then is the file's digest journalled. A file without its record
-is left over from a kill: the next stream removes unfinished ones, and files are read by their
-records only.
+A sweep's samples are appended to a file, which is made durable when the stream has ended; only then
+its digest is journalled. A file without a record is left from a kill: the next stream removes
+unfinished ones, and files are read by their records only.
 
-The file is a row of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
+The file is a sequence of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
 `JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``, which
 is NaN where a robot's controller states none.
 """
@@ -30,7 +29,7 @@ from hilcell.journal.journal import RESTORE_ADVICE, StorageError, is_regular_fil
 from hilcell.model.events import StreamRecorded
 from hilcell.ports import JointSample, NoReading, StreamBlock
 
-FORM = 1  # of the file; to be raised whenever its arrays change
+FORM = 1  # of the file; increase it whenever its arrays change
 FOLDER = "streams"
 ROWS = 512  # rows that are gathered before an array is written
 SAMPLES = np.dtype(
@@ -43,7 +42,7 @@ Rows = NDArray[np.void]
 
 
 class StreamFile:
-    """A stream that is being written; without `finish` it is discarded."""
+    """A stream being written; without `finish` it is discarded."""
 
     UNFINISHED = ".part"
 
@@ -59,7 +58,7 @@ class StreamFile:
         self._digest = hashlib.sha256()
 
     def __enter__(self) -> Self:
-        """Remove what was never finished, and begin."""
+        """Remove unfinished files and begin."""
         try:
             self._folder.mkdir(exist_ok=True)
             for left in self._folder.glob(f"*{self.UNFINISHED}"):
@@ -94,7 +93,7 @@ class StreamFile:
             self._append(row)
 
     def finish(self) -> StreamRecorded:
-        """Make the file durable under its name; return what the journal has to keep.
+        """Make the file durable under its name; return its record.
 
         Raises `NoReading` where there is no sample, and `StorageError`.
         """
@@ -153,16 +152,13 @@ class StreamFile:
     def _failed(self, error: OSError) -> StorageError:
         return StorageError(
             f"stream {self._path}: {self._key} could not be stored: {error.strerror}; "
-            "make room or mend the disk, then resume the run",
+            "make room or repair the disk, then resume the run",
             code="HC-J01",
         )
 
 
 def read_stream(run_folder: Path, record: StreamRecorded) -> SweepStream:
-    """Return a stream, in the tracker's frame, by its journal's record.
-
-    Raises `StorageError` where it is another's.
-    """
+    """Return a recorded stream, in the tracker's frame; raises `StorageError` for another file."""
     path = run_folder / FOLDER / Path(record.file).name
     if record.form != FORM:
         raise StorageError(
@@ -178,7 +174,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> SweepStream:
         raise StorageError(f"stream {path}: cannot be read: {error.strerror}") from error
     if hashlib.sha256(data).hexdigest() != record.sha256:
         raise StorageError(
-            f"stream {path}: it is not the one that was written; the file was changed or damaged, "
+            f"stream {path}: it differs from the one that was written: changed or damaged, "
             f"and its results cannot be trusted; {RESTORE_ADVICE}",
             code="HC-J02",
         )

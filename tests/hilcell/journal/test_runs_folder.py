@@ -69,7 +69,7 @@ def test_a_folder_of_runs_that_is_not_there_is_named(
 ) -> None:
     assert main(["show", "last", "--runs", str(here / "none")]) == 2
     said = capsys.readouterr().err
-    assert f"nor is the folder of runs {here / 'none'}; " in said
+    assert f"no folder of runs {here / 'none'}; " in said
     assert "--runs" in said
 
 
