@@ -1,4 +1,4 @@
-"""What no device can have is refused with the cell file, before anything is opened."""
+"""Options that no device can have are refused with the cell file, before anything is opened."""
 
 from __future__ import annotations
 
@@ -8,77 +8,76 @@ from hilcell.cell.devices import check_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 
-TABLES = {"ur-rtde": "robot", "kuka-c3": "robot", "kuka-eki": "robot"}
-BITRATE = "rail.options.bitrate"
-CHANNEL = "rail.options.channel"
-STRIP = '{{driver = "{}", channel = "{}", bitrate = {}}}'
+CHANNEL, BITRATE = "rail.options.channel", "rail.options.bitrate"
+STRIP = "rail.options.strip"
 
 
-def check(changed: dict[str, str], cell: str = "paper") -> None:
-    check_options(load_cell(cell, changed))
+def strip(driver: str, channel: str, bitrate: str = "500000") -> dict[str, str]:
+    return {STRIP: f'{{driver = "{driver}", channel = "{channel}", bitrate = {bitrate}}}'}
 
 
-def refused(changed: dict[str, str], key: str, cell: str = "paper") -> None:
-    """See that `check` and `run` refuse settings of a cell, by their key."""
+def robot(driver: str, **options: str) -> dict[str, str]:
+    return {"robot.driver": driver} | {f"robot.options.{key}": v for key, v in options.items()}
+
+
+def tracker(driver: str, **options: str) -> dict[str, str]:
+    return {"tracker.driver": driver} | {f"tracker.options.{key}": v for key, v in options.items()}
+
+
+def socketcan(name: str) -> dict[str, str]:
+    return {"rail.options.interface": "socketcan", CHANNEL: name}
+
+
+@pytest.mark.parametrize(
+    ("key", "changed"),
+    [
+        *(("bitrate", {BITRATE: rate}) for rate in ("12345", "0", "-1")),
+        *(("bitrate", strip("canopen", "socket://h:1", rate)) for rate in ("12345", "0", "-1")),
+        *(
+            ("channel", changed)
+            for line in ("/dev/ttyS0@0", "/dev/ttyS0@4000001")
+            for changed in (
+                {CHANNEL: line}, strip("serial", line), tracker("leica-geocom", channel=line)
+            )
+        ),
+        *(
+            ("channel", {CHANNEL: name})
+            for name in (
+                "socket://h:0", "socket://h:65536", "socket://h:nan", "socket://:1",
+                "socket://a b:1", "socket://h:1/x", "socket://me@h:1", "tcp://h:1",
+            )
+        ),
+        *(("channel", socketcan(name)) for name in ("", "/dev/ttyS0", "a b", "x" * 16)),
+        ("host", robot("kuka-c3", host="")),
+        ("host", robot("kuka-eki", host=" ")),
+        ("host", robot("ur-rtde", host="/dev/ttyS0")),
+        ("host", tracker("leica-emscon", host="10.0.0.1:7000")),
+        ("host", tracker("t2sa", host="http://h")),
+        ("port", robot("kuka-c3", port="0")),
+        ("port", robot("kuka-eki", port="65536")),
+        ("port", tracker("leica-emscon", port="nan")),
+        ("port", tracker("t2sa", port="-1")),
+        ("stop_port", robot("kuka-eki", port="54601")),  # its two ports differ
+        ("strip_counts_per_mm", {"rail.options.strip_counts_per_mm": "1e300"}),
+    ],
+)  # fmt: skip
+def test_an_impossible_option_is_refused_by_its_key(key: str, changed: dict[str, str]) -> None:
+    cell = "lab" if changed.get("robot.driver") == "ur-rtde" else "paper"
     with pytest.raises(SettingsError) as error:
-        check(changed, cell)
+        check_options(load_cell(cell, changed))
     (problem,) = error.value.problems
     assert f"{key}: " in problem
 
 
-@pytest.mark.parametrize("bitrate", ["12345", "0", "-1"])
-def test_a_bit_rate_that_slcan_lacks(bitrate: str) -> None:
-    refused({BITRATE: bitrate}, "bitrate")
-    refused({"rail.options.strip": STRIP.format("canopen", "socket://h:1", bitrate)}, "bitrate")
-
-
-@pytest.mark.parametrize("baud", ["0", "4000001"])
-def test_a_baud_rate_that_no_line_has(baud: str) -> None:
-    channel = f"/dev/ttyS0@{baud}"
-    refused({CHANNEL: channel}, "channel")
-    refused({"rail.options.strip": STRIP.format("serial", channel, 500_000)}, "channel")
-    refused({"tracker.driver": "leica-geocom", "tracker.options.channel": channel}, "channel")
-
-
 @pytest.mark.parametrize(
-    "channel",
-    ["socket://h:0", "socket://h:65536", "socket://h:nan", "socket://:1", "socket://a b:1",
-     "socket://h:1/x", "socket://me@h:1", "tcp://h:1"],
-)  # fmt: skip
-def test_a_socket_that_cannot_be(channel: str) -> None:
-    refused({CHANNEL: channel}, "channel")
-
-
-@pytest.mark.parametrize("name", ["", "/dev/ttyS0", "a b", "x" * 16])
-def test_a_name_that_no_can_interface_has(name: str) -> None:
-    kernels = {"rail.options.interface": "socketcan"}
-    refused(kernels | {CHANNEL: name}, "channel")
-    check(kernels | {CHANNEL: "can0", BITRATE: "12345"})  # it has a bit rate of its own
-
-
-@pytest.mark.parametrize(
-    ("driver", "key", "value"),
+    "changed",
     [
-        ("kuka-c3", "host", ""), ("kuka-eki", "host", " "), ("ur-rtde", "host", "/dev/ttyS0"),
-        ("leica-emscon", "host", "10.0.0.1:7000"), ("t2sa", "host", "http://h"),
-        ("kuka-c3", "port", "0"), ("kuka-eki", "port", "65536"), ("leica-emscon", "port", "nan"),
-        ("t2sa", "port", "-1"),
+        *(
+            {"tracker.options.host": host, "robot.options.host": host}
+            for host in ("::1", "fe80::1%eth0", "10.0.0.1", "tracker-1.plant.example")
+        ),
+        socketcan("can0") | {BITRATE: "12345"},  # the kernel's interface has its own bit rate
     ],
-)  # fmt: skip
-def test_a_host_or_a_port_that_cannot_be(driver: str, key: str, value: str) -> None:
-    table = TABLES.get(driver, "tracker")
-    cell = "lab" if driver == "ur-rtde" else "paper"
-    refused({f"{table}.driver": driver, f"{table}.options.{key}": value}, key, cell)
-
-
-@pytest.mark.parametrize("host", ["::1", "fe80::1%eth0", "10.0.0.1", "tracker-1.plant.example"])
-def test_hosts_that_may_be(host: str) -> None:
-    check({"tracker.options.host": host, "robot.options.host": host})
-
-
-def test_the_two_ports_of_a_kuka_controller_differ() -> None:
-    refused({"robot.driver": "kuka-eki", "robot.options.port": "54601"}, "stop_port")
-
-
-def test_a_strip_has_no_more_counts_than_a_nanometre_each() -> None:
-    refused({"rail.options.strip_counts_per_mm": "1e300"}, "strip_counts_per_mm")
+)
+def test_other_options_are_taken(changed: dict[str, str]) -> None:
+    check_options(load_cell("paper", changed))

@@ -259,7 +259,7 @@ class OwnCell:
     """The simulated cell that a run starts for itself; ``at_start`` are faults that wait in it."""
 
     def __init__(self) -> None:
-        self.at_start: list[dict[str, object]] = []
+        self.at_start: list[dict[str, Any]] = []
         self.strike: Callable[..., None]
 
     def start(self, cell: Cell, **words: Any) -> SimulatedCell | None:

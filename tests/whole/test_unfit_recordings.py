@@ -96,23 +96,30 @@ def test_a_file_that_is_not_whole_is_refused_with_its_line(
     assert line.format(lines=lines) in said
 
 
-def test_all_files_that_are_not_whole_are_named_at_once(recorded: Path) -> None:
+def empty(folder: Path) -> None:
     for wire in ("rail", "robot"):
-        (recorded / f"{wire}{SUFFIX}").write_bytes(b"")
-    said = refused(recorded)
-    assert f"rail{SUFFIX}" in said
-    assert f"robot{SUFFIX}" in said
+        (folder / f"{wire}{SUFFIX}").write_bytes(b"")
 
 
-def test_a_renamed_file_is_refused_with_its_name(recorded: Path) -> None:
-    robot = recorded / f"robot{SUFFIX}"
-    shutil.copy(recorded / f"tracker{SUFFIX}", robot)
-    assert f"{robot}: it was recorded as tracker{SUFFIX}" in refused(recorded)
-
-
-def test_a_recording_without_its_clock_is_refused(recorded: Path) -> None:
-    (recorded / f"clock{SUFFIX}").unlink()
-    assert f"no clock{SUFFIX}" in refused(recorded)
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (empty, [f"rail{SUFFIX}", f"robot{SUFFIX}"]),  # all at once
+        (
+            lambda folder: shutil.copy(folder / f"tracker{SUFFIX}", folder / f"robot{SUFFIX}"),
+            [f"robot{SUFFIX}: it was recorded as tracker{SUFFIX}"],
+        ),
+        (lambda folder: (folder / f"clock{SUFFIX}").unlink(), [f"no clock{SUFFIX}"]),
+        (lambda folder: folder.rename(folder.parent / "moved"), ["no such folder"]),
+    ],
+    ids=["empty files", "renamed file", "no clock", "no folder"],
+)
+def test_an_incomplete_recording_is_refused_with_its_files(
+    spoil: Callable[[Path], object], named: list[str], recorded: Path
+) -> None:
+    spoil(recorded)
+    message = refused(recorded)
+    assert [each for each in named if each not in message] == []
 
 
 @pytest.mark.parametrize(
@@ -131,10 +138,6 @@ def test_a_recording_of_another_form_is_refused(
     lines = [msgspec.json.encode(first) + b"\n"] if head else []
     path.write_bytes(b"".join([*lines, *lines_of(path)[1:]]))
     assert found in refused(recorded)
-
-
-def test_a_folder_that_is_not_there_is_no_folder(recorded: Path) -> None:
-    assert "no such folder" in refused(recorded.rename(recorded.parent / "moved").parent / "old")
 
 
 @pytest.mark.parametrize(

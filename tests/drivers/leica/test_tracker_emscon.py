@@ -123,13 +123,6 @@ def test_a_late_result_behind_the_acknowledgement_is_no_reading(
     np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
 
 
-def test_a_late_result_of_another_point_is_refused(tracker: Quick, peer: EmsconPeer) -> None:
-    peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 5.1, 0])]
-    error = measuring(tracker)
-    assert isinstance(error, NoReading)
-    assert error.fields["off_mm"] == pytest.approx(5.1)
-
-
 def test_no_result_is_no_reading_and_the_next_one_is_good(
     monkeypatch: pytest.MonkeyPatch, tracker: Quick, peer: EmsconPeer, time: WireTime
 ) -> None:
@@ -143,41 +136,57 @@ def test_no_result_is_no_reading_and_the_next_one_is_good(
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [
-        [failure(49, 10004)],
-        [reply(49), NOT_READY],
-        [reply(49), failure(49, 10009)],
-        [reply(49), failure(64, 37)],
-        [reply(49), result(POINT, status=10009)],
-        [reply(49, status=94)],
-    ],
-)
-def test_a_broken_beam_is_no_reading(tracker: Quick, peer: EmsconPeer, answer: list[bytes]) -> None:
-    peer.answers[49] = lambda _: answer
-    with pytest.raises(NoReading):
-        tracker.measure(POINT, SMR, 1)
-    assert peer.commands[-1] == 52
-
-
-@pytest.mark.parametrize(
     ("answer", "code"),
     [
-        ([reply(49), result(POINT, std=0.051)], "HC-T15"),
-        ([reply(49), result(POINT, std=-0.001)], "HC-T15"),
-        ([reply(49), result(POINT, std=float("nan"))], "HC-T14"),
-        ([reply(49), result((float("inf"), 0, 0))], "HC-T14"),
-        ([reply(49), result(POINT, air=(22.5, 0.0, 45.0))], "HC-T05"),
-        ([reply(49), result(POINT, air=(float("nan"), 1000.0, 45.0))], "HC-T05"),
-        ([reply(49), result(POINT, air=(0.0, 1013.25, 0.0))], "HC-T05"),
+        ([failure(49, 10004)], "HC-T11"),
+        ([reply(49), NOT_READY], "HC-T10"),
+        ([reply(49), failure(49, 10009)], "HC-T15"),
+        ([reply(49), failure(64, 37)], "HC-T11"),
+        ([reply(49), result(POINT, status=10009)], "HC-T15"),
+        ([reply(49, status=94)], "HC-T05"),
     ],
 )
-def test_bad_results_are_no_readings(
+def test_a_measurement_that_fails_is_stopped_and_no_reading(
     tracker: Quick, peer: EmsconPeer, answer: list[bytes], code: str
 ) -> None:
     peer.answers[49] = lambda _: answer
     error = measuring(tracker)
+    assert (type(error), error.code, peer.commands[-1]) == (NoReading, code, 52)
+
+
+@pytest.mark.parametrize(
+    ("bad", "code"),
+    [
+        (result(POINT, std=0.051), "HC-T15"),
+        (result(POINT, std=-0.001), "HC-T15"),
+        (result(POINT, std=float("nan")), "HC-T14"),
+        (result((float("inf"), 0, 0)), "HC-T14"),
+        (result((1e308, 1e308, 1e308)), "HC-T14"),
+        (result(POINT, std=1e308), "HC-T14"),
+        (result(POINT, std=-1e300), "HC-T14"),
+        (result((0.0, -1e200, 0.0)), "HC-T14"),
+        (result(POINT + [0, 5.1, 0]), "HC-T16"),
+        (result(POINT, air=(22.5, 0.0, 45.0)), "HC-T05"),
+        (result(POINT, air=(float("nan"), 1000.0, 45.0)), "HC-T05"),
+        (result(POINT, air=(0.0, 1013.25, 0.0)), "HC-T05"),
+    ],
+)
+def test_a_bad_result_is_no_reading(
+    tracker: Quick, peer: EmsconPeer, bad: bytes, code: str
+) -> None:
+    peer.answers[49] = lambda _: [reply(49), bad]
+    error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, code)
+    assert len(str(error)) < 200
+
+
+@pytest.mark.parametrize(("status", "code"), [(39, "HC-T04"), (26, "HC-T22"), (2, "HC-T23")])
+def test_a_lost_initialisation_is_the_devices_failure(
+    tracker: Quick, peer: EmsconPeer, status: int, code: str
+) -> None:
+    peer.answers[49] = lambda _: [failure(49, status)]
+    error = measuring(tracker)
+    assert (type(error), error.code, error.fields) == (DeviceError, code, {"status": status})
 
 
 def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) -> None:
@@ -188,13 +197,7 @@ def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) ->
 
 @pytest.mark.parametrize(
     ("unit", "unit_mm"),
-    [
-        ("metres", 1000.0),
-        ("micrometres", 1e-3),
-        ("feet", 304.8),
-        ("yards", 914.4),
-        ("inches", 25.4),
-    ],
+    [("metres", 1e3), ("micrometres", 1e-3), ("feet", 304.8), ("yards", 914.4), ("inches", 25.4)],
 )
 def test_a_result_in_other_units_is_the_devices_failure_and_names_them(
     tracker: Quick, peer: EmsconPeer, unit: str, unit_mm: float
@@ -215,24 +218,6 @@ def test_air_counts_as_measured_where_the_weather_monitor_corrects_by_it(
     tracker.connect()
     reading = tracker.measure(POINT, SMR, 1)
     assert reading.air == (Air(22.5, 1013.25, 45.0) if monitor == 2 else None)
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        result((1e308, 1e308, 1e308)),
-        result(POINT, std=1e308),
-        result(POINT, std=-1e300),
-        result((0.0, -1e200, 0.0)),
-    ],
-)
-def test_figures_beyond_all_reach_are_no_reading_in_few_words(
-    tracker: Quick, peer: EmsconPeer, answer: bytes
-) -> None:
-    peer.answers[49] = lambda _: [reply(49), answer]
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T14")
-    assert len(str(error)) < 200
 
 
 def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPeer) -> None:
@@ -277,16 +262,6 @@ def test_a_lost_stream_is_the_devices_failure(
     assert measuring(tracker).code == ("HC-T02" if data is None else "HC-T34")
 
 
-@pytest.mark.parametrize("status", [39, 26, 2])
-def test_a_lost_initialisation_is_the_devices_failure(
-    tracker: Quick, peer: EmsconPeer, status: int
-) -> None:
-    peer.answers[49] = lambda _: [failure(49, status)]
-    error = measuring(tracker)
-    assert not isinstance(error, NoReading)
-    assert error.fields["status"] == status
-
-
 @pytest.mark.parametrize(
     ("command", "answer", "code"),
     [
@@ -296,20 +271,15 @@ def test_a_lost_initialisation_is_the_devices_failure(
         (21, [reply(21, struct.pack("<3d", 21.0, 0.0, 40.0))], "HC-T05"),
         (1, [reply(1, bytes(12))], "HC-T02"),
         (1, [failure(1, 38)], "HC-T22"),
+        (7, [reply(7)], "HC-T04"),  # it stays as it was
     ],
 )
 def test_a_wrong_tracker_is_refused(
     peer: EmsconPeer, make: Make, command: int, answer: list[bytes], code: str
 ) -> None:
+    peer.initialized = 3
     peer.answers[command] = lambda _: answer
     assert refusal(make().connect).code == code
-
-
-def test_a_tracker_that_does_not_initialise_is_refused(peer: EmsconPeer, make: Make) -> None:
-    peer.initialized = 3
-    peer.answers[7] = lambda _: [reply(7)]
-    error = refusal(make().connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T04")
 
 
 def test_a_stop_gets_through_while_a_call_hangs(
@@ -404,22 +374,21 @@ def test_a_nest_is_measured_in_the_second_face_and_the_tracker_left_in_the_first
     np.testing.assert_allclose(reading.xyz_mm, POINT)
 
 
-def test_it_is_left_in_the_first_face_where_the_beam_breaks_in_the_second(
-    peer: EmsconPeer, tracker: Quick
+@pytest.mark.parametrize(
+    ("results", "code"),
+    [
+        ([NOT_READY], "HC-T10"),
+        ([result(POINT + [0.0, off_mm, 0.0]) for off_mm in (-0.9, 0.9)], "HC-T15"),
+    ],
+    ids=["beam broken", "spread"],
+)
+def test_a_failure_in_the_second_face_leaves_the_tracker_in_the_first(
+    peer: EmsconPeer, tracker: Quick, results: list[bytes], code: str
 ) -> None:
-    turning = TurningPeer(peer)
-    peer.answers[49] = lambda _: [reply(49), NOT_READY]
-    error = refusal(lambda: tracker.measure_back(POINT, SMR, 1))
-    assert (type(error), error.code, turning.face) == (NoReading, "HC-T10", 1)
-
-
-def test_it_is_left_in_the_first_face_where_the_readings_of_the_second_spread(
-    peer: EmsconPeer, tracker: Quick
-) -> None:
-    turning, offs_mm = TurningPeer(peer), iter((-0.9, 0.9))
-    peer.answers[49] = lambda _: [reply(49), result(POINT + [0.0, next(offs_mm), 0.0])]
-    error = refusal(lambda: tracker.measure_back(POINT, SMR, 2))
-    assert (type(error), error.code, turning.face) == (NoReading, "HC-T15", 1)
+    turning, answers = TurningPeer(peer), iter(results)
+    peer.answers[49] = lambda _: [reply(49), next(answers)]
+    error = refusal(lambda: tracker.measure_back(POINT, SMR, len(results)))
+    assert (type(error), error.code, turning.face) == (NoReading, code, 1)
 
 
 def test_a_face_that_reads_back_differently_is_refused(peer: EmsconPeer, tracker: Quick) -> None:

@@ -222,11 +222,31 @@ def test_one_reading_is_of_two_measurements_with_their_spread(
     assert peer.asked("!MEAS_SINGLE_POINT") == ["A;HILCELL;P1"] * 2
 
 
-def test_repeats_that_spread_are_no_reading(tracker: T2saTracker, peer: T2saPeer) -> None:
-    places = iter([PLACE, PLACE + [0.2, 0.0, 0.0]])
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, next(places))
+P1 = "A;HILCELL;P1"
+
+
+@pytest.mark.parametrize(
+    ("lines", "kind", "code"),
+    [
+        ([result(P1, PLACE), result(P1, PLACE + [0.2, 0.0, 0.0])], NoReading, "HC-T15"),
+        ([result(P1, PLACE + 0.1)], NoReading, "HC-T76"),  # the former result again
+        ([result(P1, PLACE / 25.4)], DeviceError, "HC-T77"),  # inches
+        ([result(P1, PLACE / 1000)], DeviceError, "HC-T77"),
+        ([result(P1, PLACE - POINTS["P1"])], DeviceError, "HC-T77"),
+        *(
+            ([f"ACK-300 Measured single pt {P1} result: X:4010.0;Y:{y};Z:5.0;today"], NoReading,
+             "HC-T14")
+            for y in ("NaN", "1,5", "1e308")
+        ),
+    ],
+)  # fmt: skip
+def test_a_bad_result_is_no_reading(
+    tracker: T2saTracker, peer: T2saPeer, lines: list[str], kind: type, code: str
+) -> None:
+    answers = iter(lines)
+    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: next(answers, lines[-1])
     error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T15")
+    assert (type(error), error.code) == (kind, code)
 
 
 def test_a_place_beside_every_point_is_refused_before_anything_is_sent(
@@ -256,34 +276,6 @@ def test_another_reflector_from_everywhere_is_no_reading(
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T16")
     assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
-
-
-def test_the_former_result_again_is_no_measurement(tracker: T2saTracker, peer: T2saPeer) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, PLACE + 0.1)
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T76")
-
-
-@pytest.mark.parametrize(
-    "values", [PLACE / 25.4, PLACE / 1000, PLACE - POINTS["P1"]], ids=["in", "m", "off"]
-)
-def test_results_in_another_form_are_named(
-    tracker: T2saTracker, peer: T2saPeer, values: Any
-) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, values)
-    error = measuring(tracker)
-    assert (type(error), error.code) == (DeviceError, "HC-T77")
-
-
-@pytest.mark.parametrize("value", ["NaN", "1,5", "1e308"])
-def test_a_result_that_is_no_number_is_no_reading(
-    tracker: T2saTracker, peer: T2saPeer, value: str
-) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
-        f"ACK-300 Measured single pt {path} result: X:4010.0;Y:{value};Z:5.0;today"
-    )
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T14")
 
 
 @pytest.mark.parametrize(
