@@ -1,5 +1,7 @@
 """KRL programs: targets, refusals by line, and that nothing else changes."""
 
+from __future__ import annotations
+
 import re
 
 import numpy as np
@@ -8,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.kuka.program_krl.files import read_program
-from drivers.kuka.program_krl.program import Program, turn_of
-from drivers.program_text import ENCODING, formatted
+from drivers.kuka.program_krl.program import Program, comment, turn_of
+from drivers.program_text import ENCODING, formatted, plain
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array
 from tests.drivers.kuka.program_krl.samples import DAT, SRC
@@ -297,3 +299,24 @@ def test_angles_change_where_they_were_corrected() -> None:
     files = read.with_positions(np.array([[1.5, 2.5, 3.5, -0.012345, 75.0321, 0.0]]))
     text = files["drill.dat"].decode(ENCODING)
     assert "XP1={X 1.500,Y 2.500,Z 3.500,A -0.012,B 75.032,C 0.000,S 6,T 19,E1 0.0}" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("Träger 7 µ", "Träger 7 µ"),
+        ("Černý Łódź", "Cerný Lódz"),
+        ("Бъл-7", "B'l-7"),
+        ("Щит", "Shchit"),
+        ("Ωμέγα", "Omega"),
+        ("孔1", "U+5B541"),
+        ("5€ – x", "5U+20AC - x"),
+    ],
+)
+def test_a_name_is_written_in_letters_that_the_controller_shows(name: str, written: str) -> None:
+    assert plain(name) == written
+    assert plain(name).encode(ENCODING).decode(ENCODING) == written
+
+
+def test_a_comment_is_one_line() -> None:
+    assert comment("a\nb") == "; ab"
