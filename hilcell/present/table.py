@@ -48,7 +48,6 @@ class Column(Generic[T_contra]):
 
     @property
     def header(self) -> str:
-        """Return name and unit for people."""
         return f"{self.name} {self.unit}".rstrip()
 
     @property

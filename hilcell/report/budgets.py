@@ -46,7 +46,6 @@ class TargetBudget:
 
     @property
     def worst(self) -> str:
-        """Return the station with the largest mean bound."""
         return max(self.in_use, key=lambda name: float(self.in_use[name].radii_mm.mean()))
 
 
@@ -99,7 +98,6 @@ def place_label(place: str) -> str:
 
 
 def bound_rows(budget: TargetBudget) -> list[Placed]:
-    """Return the bounds and what validation found of them, place by place."""
     names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
     return [
         Placed(place_label(name), budget.in_use.get(name), budget.coverage.get(name))
@@ -156,7 +154,6 @@ class Row:
 
     @property
     def estimate(self) -> str:
-        """Return the estimate as words, a half-width with its sign."""
         if self.estimate_mm is None:
             return ""
         return f"{'±' if self.rectangular else ''}{self.estimate_mm:.4f}"

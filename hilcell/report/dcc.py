@@ -162,7 +162,6 @@ class _Certificate:
                         "was measured. No accreditation is claimed by the software.")  # fmt: skip
 
     def air(self) -> Iterator[tuple[str, str, list[Quantity]]]:
-        """Yield each quantity of the air with its smallest and largest value."""
         air = {
             "air temperature": ("basic_temperature", CELSIUS),
             "air pressure": ("basic_pressure", HECTOPASCAL),

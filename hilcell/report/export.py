@@ -42,7 +42,6 @@ class Measured:
 
     @property
     def settled_s(self) -> float | None:
-        """Return for how long slide and robot had been at rest."""
         return None if self.point.readings is None else self.point.readings.settled_s
 
     @property
@@ -100,7 +99,6 @@ POINTS: tuple[Column[Measured], ...] = (
 
 
 def points(facts: Facts) -> list[Measured]:
-    """Return every point, first measured first."""
     wrote = {record.key: record for record in facts.records if record.kind == "point"}
     world = facts.log.matrix("world") if "world" in facts.log.frames else None
     bounds_mm = target_budget(facts.log, facts.run).points_mm

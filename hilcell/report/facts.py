@@ -57,7 +57,6 @@ class Facts:
         return typed(self.result[key], kind) if key in self.result else None
 
     def asset(self, kind: str) -> Identity | None:
-        """Return the device of a kind that answered; None where none did."""
         return next((each for each in self.log.assets if each.kind == kind), None)
 
     @property
@@ -70,7 +69,6 @@ class Facts:
 
     @property
     def revoked(self) -> str:
-        """Return why the run's calibration was revoked, "" where it was not."""
         reasons = [r.fact.reason for r in self.records if isinstance(r.fact, CalibrationRevoked)]
         if reasons:
             return reasons[-1]
@@ -81,7 +79,6 @@ class Facts:
 
     @property
     def superseded(self) -> str:
-        """Return by which run its calibration is superseded, "" where it is not."""
         status = self.status
         return status.by if status is not None and status.state == "superseded" else ""
 

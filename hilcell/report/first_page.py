@@ -63,7 +63,6 @@ class Result:
 
     @property
     def most(self) -> float:
-        """Return what the figure may be at most: its limit less U."""
         return self.limit - (self.U or 0.0)
 
     @property
@@ -81,7 +80,6 @@ class FirstPage:
     facts: Facts
 
     def results_table(self, targets: TargetBudget) -> Table:
-        """Return the table of results, nothing where nothing was judged."""
         if is_pose_test(self.facts):
             return PoseReport(self.facts).results_table()
         left = len(self.judged_places()) - len(self._shown())
@@ -151,7 +149,6 @@ class FirstPage:
         return results
 
     def bound_result(self, targets: TargetBudget) -> Result | None:
-        """Return the largest 95 % bound of a corrected target, None where none is stated."""
         if targets.missing:
             return None
         bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
@@ -159,7 +156,6 @@ class FirstPage:
         return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
 
     def results_at(self, name: str) -> tuple[Result, Result]:
-        """Return mean and largest error of a judged station."""
         each, series = self.judged_places()[name], validation(self.facts.log, [name])
         before, after = (series.get(how) for how in BOTH)
         sent, count = (0 if errors is None else len(errors) for errors in (before, after))
@@ -320,7 +316,6 @@ class FirstPage:
         return instruments
 
     def traceability(self) -> str:
-        """Return in words whether the results are traceable."""
         if self.facts.inputs.simulated:
             return "Not traceable: no instrument measured anything."
         if not self.certified():
@@ -345,7 +340,6 @@ class FirstPage:
 
 
 def max_stations(cell: Cell) -> int:
-    """Return how many stations the page has room for."""
     long_name, most = 20, 4
     return 1 if any(len(station.name) > long_name for station in cell.station) else most
 
@@ -379,7 +373,6 @@ def instruments(facts: Facts) -> Table:
 
 
 def verdicts(facts: Facts) -> Table:
-    """Return the verdicts, with the figures behind them."""
     columns: tuple[Column[tuple[str, Verdict]], ...] = (
         Column("judged", lambda row: verdict_label(row[0])),
         Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
@@ -445,7 +438,6 @@ class Certificate:
     facts: Facts
 
     def items(self, budget: Budget | None, targets: TargetBudget) -> list[Item]:
-        """Return the items in the standard's order."""
         facts = self.facts
         inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
         measured_air = bool(facts.log.temperatures_c())

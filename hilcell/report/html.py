@@ -172,7 +172,6 @@ class ReportText:
     facts: Facts
 
     def curves(self) -> Table:
-        """Return the swept axes with their lines."""
         note = (
             "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
             "Lag: how much older the joints' readings are than the tracker's. Noise: of one "
@@ -310,6 +309,5 @@ class ReportText:
         return "No correction was judged against limits in this run."
 
     def time_span(self) -> str:
-        """Return from when to when the run went."""
         facts = self.facts
         return period_text(facts.records[0].t, facts.last.t, facts.zone)

@@ -41,13 +41,11 @@ class PoseReport:
         return typed(self.facts.result[ISO], PoseTest)
 
     def results_table(self) -> Table:
-        """Return the worst characteristics of positions, for the first page."""
         rows = [each for each in self.tested().figures() if each.of.unit == "mm"]
         columns = self._columns("mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
         return Table(columns, rows, "Results, at the worst pose")
 
     def orientation_results(self) -> Table:
-        """Return the worst angles beside their limits, for the first page."""
         figures = self.tested().figures() if is_pose_test(self.facts) else []
         rows = [each for each in figures if each.of.unit == "deg"]
         columns = self._columns("°", ".4f", attrgetter("symbol"))
@@ -69,7 +67,6 @@ class PoseReport:
         return RULE if self.tested().limits else "no limits are stated (iso9283 in the cell file)"
 
     def method_text(self) -> str:
-        """Return cycle and approach in words."""
         test = self.tested()
         return (
             f"ISO 9283:1998, clauses 7.2 and 7.3, positions of the reflector on the flange: "

@@ -53,7 +53,6 @@ class Validated:
     before: Errors | None
 
     def removed_percent(self, figure: str) -> float | None:
-        """Return which share of a figure of the errors before was removed."""
         if self.before is None or self.before is self.errors:
             return None
         before, after = (getattr(each.figures, figure) for each in (self.before, self.errors))
@@ -77,7 +76,6 @@ class Tables:
     facts: Facts
 
     def validated_rows(self) -> list[Validated]:
-        """Return each series of targets with its place."""
         return [
             Validated(
                 place_label(place),
@@ -108,7 +106,6 @@ class Tables:
         return Table(ACCURACY, rows, "Before and after", note)
 
     def touches(self) -> Table:
-        """Return what the touch poses found at each station."""
         note = (
             "By how much the base was moved for the commands of that visit, at the grid's centre. "
             "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
@@ -148,7 +145,6 @@ class Tables:
         return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 
     def frames(self) -> Table:
-        """Return every measured frame as position and Z-Y-X angles in {W}."""
         note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
         named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
         return Table((named, *FRAMES[1:]), self.posed(), "Frames", note)
@@ -183,7 +179,6 @@ class Tables:
         }  # fmt: skip
 
     def conditions(self) -> Table:
-        """Return the air at the tracker, smallest, largest and mean."""
         columns: tuple[Column[tuple[str | float, ...]], ...] = (
             Column("quantity", itemgetter(0)),
             *(
@@ -198,7 +193,6 @@ class Tables:
         return Table(columns, rows, "Air at the tracker")
 
     def devices(self) -> Table:
-        """Return the devices that answered."""
         link = self.facts.log.link
         note = f"CAN link: {link.counts}." if link is not None else ""
         if link is not None and link.warning:
@@ -210,7 +204,6 @@ class Tables:
         return Table(columns, self.facts.log.assets, "Devices", note)
 
     def software(self) -> Table:
-        """Return the versions that measured."""
         versions = self.facts.inputs.versions.items()
         return Table(listed("package", "version"), versions, "Software that measured")
 
@@ -242,7 +235,6 @@ class Tables:
         return Table(columns, rows, "The paper, row by row", note)
 
     def own_table(self) -> Table:
-        """Return the procedure's own table of its result."""
         procedure, result = self.facts.procedure, self.facts.result
         if not result:
             return Table((), ())
@@ -485,7 +477,6 @@ class Repeat:
 
     @property
     def apart_mm(self) -> float:
-        """Return how far the two were from each other."""
         return float(np.linalg.norm(np.subtract(self.again.xyz_mm, self.first.xyz_mm)))
 
 

@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from hilcell.tui.session import RunUpdate, Session
 
 
-PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
-TICK_S = 1.0
-BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 ScrollBar.renderer = PlainScrollBar  # Textual's way to choose: a class, for all of its bars
 
 
@@ -162,7 +159,6 @@ class ActionProvider(Provider):
                 yield Hit(score, words, act)
 
     def _allowed(self) -> list[tuple[str, Callable[[], None]]]:
-        """Return each action that is allowed now in words, and as a function."""
         app = cast("HilcellApp", self.app)
         allowed = (action for action in ACTIONS if app.allowed(action.name))
         return [(f"{app.label(a.name)}: {a.help}", partial(app.do, a.name)) for a in allowed]
@@ -178,6 +174,10 @@ class RunUpdated(Message):
 
 class HilcellApp(Application):
     """Shows one run at a time; `open_runs` holds it, and a live one in the background."""
+
+    PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
+    TICK_S = 1.0
+    BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
@@ -236,7 +236,7 @@ class HilcellApp(Application):
             event.text = UNSAFE.sub("", event.text.partition("\n")[0])
         receivers = (self.focused or self.screen).ancestors_with_self
         self.key_is_deliberate, self._last_key_s = (
-            event.time - self._last_key_s >= BURST_S,
+            event.time - self._last_key_s >= self.BURST_S,
             event.time,
         )
         self.show_notice("")  # the last notice has been read
@@ -252,11 +252,12 @@ class HilcellApp(Application):
         if self.glyphs.plain:
             self.add_class("plain")
         self.push_screen(OpeningScreen(self.options.run))
-        self.set_interval(TICK_S, self._tick)  # the feed ticks, too: this is for a silent engine
+        self.set_interval(
+            self.TICK_S, self._tick
+        )  # the feed ticks, too: this is for a silent engine
         self.call_after_refresh(lambda: self.start_task(self._open()))
 
     async def _open(self) -> None:
-        """Open the run asked for, or the one that is live, or the form for a new one."""
         try:
             folder = await run_in_thread(folder_to_open, self.options.runs, self.options.run)
         except HilcellError as error:
@@ -295,7 +296,7 @@ class HilcellApp(Application):
         session: Session = Session(
             folder,
             lambda update: self.receive(session, update),
-            SLOW_PERIOD_S if self.options.slow else PERIOD_S,
+            self.SLOW_PERIOD_S if self.options.slow else self.PERIOD_S,
             process,
             shown(self.keymap["pause"][0]),
         )
@@ -342,7 +343,7 @@ class HilcellApp(Application):
         for session in self.open_runs.live:
             session.tick(utc_now())
         now_s = time.monotonic()
-        if self.open_runs.live and now_s - self._shown_s >= TICK_S / 2:
+        if self.open_runs.live and now_s - self._shown_s >= self.TICK_S / 2:
             self._show()
         if self._collector is not None:
             at_rest = all(session.view.at_rest for session in self.open_runs.live)
@@ -411,7 +412,6 @@ class HilcellApp(Application):
             self.show_notice("STOP: nothing runs here; if anything moves, use the E-stop")
 
     def _close_questions(self) -> None:
-        """Go back to the screen under an open question or the palette."""
         while not isinstance(self.screen, BaseScreen):
             self.pop_screen()
 
@@ -430,25 +430,21 @@ class HilcellApp(Application):
             self.push_screen(Palette())
 
     def do_acknowledge(self) -> None:
-        """Acknowledge every alarm, here and in the run's journal."""
         session = self.shown_session
         made = session.acknowledge()
         self._show()
         self.start_task(run_in_thread(session.send, made))
 
     def do_theme(self) -> None:
-        """Show the next theme; 16 colours have one."""
         if self.theme in NAMES:
             self.theme = NAMES[(NAMES.index(self.theme) + 1) % len(NAMES)]
 
     def do_detach(self) -> None:
-        """Leave the screen; live runs go on."""
         self.detached = [session.folder.name for session in self.open_runs.live]
         self.open_runs.leave()
         self.exit(0)
 
     def do_quit(self) -> None:
-        """Leave; over a live run offer to detach."""
         if not self.open_runs.live:
             self.open_runs.leave()
             self.exit(0)

@@ -29,9 +29,7 @@ from textual.filter import LineFilter
 
 from hilcell.tui.themes import PALETTES, ROLES, SIXTEEN_COLOURS
 
-TICK_S = 0.05
 LATE_S = 2.0
-LATE_TEXT = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
 
 
 def has_escape(read: bytes) -> bool:
@@ -44,6 +42,9 @@ def has_escape(read: bytes) -> bool:
 class StopDriver(LinuxDriver):
     """Calls ``on_escape`` from the input thread."""
 
+    TICK_S = 0.05
+    LATE_TEXT = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
+
     on_escape: Callable[[], object] | None = None
     is_late: Callable[[], bool] | None = None  # whether what is painted is too old
     _covered = False
@@ -54,7 +55,7 @@ class StopDriver(LinuxDriver):
         with selectors.DefaultSelector() as selector:
             selector.register(self.fileno, selectors.EVENT_READ)
             while not self.exit_event.is_set():
-                if selector.select(TICK_S):
+                if selector.select(self.TICK_S):
                     read = self._read()
                     if not read:  # the terminal is gone: so is the screen, the run is not
                         self._loop.call_soon_threadsafe(self._app.exit)
@@ -71,7 +72,7 @@ class StopDriver(LinuxDriver):
         """Cover the state once, when what is painted has become too old."""
         late = self.is_late is not None and self.is_late()
         if late and not self._covered:
-            self.write(LATE_TEXT)
+            self.write(self.LATE_TEXT)
         self._covered = late
 
     def _read(self) -> bytes:

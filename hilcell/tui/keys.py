@@ -157,7 +157,6 @@ def named(key: str) -> str:
 
 
 def conflicts(keymap: Keymap) -> list[str]:
-    """Return a message for each key with two actions, or with a fixed meaning."""
     users: dict[str, list[str]] = {}
     for name, keys in keymap.items():
         for key in dict.fromkeys(keys):

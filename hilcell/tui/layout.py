@@ -56,7 +56,6 @@ class Filler(Part):
     """A cell that is drawn for the width of its column."""
 
     def drawn(self, width: int) -> Content:
-        """Return a line of at most ``width`` columns."""
         raise NotImplementedError
 
 
@@ -120,7 +119,6 @@ class Grid(Lines):
         return widths
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
-        """Return the rows, each in as many lines as its longest cell needs."""
         widths, lines = self._widths(width) if self._rows else [], []
         for number, row in enumerate(self._rows):
             cells = [
@@ -207,7 +205,6 @@ class Rule(Lines):
 
 
 def section(title: str, remark: str = "") -> Rule:
-    """Return the heading of a part of the screen."""
     return Rule(Content.styled(title, "bold $label"), Content.styled(remark, "$label"))
 
 

@@ -76,7 +76,6 @@ class Scale:
 
     @property
     def is_log(self) -> bool:
-        """Whether equal distances are equal ratios."""
         return not self.step
 
     @property
@@ -258,7 +257,6 @@ class Plot:
 
     @property
     def values(self) -> Array:
-        """Return the values of all series, (N,)."""
         return np.concatenate([np.zeros(0), *(each.y for each in self.series)])
 
 
@@ -296,7 +294,6 @@ class _Drawing:
         self._width = max(width - self._left, 1)
 
     def lines(self, *, named: bool) -> list[Content]:
-        """Return the rows, all of them drawn."""
         self._frame()
         self._x_axis()
         lines = [self._series(each) for each in self._plot.series]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from signal import SIGTERM
-from typing import BinaryIO, ParamSpec, TypeVar
+from typing import BinaryIO, ClassVar, ParamSpec, TypeVar
 
 import msgspec
 
@@ -29,20 +29,21 @@ from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 
 REASON = "hilcell: "
-MOST_LINES = 7  # of an engine's log are shown
-EXIT_REASONS = {  # exits that the journal may not hold
-    -SIGTERM: "stopped before anything moved",
-    2: "refused",
-    5: "a defect of hilcell; please report it",
-    6: "another run holds the cell",
-    7: "the journal cannot be written; make room on the disk, or mend the folder's rights",
-}
 HILCELL = (sys.executable, "-m", "hilcell")
 
 
 @dataclass(frozen=True, slots=True)
 class StartedEngine:
     """An engine that this screen has started, and its log file."""
+
+    MOST_LINES: ClassVar = 7  # of an engine's log are shown
+    EXIT_REASONS: ClassVar = {  # exits that the journal may not hold
+        -SIGTERM: "stopped before anything moved",
+        2: "refused",
+        5: "a defect of hilcell; please report it",
+        6: "another run holds the cell",
+        7: "the journal cannot be written; make room on the disk, or mend the folder's rights",
+    }
 
     process: subprocess.Popen[bytes]
     log_file: Path
@@ -53,9 +54,9 @@ class StartedEngine:
 
         code = self.process.wait()
         recorded = (self.log_file.parent / JOURNAL).is_file()
-        if code not in EXIT_REASONS and recorded:
+        if code not in self.EXIT_REASONS and recorded:
             return ""
-        reason = self._last_reason() or EXIT_REASONS.get(code, "no reason given")
+        reason = self._last_reason() or self.EXIT_REASONS.get(code, "no reason given")
         if recorded:  # the alarm has the details; under it one line is enough
             reason = reason.partition("\n")[0].rstrip(" :")
         return f"the engine ended, exit {code}: {reason}"
@@ -74,7 +75,7 @@ class StartedEngine:
         except OSError:
             return ""  # the run's folder is gone, or its disk
         reasons = [number for number, line in enumerate(lines) if line.startswith(REASON)]
-        last = lines[reasons[-1] :][:MOST_LINES] if reasons else lines[-MOST_LINES:]
+        last = lines[reasons[-1] :][: self.MOST_LINES] if reasons else lines[-self.MOST_LINES :]
         return "\n".join(last).removeprefix(REASON)
 
 
@@ -186,6 +187,5 @@ class GarbageCollector:
         self._rested = at_rest
 
     def end(self) -> None:
-        """Give the collection back."""
         gc.unfreeze()
         gc.set_threshold(*self._before)

@@ -91,7 +91,6 @@ class RunView:
 
     @property
     def newest_is_old(self) -> bool:
-        """Whether the newest point is of a step before this one."""
         key = self.newest.key if self.newest is not None else ""
         return self.step is not None and key not in self.measured.get(self.step.number, ())
 
@@ -104,7 +103,6 @@ class RunView:
 
     @property
     def ended(self) -> bool:
-        """Whether the run has ended, by its journal."""
         return self.log.over and self.log.end is not None
 
     @property
@@ -136,13 +134,11 @@ class RunView:
 
     @property
     def live(self) -> bool:
-        """Whether an engine is at work on this run."""
         ended = self.state in ("done", "intolerant", "aborted", "fault", "refused")
         return self.engine is not EngineState.NONE and not ended
 
     @property
     def answers(self) -> bool:
-        """Whether an engine takes commands."""
         return self.engine is EngineState.ANSWERING
 
     @property
@@ -152,7 +148,6 @@ class RunView:
 
     @property
     def stale(self) -> bool:
-        """Whether the engine's last status is too old to be shown as good."""
         return self.status is None or not self.status_age_s <= STALE_S
 
     @property

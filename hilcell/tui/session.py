@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
 import msgspec
 
@@ -38,10 +38,6 @@ from hilcell.tui.run_view import EngineState, RunView
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
-
-
-QUIET_S = 0.5  # where no engine is at work, little happens
-REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +80,6 @@ class Inbox:
         return before is None
 
     def take(self) -> RunUpdate | None:
-        """Return all that waits, and hold nothing."""
         with self._lock:
             update, self._pending = self._pending, None
         return update
@@ -92,6 +87,9 @@ class Inbox:
 
 class Feed:
     """Polls a run every ``period_s`` and hands over what is new."""
+
+    QUIET_S = 0.5  # where no engine is at work, little happens
+    REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
     def __init__(
         self, folder: Path, deliver: Callable[[RunUpdate], object], period_s: float
@@ -110,7 +108,6 @@ class Feed:
         self._thread.start()
 
     def poll_now(self) -> None:
-        """Poll at once: a command was sent."""
         self._wake.set()
 
     def close(self, *, leave: bool) -> None:
@@ -134,7 +131,7 @@ class Feed:
             if not self._ended.is_set():
                 self._deliver(update)
                 quiet = update.engine is EngineState.NONE
-                period_s = max(self._period_s, QUIET_S) if quiet else self._period_s
+                period_s = max(self._period_s, self.QUIET_S) if quiet else self._period_s
                 self._wake.wait(max(period_s - (time.monotonic() - start_s), 0.02))
                 self._wake.clear()
         self._disconnect()  # a line that was being opened when the end came
@@ -153,7 +150,6 @@ class Feed:
         return RunUpdate(records, engine, status, calibrated=calibrated, answered=answered)
 
     def _is_missing(self, name: str) -> bool:
-        """Whether a file is missing, as far as that is known."""
         try:
             return not is_regular_file(self.folder / name)
         except OSError:
@@ -167,7 +163,7 @@ class Feed:
                 return EngineState.NONE, None
             status = client.ask("status")
         except EngineSilent:
-            if time.monotonic() - self._answered_s > REOPEN_S:
+            if time.monotonic() - self._answered_s > self.REOPEN_S:
                 self._disconnect()
             return EngineState.SILENT, None
         except EngineLost:
@@ -188,15 +184,13 @@ class Feed:
 
 
 def utc_now() -> datetime:
-    """Return the time of day, by which journals are dated."""
     return datetime.now(UTC)
-
-
-TIMEOUT_S: dict[Command, float] = {"answer": 30.0}  # the tracker measures first
 
 
 class Session:
     """Follows one run and sends commands to its engine."""
+
+    TIMEOUT_S: ClassVar[dict[Command, float]] = {"answer": 30.0}  # the tracker measures first
 
     def __init__(
         self,
@@ -299,7 +293,7 @@ class Session:
 
     def ask(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command; raises `HilcellError` where it is refused or no engine lives."""
-        timeout_s = TIMEOUT_S.get(command)
+        timeout_s = self.TIMEOUT_S.get(command)
         apart = timeout_s is not None  # so that the lamps do not wait for it
         client = EngineClient.of_run(self.folder, timeout_s) if apart else self.feed.client
         if client is None:

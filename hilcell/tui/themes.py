@@ -44,16 +44,13 @@ class Palette:
     on_ask: str = ""
 
     def ink(self, role: str) -> str:
-        """Return the colour of a role's letters on the ground."""
         colour: str = getattr(self, role)
         return colour
 
     def fill(self, role: str) -> str:
-        """Return the colour of a role's blocks and bars."""
         return getattr(self, f"{role}_fill", "") or self.ink(role)
 
     def on(self, role: str) -> str:
-        """Return the colour of letters on a role's fill."""
         return getattr(self, f"on_{role}", "") or self.ground
 
     def theme(self) -> Theme:

@@ -33,7 +33,6 @@ from hilcell.tui.terminal import to_ascii
 
 
 def _is_plain(widget: Widget) -> bool:
-    """Whether the terminal shows ASCII alone."""
     return widget.app.has_class("plain")
 
 
@@ -242,7 +241,6 @@ class Table(ScrollView, can_focus=True):
 
     @property
     def key(self) -> str:
-        """Return the key of the row under the cursor, or nothing."""
         return self.rows[self.cursor].key if self.rows else ""
 
     def show_rows(self, rows: Sequence[Row], columns: Sequence[Column] | None = None) -> None:

@@ -17,7 +17,7 @@ from typing import Self
 
 import pyte
 
-from hilcell.tui.app import BURST_S
+from hilcell.tui.app import HilcellApp
 
 HILCELL = (sys.executable, "-m", "hilcell")
 READ = 1 << 16
@@ -82,7 +82,7 @@ class Terminal:
 
     def answer(self, keys: str) -> None:
         """Type like a person who has read a question: in one burst it would be no answer."""
-        select.select([], [], [], 1.5 * BURST_S)
+        select.select([], [], [], 1.5 * HilcellApp.BURST_S)
         self.press(keys)
 
     def read(self, wait_s: float | None = None) -> bytes | None:

@@ -103,7 +103,6 @@ def path(
 def rectangle(
     x: float, y: float, width: float, height: float, fill: str, colour: str = "none"
 ) -> str:
-    """Return a box from its upper left corner."""
     return (
         f'<rect x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}" fill="{fill}" '
         f'stroke="{colour}"/>'
@@ -159,7 +158,6 @@ class Scale:
     logarithmic: bool = False
 
     def at(self, values: Array | float) -> Array:
-        """Return where values are on paper."""
         shown = np.clip(np.asarray(values, dtype=float), self.low, self.high)
         low, high = self.low, self.high
         if self.logarithmic:
@@ -199,7 +197,6 @@ class Frame:
         return path([(self.x.begin, at), (self.x.end, at)], colour, wide, dash)
 
     def drawn(self, x_name: str, y_name: str, x_ticks: Sequence[tuple[float, str]] = ()) -> str:
-        """Return scales, ticks and names; the name of y stands above it."""
         left, right, low, high = self.x.begin, self.x.end, self.y.begin, self.y.end
         parts = [path([(left, low), (right, low)])]
         for value in self.y.ticks():

@@ -250,7 +250,6 @@ class _Times:
         return Frame(Scale(*self.ends(), self.BEGIN_MM, WIDTH_MM - 7.0), y)
 
     def drawn(self, frame: Frame, y_name: str) -> str:
-        """Return the frame's scales, ticks and names."""
         return frame.drawn(f"time, {self.facts.zone.tzname(None)}", y_name, self.ticks())
 
     def svg(self, title: str, parts: list[str]) -> str:
@@ -326,7 +325,6 @@ class ErrorPlots:
         )
 
     def errors_after(self, budget: TargetBudget) -> str:
-        """Return the errors after correction by station, linear."""
         facts = self.facts
         norms_mm = {
             station.name: errors[Sent.CHOSEN].norms_mm
@@ -364,7 +362,6 @@ class ErrorPlots:
                    facts.inputs.simulated)  # fmt: skip
 
     def bound_histogram(self, budget: TargetBudget) -> str:
-        """Return a histogram of the errors as shares of their own bounds."""
         judged = [budget.coverage.get(each.name) for each in self.facts.cell.station]
         ratios = np.concatenate(
             [each.errors_mm / each.bounds_mm for each in judged if each] or [np.empty(0)]
@@ -411,7 +408,6 @@ class ErrorPlots:
         yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
 
     def vectors(self) -> str:
-        """Return the errors of the targets in {W} from three sides, before and after."""
         facts = self.facts
         station = facts.cell.grid.station
         series = validation(facts.log, [station])
@@ -458,7 +454,6 @@ class ErrorPlots:
         )
 
     def floor_nests(self) -> str:
-        """Return how far each floor nest was from its first measurement."""
         facts = self.facts
         moves, time_axis = control_moves(facts.log), _Times(facts)
         if not moves:
@@ -486,7 +481,6 @@ class ErrorPlots:
         return time_axis.svg("Moves of the floor nests", parts)
 
     def air(self) -> str:
-        """Return the air's temperature at the tracker."""
         facts = self.facts
         time_axis = _Times(facts)
         times, points = time_axis.times(), facts.log.points.values()

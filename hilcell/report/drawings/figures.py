@@ -212,7 +212,6 @@ class Figures:
     facts: Facts
 
     def grid_targets(self) -> Drawn | None:
-        """Draw the errors at the grid's station, target by target."""
         facts = self.facts
         log = facts.log
         series = validation(log, [facts.cell.grid.station])
@@ -247,7 +246,6 @@ class Figures:
         return figure, "Dashed lines: means. " + caption
 
     def rail(self) -> Drawn | None:
-        """Draw the rail's position error, forth and back."""
         survey = self.facts.part("rail_survey", SurveyedRail)
         if survey is None:
             return None
@@ -267,7 +265,6 @@ class Figures:
         )
 
     def slide(self) -> Drawn | None:
-        """Draw how the slide turns along the rail."""
         survey = self.facts.part("rail_survey", SurveyedRail)
         if survey is None:
             return None
@@ -374,7 +371,6 @@ class Figures:
         )
 
     def poses(self) -> Drawn | None:
-        """Draw the test cube with its poses, and AP and RP of each."""
         if not is_pose_test(self.facts):
             return None
         test = PoseReport(self.facts).tested()

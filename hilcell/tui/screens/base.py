@@ -101,7 +101,6 @@ class OpenRuns:
         return bool(self.live) and all(each.stop_received for each in self.live)
 
     def leave(self) -> None:
-        """Detach from every run; live ones go on."""
         for each in self.all:
             each.close(leave=True)
         self.shown = self.background = None
@@ -118,12 +117,10 @@ class Application(App[int]):
 
     @property
     def session(self) -> Session | None:
-        """Return the session of the run that is shown."""
         return self.open_runs.shown
 
     @property
     def view(self) -> RunView | None:
-        """Return what is known of the run that is shown."""
         return self.session.view if self.session is not None else None
 
     @property
@@ -148,7 +145,6 @@ class Application(App[int]):
         raise NotImplementedError
 
     def open_run(self, folder: Path) -> None:
-        """Show another run; leaving a live one asks."""
         if self.session is not None and self.session.folder == folder:
             self.screen.dismiss()
         elif self.live and self.open_runs.background is None:
@@ -192,7 +188,6 @@ class Application(App[int]):
         return not self.refusal(name)
 
     def refusal(self, name: str) -> str:
-        """Return why an action does nothing now on the top screen."""
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
         unacknowledged = self.session is not None and self.session.latch.waits()
@@ -200,7 +195,6 @@ class Application(App[int]):
         return refusal(name, self.view, background=behind, unacknowledged=unacknowledged)
 
     def label(self, name: str) -> str:
-        """Return the current label of an action on the page that is shown."""
         return self.page.label(name) if isinstance(self.page, BaseScreen) else BY_NAME[name].label
 
     def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
@@ -236,7 +230,6 @@ class Application(App[int]):
             self.ask("Go on?", text, "go on", lambda: self._command("proceed"))
 
     def do_abort(self) -> None:
-        """End the run after the point in flight."""
         self.ask(
             "Abort this run?",
             "The point in flight is finished, then the run ends. It can be resumed later.",
@@ -291,7 +284,6 @@ class Application(App[int]):
             )
 
     def resume_run(self, *options: str) -> None:
-        """Start an engine that goes on with the run that is shown."""
         session = self.shown_session
         folder = session.folder
         attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
@@ -299,7 +291,6 @@ class Application(App[int]):
         self.start_engine(folder, command)
 
     def start_engine(self, folder: Path, arguments: list[str]) -> None:
-        """Start an engine and show its run; report an end that the journal does not hold."""
         started = process.start_engine(folder.parent, folder.name, arguments)
         self.attach(folder, started.process)
 
@@ -357,7 +348,6 @@ class BaseScreen(Screen[None]):
         self.begin()
 
     def begin(self) -> None:
-        """Show what is known already."""
         self.built.set()
         self.show(self.application.view)
 
@@ -372,7 +362,6 @@ class BaseScreen(Screen[None]):
             self.panel("keys").show(self.key_line())
 
     def show_again(self) -> None:
-        """Show the current view, while this screen is open."""
         if self.is_shown:
             self.show(self.application.view)
 
@@ -410,7 +399,6 @@ class BaseScreen(Screen[None]):
         panel.show(Content.styled(text, "$ask"))
 
     def clear_notice(self, text: str) -> None:
-        """Remove a notice that is no longer true."""
         if self._notice == text:
             self.show_notice("")
 
@@ -435,12 +423,16 @@ class BaseScreen(Screen[None]):
                 room -= 0 if always else each.cell_length
         return line
 
+    @classmethod
+    def all_fixed_keys(cls) -> list[tuple[str, str]]:
+        """Return the keys that cannot be rebound, with those of the filter."""
+        of_filter = [each for each in cls.in_text_box if each not in cls.fixed]
+        return [*cls.fixed, *((key, f"in the filter: {text}") for key, text in of_filter)]
+
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
-        """Return the screen's own keys and what they do now."""
         return self.fixed
 
     def alarm_context(self) -> AlarmContext:
-        """Return what alarms are shown with now."""
         from hilcell.tui.text.alarms import AlarmContext  # not for the first screen
 
         app = self.application
@@ -486,7 +478,6 @@ class Page(BaseScreen):
         yield TextPanel("keys")
 
     def body(self) -> ComposeResult:
-        """Build the parts between title and keys."""
         return iter(())
 
     def begin(self) -> None:
@@ -498,7 +489,6 @@ class Page(BaseScreen):
             first.focus()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave letters to a text box."""
         return action != "back" or not isinstance(self.focused, Input)
 
     def action_back(self) -> None:
@@ -535,7 +525,6 @@ class Confirm(ModalScreen[bool]):
         self.query_one("#answers", TextPanel).show(self._answers)
 
     def on_resize(self) -> None:
-        """Shorten the question where both do not fit."""
         question, answers = self.query_one("#question"), self.query_one("#answers")
         room = self.app.size.height - self.FRAME - answers.size.height
         question.styles.max_height = max(room, 1)

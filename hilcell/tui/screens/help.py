@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from hilcell.journal.labels import procedure_label
 from hilcell.tui.keys import ACTIONS, Keymap, shown
@@ -65,28 +66,21 @@ def help_lines(
     return Stack(*parts, BLANK, ("States", "bold"), states)
 
 
-SCREENS: dict[str, type[BaseScreen]] = {  # those whose keys are explained, by their titles
-    "the run": RunScreen,
-    "a new run": StartScreen,
-    "the plots": PlotPage,
-    "the runs": HistoryPage,
-    "the log": LogPage,
-    "other pages": TextPage,
-}
-
-
 class HelpPage(TextPage):
     """The meaning of the keys and of the lines."""
+
+    SCREENS: ClassVar[dict[str, type[BaseScreen]]] = {  # by their titles
+        "the run": RunScreen,
+        "a new run": StartScreen,
+        "the plots": PlotPage,
+        "the runs": HistoryPage,
+        "the log": LogPage,
+        "other pages": TextPage,
+    }
 
     title_text = "Help"
     footer = ("stop", "quit")
 
     def text(self, view: RunView | None) -> Lines:
-        fixed = {title: fixed_keys_of(each) for title, each in SCREENS.items()}
+        fixed = {title: each.all_fixed_keys() for title, each in self.SCREENS.items()}
         return help_lines(self.application.keymap, self.application.glyphs, fixed)
-
-
-def fixed_keys_of(screen: type[BaseScreen]) -> list[tuple[str, str]]:
-    """Return the keys of a screen that cannot be rebound, and those of its filter."""
-    of_filter = [each for each in screen.in_text_box if each not in screen.fixed]
-    return [*screen.fixed, *((key, f"in the filter: {words}") for key, words in of_filter)]

@@ -77,7 +77,6 @@ class AlarmPage(TextPage):
     footer = ("stop", "acknowledge", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content | Lines:
-        """Return the alarms, newest first."""
         if view is None:
             return Content("")
         return self.alarm_context().page(view.alarms, self.application.shown_session.latch)
@@ -174,7 +173,6 @@ class LogPage(FilterScreen, Page):
         self.query_one(Table).action_to(-1)
 
     def show(self, view: RunView | None) -> None:
-        """Add what is new."""
         super().show(view)
         if view is None:
             return
@@ -299,7 +297,6 @@ class PlotPage(Page):
         self._seen: tuple[object, ...] = ()
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
-        """Return the keys with as many numbers as there are plots."""
         first, _, *others = self.fixed
         numbers = [(f"1-{self._count}", "choose")] if self._count > 1 else []
         return (first, *numbers, *others)
@@ -424,7 +421,6 @@ def columns_for(width: int) -> tuple[Column, ...]:
 
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
-    """Return the cells of one run; ``marked`` are those to be compared."""
     tones = {"finished": "", "aborted": "label", "faulted": "fault"}
     tone = "live" if run.live else "fault" if run.exit in (1, 3) else tones.get(run.state, "ask")
     begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
@@ -441,7 +437,6 @@ def log_columns(t: str) -> tuple[Column, ...]:
 
 
 def record_row(record: Record) -> Row:
-    """Return one row of the event log, of a record that a log has taken."""
     tones = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
     fact = record.fact
     tone = tones.get(fact.to, "") if isinstance(fact, StateChanged) else ""
@@ -452,7 +447,6 @@ def record_row(record: Record) -> Row:
 
 
 def record_text(key: str, fact: Fact) -> str:
-    """Return the content of a record in words, points by their keys."""
     match fact:
         case PlanRecord(seed=seed, machine_seed=machine):
             own = f", machine {machine}" if machine not in (None, seed) else ""
@@ -633,7 +627,6 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def words(self) -> Content:
-        """Return which runs, in what they differ, and the verdict."""
         lines = [f"{self.first}  ->  {self.second}"]
         lines += [
             f"{each.key}: {each.first or '-'} -> {each.second or '-'}" for each in self.settings[:4]
@@ -642,7 +635,6 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def rows(self) -> list[Row]:
-        """Return a row for each change; one beyond its limit is coloured."""
         rows = []
         for each in self.changes:
             where, what, *figures, unit, verdict = (

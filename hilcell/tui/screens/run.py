@@ -25,7 +25,7 @@ from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.finished import Result, decode_verdict, result_of
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
-from hilcell.tui.text.run import RunText, Shown, block_rows, rows_for
+from hilcell.tui.text.run import RunText, Shown, block_rows
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.widgets import Table, TextPanel
 
@@ -145,7 +145,6 @@ class RunScreen(FilterScreen):
         return "verdict" if known else ""
 
     def _result_of(self, view: RunView) -> Result | None:
-        """Return the result of a run without a validation, once it is read."""
         end = view.log.end
         if self._result[0] is not end:
             self._result = (end, None)
@@ -176,7 +175,7 @@ class RunScreen(FilterScreen):
             case "verdict":
                 self._show_verdict(view)
             case _:
-                self._show_deviation(view, rows_for(height))
+                self._show_deviation(view, Shown.rows_for(height))
         shown = view.state == "intolerant" and decode_verdict(view) is not None  # by the verdict
         said = instead == "verdict" and len(standing) <= shown
         self.panel("status").display = not said and (bool(standing) or height >= self.FULL - 1)
@@ -293,7 +292,6 @@ class RunScreen(FilterScreen):
         return self._footer[1]
 
     def footer_key(self, name: str) -> FooterKey:
-        """Return one slot of the footer as it is now."""
         if name == "detach" and not self.application.allowed(name):
             name = "new"
         key = shown(self.application.keymap[name][0])

@@ -42,17 +42,6 @@ from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.run import badge, duration, moves, simulation_block
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
-FIELDS = (  # name, first entry, hint; the procedure stands after the cell
-    ("cell", "paper", "a built-in cell, or a TOML file"),
-    ("operator", "", "recorded in the journal"),
-    ("job", "", "recorded in the journal"),
-    ("seed", "1", "of random targets"),
-)
-WATCHED = ("yes, I am here", "no, unattended")
-SPEEDS = ("max", "100", "10", "1")
-VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
-QUIET_S = 0.4  # without a change, before the plan is computed
-
 
 @dataclass(frozen=True, slots=True)
 class Entries:
@@ -92,6 +81,17 @@ class Entries:
 class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
+    FIELDS = (  # name, first entry, hint; the procedure stands after the cell
+        ("cell", "paper", "a built-in cell, or a TOML file"),
+        ("operator", "", "recorded in the journal"),
+        ("job", "", "recorded in the journal"),
+        ("seed", "1", "of random targets"),
+    )
+    WATCHED = ("yes, I am here", "no, unattended")
+    SPEEDS = ("max", "100", "10", "1")
+    VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
+    QUIET_S = 0.4  # without a change, before the plan is computed
+
     footer = ("help", "history", "theme", "quit")
     fixed = in_text_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (77, "-planned")]  # noqa: RUF012 - as Textual has it
@@ -116,12 +116,12 @@ class StartScreen(BaseScreen):
         with Horizontal(id="form"):
             with Vertical(id="fields"):
                 yield TextPanel("who")
-                yield from self._fields(FIELDS[:1])
+                yield from self._fields(self.FIELDS[:1])
                 names = self._names or ["none is installed"]
                 yield from self._choice("procedure", names, [*map(procedure_label, names)])
-                yield from self._fields(FIELDS[1:])
-                yield from self._choice("attended", WATCHED)
-                yield from self._choice("speed", SPEEDS)
+                yield from self._fields(self.FIELDS[1:])
+                yield from self._choice("attended", self.WATCHED)
+                yield from self._choice("speed", self.SPEEDS)
                 yield TextPanel("checks")
             yield TextPanel("plan")
         yield TextPanel("before")
@@ -139,7 +139,6 @@ class StartScreen(BaseScreen):
                 yield TextField(begin, placeholder=hint, id=name)
 
     def begin(self) -> None:
-        """Choose the calibration, and compute its plan."""
         self.panel("notice").display = False
         procedure = self.query_one("#procedure", Choice)
         if "calibrate" in self._names:
@@ -150,16 +149,15 @@ class StartScreen(BaseScreen):
         self._change()
 
     def show(self, view: RunView | None) -> None:
-        """Show what is known of the plan; there is no run yet."""
         self.mark_simulated(simulated=self._checked.simulated)
         checked, glyphs = self._checked, self.application.glyphs
-        attended = self.query_one("#attended", Choice).value == WATCHED[0]
+        attended = self.query_one("#attended", Choice).value == self.WATCHED[0]
         before = checked.before_lines(attended=attended)
         taken = len(before.lines(self.line_width)) + 6 if self._is_roomy else 4
         rows = self.app.size.height - taken
         self.panel("banner").show(checked.banner(glyphs))
         self.panel("who").show(section("what and who"))
-        self.panel("checks").styles.max_height = max(rows - len(FIELDS) - 4, 1)
+        self.panel("checks").styles.max_height = max(rows - len(self.FIELDS) - 4, 1)
         self.panel("checks").show(checked.check_lines(glyphs))
         self.panel("plan").styles.max_height = rows
         self.panel("plan").show(checked.plan_lines(glyphs))
@@ -182,7 +180,6 @@ class StartScreen(BaseScreen):
         self.panel("summary").display = self._is_roomy and not self.panel("notice").display
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
-        """Show a notice in the place of the summary."""
         super().show_notice(text, for_now=for_now, over=over)
         if self.is_shown:
             self._show_summary()
@@ -197,7 +194,7 @@ class StartScreen(BaseScreen):
         ]
         views = []
         typing = isinstance(self.focused, Input)
-        for name in VIEWS:
+        for name in self.VIEWS:
             label = self.label(name)
             works = self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
             key = shown(self.application.keymap[name][0])
@@ -211,7 +208,9 @@ class StartScreen(BaseScreen):
     # -- fields ---------------------------------------------------------------------------------
 
     def entries(self) -> Entries:
-        texts = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
+        texts = {
+            name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in self.FIELDS
+        }
         speed = self.query_one("#speed", Choice).value
         return Entries(
             cell=texts["cell"],
@@ -219,12 +218,11 @@ class StartScreen(BaseScreen):
             operator=texts["operator"],
             job=texts["job"],
             seed=texts["seed"] or "1",
-            speed="" if speed == SPEEDS[0] else speed,
-            attended=self.query_one("#attended", Choice).value == WATCHED[0],
+            speed="" if speed == self.SPEEDS[0] else speed,
+            attended=self.query_one("#attended", Choice).value == self.WATCHED[0],
         )
 
     def order(self, entries: Entries) -> Order:
-        """Return the order that the entries are; raises `HilcellError` for one that is none."""
         options = self.application.options
         return entries.order(tuple(map(parse_setting, options.settings)), options.runs)
 
@@ -250,7 +248,7 @@ class StartScreen(BaseScreen):
         self.application.start_task(self._check_later(self._changes))
 
     async def _check_later(self, change: int) -> None:
-        await asyncio.sleep(QUIET_S)
+        await asyncio.sleep(self.QUIET_S)
         if change == self._changes and self.is_shown:
             await self._check()
 
@@ -311,14 +309,12 @@ class StartScreen(BaseScreen):
 
     @staticmethod
     def _cell_of(name: str, settings: Sequence[str]) -> Cell | None:
-        """Return the cell of a plan; None where its file cannot be read."""
         with suppress(HilcellError):
             return load_cell(name, dict(map(parse_setting, settings)))
         return None
 
 
 def now() -> datetime:
-    """Return the time of day here."""
     return datetime.now().astimezone()
 
 
@@ -377,7 +373,6 @@ class Checked:
 
     @property
     def simulated(self) -> bool:
-        """Whether only a simulated cell would move."""
         if self.plan is None:
             return self.cell is not None and self.cell.simulation is not None
         return self.plan.simulated
@@ -387,7 +382,6 @@ class Checked:
         return self.plan is None or self.plan.rail
 
     def banner(self, glyphs: Glyphs) -> Lines:
-        """Return the first line: that nothing is opened, and whether the cell is simulated."""
         blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
         left = Content(" ").join([*blocks, *([simulation_block()] if self.simulated else [])])
         nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
@@ -426,7 +420,6 @@ class Checked:
         return Drawing(repr(plan), draw)
 
     def check_lines(self, glyphs: Glyphs) -> Lines:
-        """Return what has been checked, or every refusal with its reason."""
         if self.plan is None:
             return self._without_plan("checks", glyphs)
         checks = ["cell file and options are valid"]
@@ -466,7 +459,6 @@ class Checked:
         return lines
 
     def before_lines(self, *, attended: bool) -> Lines:
-        """Return what to see to before the start."""
         words = ["Cell empty, guard closed, E-stop in reach."]
         if self.cell is not None and self.cell.layout.by_hand:
             words.append("One reflector, clean: you are asked when to carry it, and where.")

@@ -79,7 +79,6 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
 
 
 def no_answer_reason(view: RunView) -> str:
-    """Return why the engine of a live run takes no commands, or nothing where it does."""
     return "" if view.answers else NO_ANSWER_REASONS.get(view.state, NO_ANSWER_REASONS["silent"])
 
 

@@ -84,7 +84,6 @@ class AlarmContext:
         return [self.title(latched), self.facts(latched), self.steps(latched), BLANK]
 
     def title(self, latched: Latched) -> Content:
-        """Return an alarm's shape, code and title, inverse."""
         alarm, (shape, tone) = latched.alarm, SEVERITY_STYLES[latched.severity]
         times = f" ({latched.count} times)" if latched.count > 1 else ""
         words = f" {getattr(self.glyphs, shape)} {alarm.code}  {alarm.title}{times} "
@@ -183,7 +182,6 @@ class AlarmBox(Vertical, TitledBox):
         yield TextPanel("steps")
 
     def show(self, standing: list[Latched], kept: str, context: AlarmContext, *, low: bool) -> None:
-        """Show the worst alarm; with few rows, without what matters least."""
         latched, (facts, steps) = standing[0], self.query(TextPanel)
         self.show_titles(context.title(latched), f"alarm 1 of {len(standing)}")
         facts.show(context.facts(latched, kept))
@@ -250,7 +248,6 @@ def saved_text(log: Log) -> str:
 
 
 def newest_line(view: RunView) -> Lines:
-    """Return the newest point with its error and its age."""
     point = view.newest
     if point is None:
         return ends(("no point is measured yet", "$label"), "")

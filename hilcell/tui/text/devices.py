@@ -96,7 +96,6 @@ class DeviceText:
         return (*(("rail", "strip") if self.view.has_rail else ()), "robot", "tracker")
 
     def lamps(self) -> Lines:
-        """Return the lamps with the age of their readings, and the air."""
         view = self.view
         devices = view.status.devices if view.status is not None and view.live else {}
         drawn = [self.lamp(name, devices.get(name, DeviceStatus())) for name in self.device_names()]
@@ -120,7 +119,6 @@ class DeviceText:
         return Content.assemble((shape, tone), f" {title} ", (age, "$label"))
 
     def air(self) -> Content:
-        """Return the air's temperature at the tracker, and its drift since the first point."""
         view = self.view
         if view.last is None:
             return BLANK

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import msgspec
 from textual.content import Content
@@ -65,15 +65,15 @@ from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.plots import validated_places
 from hilcell.tui.text.run import SAID, simulation_block
 
-LEAST_WIDTH, LEAST_ROWS = 78, 14
-BLOCK = 24  # columns of the words' ground
-BAR, TO_LIMIT = 24, 19  # columns
 NEXT = "o report   p plots   w worst points   n new run"
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
     """One large length (mm): its title, where it is the worst, and its limit, None for none."""
+
+    BAR: ClassVar = 24  # columns
+    TO_LIMIT: ClassVar = 19
 
     title: str
     value_mm: float
@@ -83,7 +83,6 @@ class Figure:
 
     @property
     def over(self) -> bool:
-        """Whether there is a limit, and it is not kept with certainty."""
         return self.limit_mm is not None and not self.value_mm + self.U_mm <= self.limit_mm
 
     @property
@@ -105,15 +104,17 @@ class Figure:
         at = Content.assemble((shape, tone), (self.place, "$label"))
         bar = BLANK
         if self.limit_mm:
-            mark = TO_LIMIT / BAR
+            mark = self.TO_LIMIT / self.BAR
             share, guard = (mark * length / self.limit_mm for length in (self.value_mm, self.U_mm))
-            bar = Bar(share, tone, mark, guard).drawn(BAR)
+            bar = Bar(share, tone, mark, guard).drawn(self.BAR)
         return [(self.title, "$label"), *digits, at, bar, BLANK]
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
     """One or two large words, what one word states, the role of their colour, and two figures."""
+
+    BLOCK: ClassVar = 24  # columns of the words' ground
 
     words: tuple[str, ...]
     stated: str
@@ -122,21 +123,25 @@ class Head:
 
     @property
     def style(self) -> str:
-        """Return the style of the words on their ground."""
         if self.role == "label":
             return "bold $foreground on $badge"
         return f"bold $on-{self.role} on ${self.role}-fill"
+
+    @staticmethod
+    def is_small(width: int, rows: int) -> bool:
+        """Whether the large form has no room."""
+        return width < 78 or rows < 14
 
     def block(self, mark: Content, glyphs: Glyphs) -> list[Content]:
         """Return the words on their ground, over the mark of a simulation."""
         texts: list[str] = []
         for word in self.words:
-            is_bold = glyphs.plain or len(word) > (BLOCK + 1) // 4  # longer than large letters
+            is_bold = glyphs.plain or len(word) > (self.BLOCK + 1) // 4  # longer than large letters
             texts += ["", word, ""] if is_bold else large_rows(word)
         if len(self.words) == 1:
             texts = ["", *texts, "", self.stated]
-        last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
-        words = (Content.styled(f"{text:^{BLOCK}}", self.style) for text in texts)
+        last = mark.pad_left((self.BLOCK - mark.cell_length) // 2).truncate(self.BLOCK, pad=True)
+        words = (Content.styled(f"{text:^{self.BLOCK}}", self.style) for text in texts)
         return [*words, last.stylize_before(self.style.removeprefix("bold "))]
 
     def small(self, mark: Content, glyphs: Glyphs) -> Lines:
@@ -160,23 +165,15 @@ class Head:
         if not self.words:
             return []
         mark = simulation_block() if view.simulated else BLANK
-        if is_small(width, rows):
+        if Head.is_small(width, rows):
             return self.small(mark, glyphs).lines(width)
         rows_of = (self.block(mark, glyphs), *(each.large(glyphs) for each in self.figures))
-        return Grid(zip(*rows_of, strict=True), Col(BLOCK), Col(25), Col(), gap=2).lines(width)
+        return Grid(zip(*rows_of, strict=True), Col(self.BLOCK), Col(25), Col(), gap=2).lines(width)
 
 
 def gravest(value_mm: float) -> float:
     """Return a length to order by: NaN and infinity are the worst."""
     return value_mm if math.isfinite(value_mm) else math.inf
-
-
-def is_small(width: int, rows: int) -> bool:
-    """Whether the large head has no room."""
-    return width < LEAST_WIDTH or rows < LEAST_ROWS
-
-
-TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +194,7 @@ class Station:
     @property
     def short(self) -> str:
         """Return its name, which leaves room for figures."""
-        return Content(harmless(self.name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
+        return Content(harmless(self.name)).truncate(20, ellipsis=True).plain
 
     @property
     def reason(self) -> str:
@@ -217,7 +214,6 @@ class Station:
         return ", ".join(over or unsure) or "too few targets to show it"
 
     def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
-        """Return its row of the table."""
         judged, outcome = self.judged, self.judged.outcome
         role, shape, *_ = SAID[outcome]
         word, tone = outcome.short, f"${role}"
@@ -276,7 +272,6 @@ class Finished:
 
     @property
     def head(self) -> Head:
-        """Return the verdict in large, with its two figures."""
         word, stated = self.words
         mean, single, limits = self.worst_mean, self.worst_single, self.limits
         figures = (
@@ -299,7 +294,6 @@ class Finished:
         return [Content.assemble((" orientation, worst: ", "$label"), words)]
 
     def table(self, glyphs: Glyphs, room: int) -> Lines:
-        """Return the stations, the worst ones in ``room`` rows with header and limit."""
         order = sorted(self.stations, key=lambda each: -gravest(each.judged.mean_mm))
         kept = order[: room - 2]
         shown = [each for each in self.stations if each in kept]
@@ -321,9 +315,9 @@ class Finished:
         facts = Stack(*self._facts(view, glyphs, standing))
 
         def draw(width: int, height: int) -> list[Content]:
-            rows = height or TALL
+            rows = height or 40  # which hold everything
             lines, fact_lines = self.head.lines(view, glyphs, width, rows), facts.lines(width)
-            if is_small(width, rows):
+            if Head.is_small(width, rows):
                 return [*lines, *fact_lines]
             fact_lines = fact_lines[: max(rows - len(lines) - len(self.stations) - 2, 2)]
             room = max(rows - len(lines) - len(fact_lines), 3)
@@ -430,7 +424,6 @@ class Result:
 
     @classmethod
     def of_test(cls, test: PoseTest, *, passed: bool) -> Self:
-        """Return that of a pose test: its worst AP and RP, and each pose."""
         worst, limits, turned = test.worst, test.limits, test.orientation
         ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
         figures = (
@@ -464,7 +457,6 @@ class Result:
 
     @classmethod
     def of_recheck(cls, result: RecheckResult, log: Log) -> Self:
-        """Return that of a re-check: what to do, and each target, the worst first."""
         worst = sorted(result.poses, key=lambda each: -gravest(each.error_mm))
         columns: list[Column[CheckedPose]] = [
             Column("worst first", lambda each: point_id(each.pose, log).short),
@@ -576,7 +568,6 @@ NAMES = {  # of the summary, by the name shown
 
 
 def report_lines(summary: Mapping[str, object], log: Log | None) -> Lines:
-    """Return the facts of a run, its own table and its sentence."""
     procedure, standing = str(summary.get("procedure", "")), summary.get("standing")
     facts = [
         ("run", str(summary.get("run", ""))),

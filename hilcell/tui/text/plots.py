@@ -72,7 +72,6 @@ class Errors3D:
         return cls(tuple(order), by_how, grid)
 
     def at(self, station: str) -> Errors3D:
-        """Return those of a station; without a name, all."""
         if not station:
             return self
         kept = [n for n, (name, _) in enumerate(self.targets) if name == station]
@@ -82,12 +81,10 @@ class Errors3D:
 
     @property
     def stations(self) -> tuple[str, ...]:
-        """Return the stations in the order in which they were measured."""
         return tuple(dict.fromkeys(name for name, _ in self.targets))
 
     @property
     def corrected(self) -> dict[str, Array]:
-        """Return the corrected ones by station, where there are any."""
         by_station = {name: self.at(name).by_how.get(Sent.CHOSEN) for name in self.stations}
         return {name: errors for name, errors in by_station.items() if errors is not None}
 
@@ -116,7 +113,6 @@ class Measured:
         return Errors3D.of(points, position_errors(log, points).norms_mm, grid=not validated)
 
     def stations(self) -> tuple[str, ...]:
-        """Return the stations of the targets, after "" for all."""
         return "", *self.errors.stations
 
     @cached_property
@@ -144,7 +140,6 @@ class Measured:
 
     @cached_property
     def poses(self) -> dict[str, Errors]:
-        """Return the errors of a pose test at each pose so far."""
         return attained(self.log) if {"world", "base"} <= self.log.frames.keys() else {}
 
     @cached_property
@@ -174,11 +169,9 @@ class Measured:
 
     @property
     def swept(self) -> tuple[str, ...]:
-        """Return the swept axes by name, A1 first."""
         return tuple(f"A{axis}" for axis in sorted(self.log.curves))
 
     def errors_plot(self, pick: str = "") -> Plot:
-        """Return |e| target by target."""
         errors = self.errors.at(pick)
         return target_plot(errors, *self._limit(errors))
 
@@ -297,7 +290,6 @@ def _counted(count: int) -> tuple[tuple[float, str], ...]:
 
 
 def legend_mark(style: PlotStyle, ink: Ink) -> Content:
-    """Return the mark of a series in a key."""
     words = ink.letter, ink.words
     return Content.styled(*words) if style.letters else Content.styled("■", ink.colour)
 
@@ -347,16 +339,13 @@ class Choice:
     scales: dict[tuple[object, ...], Scale] = field(default_factory=dict)
 
     def pick(self, of: Measured, tab: Tab) -> str:
-        """Return the station, or axis, that is shown."""
         picks = tab.picks(of)
         return picks[self.picks[self.tab] % len(picks)]
 
     def is_log(self, tab: Tab) -> bool:
-        """Whether the scale is logarithmic."""
         return tab.is_log is not None and tab.is_log != bool(self.turned[self.tab] % 2)
 
     def turn_series(self, count: int) -> None:
-        """Show the next series alone; after the last, all."""
         self.series = (self.series + 1) % (count + 1) if count > 1 else 0
 
     def scale(self, tab: Tab, plot: Plot, pick: str, height: int) -> Scale:
@@ -371,7 +360,6 @@ class Choice:
 
 
 def tab_line(of: Measured, choice: Choice, width: int, style: PlotStyle) -> Content:
-    """Return the tabs, and at the right the station and how many targets it has."""
     parts, tabs = list[Content](), tabs_for(of.log)
     for n, tab in enumerate(tabs):
         text = f" {n + 1} {tab.name} "
@@ -391,7 +379,6 @@ def tab_line(of: Measured, choice: Choice, width: int, style: PlotStyle) -> Cont
 def plot_lines(
     of: Measured, choice: Choice, width: int, height: int, style: PlotStyle
 ) -> list[Content]:
-    """Return title, plot and figures in at most so many rows."""
     beside = width >= BESIDE
     figures_rows = height // 3 if not beside and height >= 34 else 0
     rows = max(height - 1 - (figures_rows and figures_rows + 1), LEAST)
@@ -500,7 +487,6 @@ class Figures:
         return _figures(words, *rows, heads=("mean", "RP", "max"))
 
     def poses(self) -> Lines:
-        """Return AP_p and RP_l of each pose, and the limits that are stated."""
         rows: list[Row] = [
             ("", name, (*figures, str(len(self.of.poses[name].error_mm))))
             for name, figures in self.of.figures_by_pose.items()
@@ -546,7 +532,6 @@ class Figures:
         return _figures(words, *rows, heads=("mean", "", "max"))
 
     def sweeps(self) -> Lines:
-        """Return the gear lines of every swept axis."""
         heads = ("axis", "cycles/rev.", "size µrad")
         rows: list[Sequence[Cell]] = [[(head, "$label") for head in heads]]
         remarks: list[Lines | Text] = []

@@ -23,8 +23,6 @@ from hilcell.tui.layout import Lines, Stack, figure, labelled_rows
 from hilcell.tui.run_view import RunView
 from hilcell.tui.widgets import Column, Row
 
-STATES: dict[Outcome, str] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}
-
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
@@ -46,7 +44,6 @@ class Deviation:
 
     @property
     def outcome(self) -> Outcome:
-        """Return the decision on |e|, by the rule that judges all results."""
         if self.limit_mm is None:
             return Outcome.ACCEPTED
         return outcome_of(self.norm_mm, self.limit_mm, self.U_mm)
@@ -94,14 +91,16 @@ def state_of(log: Log, point: Point, deviation: Deviation | None) -> str:
     """Return a point's state in one word: ok, out, undecided, noisy, again (re-measured)."""
     if not rms(point.std_mm) <= log.cell.tracker.max_std_mm:
         return "noisy"
-    if deviation is not None and deviation.outcome in STATES:
-        return STATES[deviation.outcome]
+    if deviation is not None and deviation.outcome in PointRow.STATES:
+        return PointRow.STATES[deviation.outcome]
     return "again" if point.retaken else "ok"
 
 
 @dataclass(frozen=True, slots=True)
 class PointRow:
     """One row of the points table."""
+
+    STATES: ClassVar[dict[Outcome, str]] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}
 
     SAID: ClassVar = {  # by state: its word with its shape, and its tone
         "in": ("● in", "passed"),
@@ -127,7 +126,6 @@ class PointRow:
         return -1.0 if self.deviation is None else self.deviation.norm_mm
 
     def said(self) -> tuple[str, str]:
-        """Return the state with its shape, and its tone."""
         judged = self.deviation is not None and self.deviation.limit_mm is not None
         return self.SAID["in" if self.state == "ok" and judged else self.state]
 
@@ -232,7 +230,6 @@ class PointRows:
         self._U_mm, self._U_of = 0.0, (0, False)  # of how many points, and whether at the end
 
     def rows(self, log: Log) -> list[PointRow]:
-        """Return the rows of all points in the order in which they were first measured."""
         if log.frames.get("world") is not self._world:
             self._world = log.frames.get("world")
             self._found.clear()
@@ -262,7 +259,6 @@ class PointRows:
                 self._found[key] = number, judged
 
     def deviation(self, log: Log, point: Point) -> Deviation | None:
-        """Return the deviation of a point, as its row has it."""
         row = self._row(point.key, log.changed.get(point.key, 0))
         return deviation_of(log, point) if row is None else row.deviation
 

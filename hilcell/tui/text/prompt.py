@@ -39,7 +39,6 @@ class PromptBox(Horizontal, TitledBox):
     """One prompt in a box: the plan or the words at the left, the task at the right."""
 
     def compose(self) -> ComposeResult:
-        """Build both sides; Enter stays in sight."""
         yield TextPanel("picture")
         with Vertical(id="task"):
             yield TextPanel("enter")
@@ -281,7 +280,6 @@ class _Drawing:
         self._beam()
 
     def lines(self) -> list[Content]:
-        """Return the drawing, with its scale under it."""
         return [*self._canvas.lines(), self._bar()]
 
     def _cell(self, place: Place) -> tuple[int, int]:
@@ -382,7 +380,6 @@ class _Drawing:
             self._put(*self._cell(at), "·", "$ask")
 
     def _bar(self) -> Content:
-        """Return the scale: a round length, and the directions."""
         length_mm = step_at_most(10 * self._mm)
         across = max(round(length_mm / self._mm), 2)
         unit = f"{length_mm / 1000:g} m" if length_mm >= 1000 else f"{length_mm:g} mm"

@@ -83,15 +83,7 @@ STATES = {
     "unreadable": ("UNREADABLE", "fault"),
     "gone": ("ENGINE LOST", "fault"),
 }
-LOUD = ("ask", "fault")  # roles whose states fill the first row
 NOT_E_STOP = "software stop, not the E-stop"
-NO_PLAN_TEXTS = {  # where there is no plan in the journal
-    EngineState.UNKNOWN: "reading ...",
-    EngineState.NONE: "nothing was recorded",
-    EngineState.STARTING: "the engine starts ...",
-    EngineState.ANSWERING: "nothing to see yet",
-    EngineState.SILENT: "nothing to see yet",
-}
 
 
 def badge(text: str) -> Content:
@@ -111,7 +103,6 @@ def _labelled(name: str, value: str, most: int) -> Content:
 
 
 def sweeps_of(steps: Sequence[PlannedStep]) -> int:
-    """Return how many axis sweeps the plan has for these steps."""
     spans = [span for step in steps for span in step.spans]
     return sum(span.measured for span in spans if span.kind == "sweep")
 
@@ -143,8 +134,6 @@ def resume_text(view: RunView | None) -> str:
 
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
-FULL_ROWS, SMALL_ROWS = 6, 3
-STALE_S = 30.0  # two points of a run are rarely so far apart
 SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words, those of an old one
     Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.text, "was in tol."),
     Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.text.upper(), "was undecided"),
@@ -156,9 +145,20 @@ SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words,
 class Shown:
     """The point that is drawn: its deviation, its name, and whether it is too old to be bright."""
 
+    FULL_ROWS: ClassVar = 6
+    SMALL_ROWS: ClassVar = 3
+    STALE_S: ClassVar = 30.0  # two points of a run are rarely so far apart
+
     RAW_SCALE_MM: ClassVar = 2.0  # of the signed bars, where there is no limit
     LEAST_LARGE: ClassVar = 41  # columns
     TO_LIMIT: ClassVar = 0.8  # of the tolerance bar
+
+    @classmethod
+    def rows_for(cls, height: int) -> int:
+        """Return the rows of the newest point on a terminal of this height."""
+        if height < 21:
+            return cls.SMALL_ROWS
+        return cls.FULL_ROWS - (height < 24)
 
     name: str
     deviation: Deviation | None
@@ -252,8 +252,8 @@ class Shown:
         if point is None:
             return cls("no point measured yet", None, "")
         age_s = view.newest_age_s
-        age = f"{short_age(age_s)} ago" if age_s <= STALE_S else f"{short_age(age_s)} old"
-        old = view.newest_is_old or not age_s <= STALE_S or view.stale
+        age = f"{short_age(age_s)} ago" if age_s <= cls.STALE_S else f"{short_age(age_s)} old"
+        old = view.newest_is_old or not age_s <= cls.STALE_S or view.stale
         which = "last point" if view.newest_is_old else "newest point"
         return cls.of(view.log, point, which, deviation, age, stale=old)
 
@@ -280,7 +280,7 @@ class Shown:
         tolerance = self.tolerance(deviation, glyphs)
         columns = Col(), Col(17), Col(10, grows=True, most=55)
         small = Stack(head, ends(self.one_line(deviation), ""), Grid(tolerance[:1], *columns))
-        if rows < FULL_ROWS - 1:
+        if rows < self.FULL_ROWS - 1:
             return small
         whole = Stack(head, self.large(deviation, glyphs), Grid(tolerance[: rows - 4], *columns))
         state = whole.state, small.state
@@ -289,21 +289,6 @@ class Shown:
         )
 
 
-def rows_for(height: int) -> int:
-    """Return the rows of the newest point on a terminal of this height."""
-    return FULL_ROWS if height >= 24 else FULL_ROWS - 1 if height >= 21 else SMALL_ROWS
-
-
-MOTIONS = {
-    "robot.park": "robot sent to its safe pose",
-    "robot.move": "robot sent to {point}",
-    "robot.sweep": "robot begins the {point}",
-    "rail.home": "rail sent to its reference",
-    "rail.approach": "rail sent to {station}",
-}
-
-
-MOST_STEPS, MOST_EVENTS = 5, 6
 PARTS = {
     "flange": "{step}: {count} points",
     "sweep": "{step}: {count} sweeps",
@@ -312,8 +297,7 @@ PARTS = {
 
 
 def block_rows(height: int, *, live: bool) -> int:
-    """Return how many rows the block has on a terminal of this height."""
-    spare = min(height - 24, 17 if live else MOST_EVENTS + 1)  # 24: all above it
+    spare = min(height - 24, 17 if live else RunText.MOST_EVENTS + 1)  # 24: all above it
     return spare if spare >= 4 else 0
 
 
@@ -346,6 +330,24 @@ def _merged(parts: Sequence[RemainingSpan]) -> list[RemainingSpan]:
 class RunText:
     """The screen's texts of a run, from the top."""
 
+    LOUD: ClassVar = ("ask", "fault")  # roles whose states fill the first row
+    NO_PLAN_TEXTS: ClassVar = {  # where there is no plan in the journal
+        EngineState.UNKNOWN: "reading ...",
+        EngineState.NONE: "nothing was recorded",
+        EngineState.STARTING: "the engine starts ...",
+        EngineState.ANSWERING: "nothing to see yet",
+        EngineState.SILENT: "nothing to see yet",
+    }
+    MOTIONS: ClassVar = {
+        "robot.park": "robot sent to its safe pose",
+        "robot.move": "robot sent to {point}",
+        "robot.sweep": "robot begins the {point}",
+        "rail.home": "rail sent to its reference",
+        "rail.approach": "rail sent to {station}",
+    }
+    MOST_STEPS: ClassVar = 5
+    MOST_EVENTS: ClassVar = 6
+
     view: RunView
     glyphs: Glyphs = UNICODE
 
@@ -370,7 +372,7 @@ class RunText:
         view = self.view
         tone = self.role()
         fill = f"bold $on-{tone} on ${tone}-fill"
-        ground = fill if tone in LOUD else ""
+        ground = fill if tone in self.LOUD else ""
         parts = [
             Content.styled(f" {self.glyphs.states[view.state]} {self.state_label()[0]} ", fill)
         ]
@@ -409,11 +411,10 @@ class RunText:
         return f"the background run {self.view.run} has ended: {self.state_label()[0]}{why}"
 
     def identity(self) -> Lines:
-        """Return procedure, cell, job, operator and run."""
         view = self.view
         plan = view.log.plan
         if plan is None:
-            begun = NO_PLAN_TEXTS[view.engine]
+            begun = self.NO_PLAN_TEXTS[view.engine]
             return ends(f"run {view.run}: {view.trouble or begun}", "")
         names = {
             "cell": str(plan.cell.get("name", "?")),
@@ -460,7 +461,6 @@ class RunText:
         return min(len(view.measured.get(number, ())), planned), planned
 
     def progress(self) -> Lines:
-        """Return the bar in the state's colour, the time worked, the time left or of the end."""
         view = self.view
         tone = self.role()
         calm = not view.live and tone != "passed"
@@ -511,9 +511,9 @@ class RunText:
             parts, rows = self.interlocks(), rows - 1 - max(len(locked), 1)
             if rows > 1:
                 parts += self.steps(rows)
-                rows -= 1 + max(min(len(self._spans()), MOST_STEPS), 1)
+                rows -= 1 + max(min(len(self._spans()), self.MOST_STEPS), 1)
         if rows > 1:
-            parts += self._event_lines(errors_mm, min(rows, MOST_EVENTS + 1))
+            parts += self._event_lines(errors_mm, min(rows, self.MOST_EVENTS + 1))
         return Stack(*parts)
 
     def _event_lines(self, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
@@ -540,8 +540,8 @@ class RunText:
                 return f"measured {point_label(point.key, log)}{' again' * point.retaken}{size}"
             case Intended(action=action, station=station):
                 place = with_labels(record.key, log)
-                if action in MOTIONS:
-                    return MOTIONS[action].format(station=station, point=place)
+                if action in self.MOTIONS:
+                    return self.MOTIONS[action].format(station=station, point=place)
                 return f"{action.replace('.', ' ')} {place}".strip()
             case Event() | OtherEvent() as event:
                 return event_label(event, log)
@@ -579,7 +579,7 @@ class RunText:
         heading, starts_s = section("next steps", "starts in   takes"), 0.0
         steps: list[Sequence[Cell]] = []
         start, style, shape = "now", "$foreground", " " if self.view.at_rest else self.glyphs.moving
-        for words, takes_s in self._spans()[: min(rows - 1, MOST_STEPS)]:
+        for words, takes_s in self._spans()[: min(rows - 1, self.MOST_STEPS)]:
             cells = ((text, style) for text in (words, start, duration(takes_s)))
             steps.append(((f" {shape}", "$live"), *cells, ""))
             starts_s += takes_s

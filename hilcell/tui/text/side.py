@@ -247,7 +247,6 @@ class Views:
         self._newest = "<" if plain else "◄", "bold $live"
 
     def legend(self) -> Lines:
-        """Return a line for each grade with its count."""
         bounds, lines = self._grades.bounds, []
         grades = self._grades.grade(self.of.errors_mm)
         for grade, count in enumerate(np.bincount(grades, minlength=len(bounds) + 1).tolist()):
@@ -285,7 +284,6 @@ class Views:
         return side, self._framed(along, "z up", f"{self.AXES[across]} ►")
 
     def stations(self) -> Content:
-        """Return the stations' names under their middle."""
         of, width = self.of, self.columns + self.FRAME
         low_mm, high_mm = float(of.low_mm[of.rail]), float(of.high_mm[of.rail])
         line = Content("")

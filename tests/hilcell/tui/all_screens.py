@@ -151,7 +151,7 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "start_engine", lambda *_: _Ended())
     monkeypatch.setattr("hilcell.journal.index.read_index", lambda _: RUNS)
     monkeypatch.setattr(start, "entry_points", lambda group: [_Entry(name) for name in PROCEDURES])
-    monkeypatch.setattr(start, "QUIET_S", 0.0)
+    monkeypatch.setattr(start.StartScreen, "QUIET_S", 0.0)
     monkeypatch.setattr(start, "now", lambda: BEGAN)
     monkeypatch.setattr(start, "summaries", lambda names: {n: PROCEDURES[n] for n in names})
     monkeypatch.delenv("DISPLAY", raising=False)

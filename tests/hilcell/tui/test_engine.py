@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hilcell.commands.cli import whole_parser
 from hilcell.errors import HilcellError
 from hilcell.sanitize import clean
-from hilcell.tui.process import EXIT_REASONS, StartedEngine, dry_run, run_command, start_engine
+from hilcell.tui.process import StartedEngine, dry_run, run_command, start_engine
 from hilcell.tui.screens.start import Entries
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
@@ -89,7 +89,11 @@ def ended(folder: Path, code: int) -> StartedEngine:
 @pytest.mark.parametrize("code", [2, 5, 6, 7])
 def test_an_end_outside_the_journal_is_reported(tmp_path: Path, code: int) -> None:
     (tmp_path / "journal.sqlite").touch()
-    assert ended(tmp_path, code).wait_for_end().endswith(f"exit {code}: {EXIT_REASONS[code]}")
+    assert (
+        ended(tmp_path, code)
+        .wait_for_end()
+        .endswith(f"exit {code}: {StartedEngine.EXIT_REASONS[code]}")
+    )
     said = tmp_path / "engine-1.log"
     said.write_text("".join(f"line {number}\n" for number in range(100)))
     reported = ended(tmp_path, code).wait_for_end()

@@ -118,7 +118,7 @@ def test_an_engine_with_bad_answers_is_asked_again(
     engine: ScriptedEngine,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(feeds, "REOPEN_S", math.inf)
+    monkeypatch.setattr(feeds.Feed, "REOPEN_S", math.inf)
     screen = Screen(tmp_path)
     screen.until(lambda update: update.status)
     engine.answer = answer
@@ -132,7 +132,7 @@ def test_an_engine_with_bad_answers_is_asked_again(
 def test_a_line_that_is_silent_for_long_is_opened_again(
     tmp_path: Path, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeds, "REOPEN_S", -1.0)  # any silence is long
+    monkeypatch.setattr(feeds.Feed, "REOPEN_S", -1.0)  # any silence is long
     screen = Screen(tmp_path)
     screen.until(lambda update: update.status)
     engine.answer = EngineSilent("no answer")

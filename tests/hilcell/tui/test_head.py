@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hilcell.tui.terminal import UNICODE
-from hilcell.tui.text.finished import BAR, TO_LIMIT, Figure, Head, gravest, is_small
+from hilcell.tui.text.finished import Figure, Head, gravest
 from tests.hilcell.tui.views import view_of
 
 NAN = math.nan
@@ -40,15 +40,15 @@ def test_what_is_no_length_is_graver_than_any() -> None:
     ("width", "rows", "small"), [(78, 14, False), (77, 14, True), (78, 13, True)]
 )
 def test_the_large_head_needs_its_width_and_its_rows(width: int, rows: int, small: bool) -> None:
-    assert is_small(width, rows) is small
+    assert Head.is_small(width, rows) is small
 
 
 @pytest.mark.parametrize(
     ("value_mm", "limit_mm", "filled", "sign", "role"),
     [
-        (0.06, 0.12, TO_LIMIT / 2, "●", "$passed"),
-        (0.12, 0.12, TO_LIMIT, "●", "$passed"),
-        (0.50, 0.12, BAR, "▲", "$fault"),
+        (0.06, 0.12, Figure.TO_LIMIT / 2, "●", "$passed"),
+        (0.12, 0.12, Figure.TO_LIMIT, "●", "$passed"),
+        (0.50, 0.12, Figure.BAR, "▲", "$fault"),
         (0.06, None, 0.0, "○", "$label"),
     ],
 )
@@ -59,7 +59,7 @@ def test_the_bar_reaches_the_limit_where_the_figure_does(
     other = Figure("max, mm", 0.2, "at S1100", 0.3)
     head = Head(("PASS",), "in tolerance", "passed", (figure, other))
     lines = head.lines(view_of("done"), UNICODE, 79, 16)
-    bar = lines[5].plain[26 : 26 + BAR].replace("│", "█" if filled > TO_LIMIT else "")
+    bar = lines[5].plain[26 : 26 + Figure.BAR].replace("│", "█" if filled > Figure.TO_LIMIT else "")
     assert bar.count("█") + bar.count("▌") / 2 == filled
     [at] = [line for line in lines if "at S300" in line.plain]
     signs = {at.plain[span.start : span.end]: span.style for span in at.spans if span.start == 26}

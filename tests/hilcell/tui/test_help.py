@@ -9,7 +9,7 @@ from textual.pilot import Pilot
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import ACTIONS, shown
 from hilcell.tui.screens.base import BaseScreen
-from hilcell.tui.screens.help import SCREENS, fixed_keys_of, help_lines
+from hilcell.tui.screens.help import HelpPage, help_lines
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.actions import ACTS, VIEWS, WORDS
 from hilcell.tui.text.plots import MOST_TABS
@@ -41,13 +41,13 @@ def bound(owner: type) -> set[str]:
 
 def explained(screen: type[BaseScreen]) -> set[str]:
     """Return the keys that the help explains for a screen."""
-    keys = [key for key, _ in fixed_keys_of(screen)]
+    keys = [key for key, _ in screen.all_fixed_keys()]
     return set().union(*(WRITTEN.get(key, {key if key == "S" else key.lower()}) for key in keys))
 
 
-@pytest.mark.parametrize("title", SCREENS)
+@pytest.mark.parametrize("title", HelpPage.SCREENS)
 def test_each_key_of_a_screen_is_explained_and_each_explained_one_is_bound(title: str) -> None:
-    screen = SCREENS[title]
+    screen = HelpPage.SCREENS[title]
     assert bound(screen) <= explained(screen)
     elsewhere = set().union(*map(bound, (*WIDGETS, HilcellApp)))
     assert explained(screen) <= bound(screen) | elsewhere
@@ -71,7 +71,7 @@ def test_no_line_of_the_help_is_wider_than_the_screen() -> None:
         assert "▲▼        choose a point" in text_of(app)
 
     run_app(act, "running", size=(80, 70))
-    fixed = {title: fixed_keys_of(each) for title, each in SCREENS.items()}
+    fixed = {title: each.all_fixed_keys() for title, each in HelpPage.SCREENS.items()}
     for width in (22, 39, 59, 79):
         lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, fixed), width).splitlines()
         assert max(map(len, lines)) <= width

@@ -13,7 +13,7 @@ from hilcell.model.point import PointId
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.points import Deviation
-from hilcell.tui.text.run import FULL_ROWS, SMALL_ROWS, STALE_S, Shown
+from hilcell.tui.text.run import Shown
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
 from tests.hilcell.tui.views import drawn
 
@@ -50,7 +50,7 @@ def test_it_says_what_the_decision_rule_says(
     norm_mm: float, limit_mm: float | None, said: str, style: str
 ) -> None:
     lines = shown(norm_mm, limit_mm).lines(UNICODE).lines(79)
-    assert len(lines) == FULL_ROWS
+    assert len(lines) == Shown.FULL_ROWS
     assert lines[4].plain.strip().startswith(said)
     assert style in str(lines[1].spans)  # the digits
 
@@ -70,7 +70,7 @@ def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) ->
 def test_the_newest_point_ages() -> None:
     assert Shown.newest(view_after(validated())).remark == "0.4 s ago"
     assert not Shown.newest(view_after(validated())).stale
-    found = Shown.newest(view_after(validated(), STALE_S + 6))
+    found = Shown.newest(view_after(validated(), Shown.STALE_S + 6))
     assert (found.stale, found.remark) == (True, "36 s old")
 
 
@@ -116,7 +116,7 @@ def test_any_deviation_fits_any_width(
     dx: float, dy: float, dz: float, limit: float | None, width: int
 ) -> None:
     found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
-    for rows in (FULL_ROWS, FULL_ROWS - 1, SMALL_ROWS):
+    for rows in (Shown.FULL_ROWS, Shown.FULL_ROWS - 1, Shown.SMALL_ROWS):
         for glyphs in (UNICODE, ASCII):
             lines = Shown("p", found, "").lines(glyphs, rows).lines(width)
             assert len(lines) <= rows

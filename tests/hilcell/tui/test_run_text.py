@@ -235,7 +235,7 @@ def test_running_is_never_bright_where_nothing_is_heard() -> None:
 @pytest.mark.parametrize("name", sample_runs())
 def test_trouble_fills_the_first_row_and_calm_does_not(name: str) -> None:
     line = RunText(view_of(name)).banner().lines(79)[0]
-    loud = run_text.STATES[name][1] in run_text.LOUD
+    loud = run_text.STATES[name][1] in run_text.RunText.LOUD
     filled = [span for span in line.spans if "-fill" in str(span.style)]
     assert line.cell_length == 79
     assert (max(span.end for span in filled) == 79) == loud

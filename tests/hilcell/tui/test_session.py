@@ -11,7 +11,7 @@ import pytest
 from hilcell.errors import HilcellError
 from hilcell.tui import session as sessions
 from hilcell.tui.run_view import EngineState
-from hilcell.tui.session import TIMEOUT_S, RunUpdate, Session, utc_now
+from hilcell.tui.session import RunUpdate, Session, utc_now
 from tests.hilcell.tui.engine_peer import Peer
 from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine
@@ -64,7 +64,7 @@ def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(
     monkeypatch.setattr(sessions, "EngineClient", engine)
     session = session_of(tmp_path)
     session.ask("answer")
-    assert (engine.asked, engine.timeout_s) == (["answer"], [TIMEOUT_S["answer"]])
+    assert (engine.asked, engine.timeout_s) == (["answer"], [Session.TIMEOUT_S["answer"]])
     assert engine.open == 0  # a line of its own
     session.close(leave=True)
 
