@@ -1,6 +1,6 @@
-"""The checker: the invariants in words, and their rules over the records of a journal, in order.
+"""The checker: the invariants and their rules over the records of a journal, in sequence.
 
-It says for each how often it was judged, and where it is broken.
+The result has the number of checks of each invariant and its violations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from hilcell.model.verdicts import Verdict
 FUTURE_S = -0.001  # two readings of one clock
 NO_READING = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
-
 INVARIANTS = {
     "I1": "the slide gets power only with the robot at rest at its safe pose, by a young reading",
     "I2": "the robot moves only with the slide at rest, held, and the strip at the station",
@@ -56,7 +55,7 @@ INVARIANTS = {
 
 
 class Violation(NamedTuple):
-    """A place where an invariant is broken."""
+    """A record that breaks an invariant."""
 
     seq: int
     what: str
@@ -64,7 +63,7 @@ class Violation(NamedTuple):
 
 @dataclass(slots=True)
 class InvariantResult:
-    """``unproven`` are places where the journal says that a device could not tell."""
+    """``unproven`` are records of which a device could not report its state."""
 
     checked: int = 0
     broken: list[Violation] = field(default_factory=list)
@@ -75,19 +74,19 @@ class InvariantResult:
         return not self.broken
 
     def count(self, seq: int, holds: bool | None, what: str) -> None:
-        """Count one check; None is one that proves nothing."""
+        """Count one check; None is inconclusive."""
         self.checked += holds is not None
         if not holds:
             (self.unproven if holds is None else self.broken).append(Violation(seq, what))
 
 
 def check_invariants(records: Iterable[Record]) -> dict[str, InvariantResult]:
-    """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
-    proofs, checker = {name: InvariantResult() for name in INVARIANTS}, Checker()
+    """Return the result of each invariant, I1 to I18; raises `StorageError`."""
+    results, checker = {name: InvariantResult() for name in INVARIANTS}, Checker()
     for record in records:
         try:
             for invariant, holds, what in checker.checks(record):
-                proofs[invariant].count(record.seq, holds, what)
+                results[invariant].count(record.seq, holds, what)
             checker.take(record)
         except (msgspec.ValidationError, KeyError, TypeError, AttributeError) as error:
             raise StorageError(
@@ -95,10 +94,10 @@ def check_invariants(records: Iterable[Record]) -> dict[str, InvariantResult]:
                 f"{RESTORE_ADVICE}",
                 code="HC-J02",
             ) from error
-    return proofs
+    return results
 
 
-# -- the run as the records so far state it --------------------------------------------------------
+# -- the run by its records so far ----------------------------------------------------------------
 
 
 class _Station(msgspec.Struct, frozen=True):
@@ -129,7 +128,7 @@ class _Uncertainty(msgspec.Struct, frozen=True):
 
 
 class CellFacts(msgspec.Struct, frozen=True):
-    """The cell as it was frozen, as far as the rules need it."""
+    """The fields of the frozen cell that the rules need."""
 
     station: list[_Station] = []
     rail: _Rail = _Rail()
@@ -142,7 +141,7 @@ class CellFacts(msgspec.Struct, frozen=True):
 
 @dataclass(slots=True)
 class RecordedRun:
-    """``points`` are those that count, ``unproven`` those since the tracker's last proof."""
+    """``points`` are the valid ones, ``unproven`` those since the tracker's last verification."""
 
     seq: int = 0
     cell: CellFacts = field(default_factory=CellFacts)  # as it was frozen
@@ -150,7 +149,7 @@ class RecordedRun:
     state: str = "idle"
     session: int = 0
     held: str = ""  # the station at which the slide was reported held in this session
-    last: Intended | None = None  # motion of this session, and what it was for
+    last: Intended | None = None  # motion of this session
     last_key: str = ""
     rail_moved: bool = False  # in this session
     robot_moved: bool = False
@@ -159,25 +158,24 @@ class RecordedRun:
     again: set[str] = field(default_factory=set)
     set_up: int = 0
     framed: set[int] = field(default_factory=set)  # set-ups with a {W}
-    control: dict[str, Point] = field(default_factory=dict)  # by nest, since the last proof
+    control: dict[str, Point] = field(default_factory=dict)  # by nest, since the last verification
     unproven: dict[str, int] = field(default_factory=dict)  # the session that added each
-    verified: bool = False  # the tracker was proven, or {W} framed, in this session
-    interrupted: bool = False  # nobody may have seen the tracker since its last proof
-    verdicts: dict[str, bool] = field(default_factory=dict)  # by key, whether they hold now
+    verified: bool = False  # in this session, or {W} framed
+    interrupted: bool = False  # the tracker may have been bumped since
+    verdicts: dict[str, bool] = field(default_factory=dict)  # by key, whether they pass
     closings: list[events.Closed] = field(default_factory=list)  # of this session
     reason: str = ""  # the first of this session's fault
-    over: bool = False  # this session; a resume that was refused ends once more
+    over: bool = False  # this session; a refused resume has an end, too
     devices: list[Identity] = field(default_factory=list)  # that answered last
     hilcell: str = ""  # that connected them
-    accepted: bool = False  # changes, since then
+    accepted: bool = False  # changes since then
 
     @property
-    def stands(self) -> bool:
-        """Whether no session is under way, or the run waits for the operator."""
+    def waits(self) -> bool:
+        """Whether nothing may move: no session in progress, or waiting for the operator."""
         return self.state in ("idle", *OVER, *WAITING)
 
     def station(self, name: str) -> _Station | None:
-        """Return a station of the cell."""
         return next((each for each in self.cell.station if each.name == name), None)
 
     def take(self, record: Record) -> None:
@@ -285,32 +283,31 @@ def set_up_of(frame: str) -> int:
 
 
 def is_proof(key: str) -> bool:
-    """Whether a point frames {W}, proves the tracker, or is one of which nothing is built."""
+    """Whether a point frames {W}, verifies the tracker, or is a mere check."""
     return key.partition("/")[0] in (*PROOFS, *CHECKS)
 
 
 def pose_characteristics(key: str) -> str:
-    """Return a key without its reflector: all of a pose are measured where it stands."""
+    """Return a key without its reflector: all reflectors of a pose are measured together."""
     pose, _, seat = key.rpartition("/")
     return pose if seat.startswith(SEAT) and seat.removeprefix(SEAT).isdecimal() else key
 
 
 def nest_of(key: str) -> str:
-    """Return the nest of a point of {W} or of a proof."""
     return key.rpartition("/")[2]
 
 
 # -- the rules ------------------------------------------------------------------------------------
 
-# The invariant, whether it holds, and what is wrong where it does not. None: a device cannot tell.
+# The invariant, whether it holds (None: inconclusive), and what is wrong if not.
 Check: TypeAlias = tuple[str, bool | None, str]
 
 
 class Checker(RecordedRun):
-    """Judges each record by what the records before it say, which `take` adds."""
+    """Checks each record against the records before it, which `take` applies."""
 
     def checks(self, record: Record) -> Iterator[Check]:
-        """Yield all that is judged of a record, before it is taken."""
+        """Yield the checks of a record, before it is taken."""
         yield "I8", record.seq == self.seq + 1, f"record {self.seq} came before"
         match record.fact:
             case Intended() as motion:
@@ -348,11 +345,11 @@ class Checker(RecordedRun):
             case events.Connected() if self.devices:
                 yield self._identities(event)
 
-    # -- motions, by what was known when each was journalled ----------------------------------
+    # -- motions --------------------------------------------------------------------------------
 
     def _motion(self, key: str, motion: Intended) -> Iterator[Check]:
         action, seen = motion.action, motion.seen or NO_READING
-        yield "I5", not self.stands, f"{action} begun while {self.state}"
+        yield "I5", not self.waits, f"{action} begun while {self.state}"
         found = f"{action} ordered by session {motion.session}, {self.session} holds the run"
         yield "I11", motion.session == self.session, found
         if of_rail(motion):
@@ -375,7 +372,7 @@ class Checker(RecordedRun):
         return "I14", FUTURE_S <= age_s <= limit_s, what
 
     def _not_parked(self, seen: SeenBefore) -> str:
-        """Return why a reading does not say that the robot is parked and at rest, or ""."""
+        """Return why a reading does not show the robot parked and at rest, else ""."""
         safe_deg = self.cell.robot.safe_deg
         pairs = zip(seen.joints_deg, safe_deg, strict=False)
         off_deg = max((abs(found - safe) for found, safe in pairs), default=math.nan)
@@ -384,7 +381,7 @@ class Checker(RecordedRun):
         return self._before_end(seen) if seen.still else "the robot was moving"
 
     def _not_held(self, seen: SeenBefore) -> str:
-        """Return why a reading does not say that the slide rests and is held; "" where it does."""
+        """Return why a reading does not show the slide at rest and held, else ""."""
         if not seen.still:
             return "the slide was moving"
         if seen.powered is not False:
@@ -398,7 +395,7 @@ class Checker(RecordedRun):
 
     @staticmethod
     def _before_end(seen: SeenBefore) -> str:
-        """Return that a reading was taken before the motion had ended; "" where it was not."""
+        """Return that a reading was taken before the end of the motion, else ""."""
         after = seen.ended_s is None or seen.taken_s >= seen.ended_s
         return "" if after else "the reading was taken before the motion had ended"
 
@@ -408,7 +405,7 @@ class Checker(RecordedRun):
         key, readings = record.key, point.readings
         if readings is not None and readings.began is not None:
             yield self._young("the motion before began", readings.began.age_s)
-        yield "I3", not self.stands, f"{key} measured while {self.state}"
+        yield "I3", not self.waits, f"{key} measured while {self.state}"
         yield "I8", key not in self.points or point.retaken, f"{key} counted twice"
         found = f"{key} measured by session {point.session}, {self.session} holds the run"
         yield "I11", point.session == self.session, found
@@ -464,24 +461,21 @@ class Checker(RecordedRun):
         known = all(FUTURE_S <= age_s < math.inf for age_s in ages)
         yield "I14", known, f"{key}: readings {ages} s old"
 
-    # -- what was measured at which set-up, and when the tracker was proven -------------------
+    # -- set-ups and verifications of the tracker ---------------------------------------------
 
     @property
     def _mounted(self) -> bool:
-        """Whether all nests have reflectors; one that is carried proves the tracker less often."""
+        """Whether all nests have reflectors; a carried one verifies the tracker less often."""
         return self.cell.layout.reflectors == "mounted"
 
     def _followed(self, key: str) -> Iterator[Check]:
-        """Judge what is added: after a pause the tracker comes first."""
+        """Check that the tracker is verified first after a pause."""
         if self._mounted and self.framed and self.state != "checking":
             what = f"{key} added before the tracker was proven after a pause"
             yield "I16", not self.interrupted, what
 
     def _closed(self, before: str, unproven: list[str]) -> Iterator[Check]:
-        """Judge the end of what was measured before a step, or before the end.
-
-        A step that an earlier session has begun goes on, and is proven first.
-        """
+        """Check that nothing is unverified before the next step, or before the end."""
         if self._mounted and self.framed:
             what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
             yield "I16", not unproven, what
@@ -500,7 +494,7 @@ class Checker(RecordedRun):
         yield "I15" if is_world(key) else "I10", known, what
 
     def _world(self, key: str) -> Iterator[Check]:
-        """Judge a {W}: of nests at its own set-up, which stand as they did at the first."""
+        """Check a {W}: from nests at its own set-up, unmoved since the first."""
         number = set_up_of(key)
         before, now = self._nests(0), self._nests(number)
         what = f"{key} framed at set-up {self.set_up} by {len(now)} nests"
@@ -514,7 +508,7 @@ class Checker(RecordedRun):
             yield "I15", off_mm <= limit_mm, what
 
     def _proof(self) -> Iterator[Check]:
-        """Judge the proof by its points: each nest is where it was when {W} was framed."""
+        """Check a verification by its points: no nest has moved since {W} was framed."""
         before, now = self._nests(self.set_up), self.control
         yield "I15", bool(before) and before.keys() == now.keys(), "nests missing"
         for nest in before.keys() & now.keys():
@@ -532,12 +526,11 @@ class Checker(RecordedRun):
         }
 
     def _limit_mm(self, *points: Point) -> float:
-        """Return by how much points may differ: stated drift, and the readings' noise.
-
-        The noise is what all points so far have shown, at the places of these.
+        """Return the limit of differences of points: stated drift and the noise of all points so
+        far, at these positions.
         """
-        found = [point for point in self.points.values() if self._stated(point)]
-        if not all(self._stated(point) for point in points):
+        found = [point for point in self.points.values() if self._finite(point)]
+        if not all(self._finite(point) for point in points):
             return math.nan
         noise = beam_noise(*self._columns(found or points))
         at_mm, _, samples = self._columns(points)
@@ -546,8 +539,8 @@ class Checker(RecordedRun):
         return drift_mm + coverage_factor(4.0, noise.freedom) * math.sqrt(noise_mm2)
 
     @staticmethod
-    def _stated(point: Point) -> bool:
-        """Whether a point's place and scatter are numbers."""
+    def _finite(point: Point) -> bool:
+        """Whether position and scatter of a point are finite."""
         return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
 
     @staticmethod
@@ -563,7 +556,7 @@ class Checker(RecordedRun):
         state = self.state
         yield "I9", life.before == state, f"state was {state}, not {life.before}"
         if life.to == "running" and state in WAITING:
-            # A good look is an unattended run's, after a failed reading.
+            # "look" is of an unattended run, after a failed reading.
             may = ("command",) if state == "paused" else ("command", "answer", "look")
             yield "I13", life.by in may, f"{state} went on by {life.by or 'nobody'}"
         if life.to in OVER:
@@ -576,9 +569,8 @@ class Checker(RecordedRun):
             yield from self._closed("the run's end", list(self.unproven))
 
     def _held(self, to: str) -> Iterator[Check]:
-        """Judge that slide and robot were left held: a device that cannot tell is no proof.
-
-        Then the run has not ended well, and says so.
+        """Check that slide and robot were left held; inconclusive if a device failed and the run
+        ended with a fault.
         """
         problems = self.closings[-1].problems if self.closings else {}
         for device in ("Rail", "Robot"):
@@ -605,7 +597,7 @@ class Checker(RecordedRun):
                 yield from self._counts(counts)
 
     def _counts(self, counts: dict[str, int]) -> Iterator[Check]:
-        """Judge that the result counts each valid point once."""
+        """Check that the result counts each valid point once."""
         valid = Counter(point.group for point in self.points.values())
         dropped = {point.group for point in self.dropped.values()}
         more = sorted(group for group in dropped if counts.get(group, 0) > valid[group])
@@ -615,7 +607,6 @@ class Checker(RecordedRun):
         yield "I8", not wrong, f"the result counts {figures}"
 
     def _identities(self, event: events.Connected) -> Check:
-        """Compare what answers with what answered before."""
         before, now = ({each.kind: each for each in of} for of in (self.devices, event.devices))
         changed = changed_asset_kinds(before, now)
         changed += ["hilcell"] if self.hilcell not in ("", event.hilcell) else []

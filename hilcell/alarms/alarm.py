@@ -1,8 +1,7 @@
 """The alarms of a run, from its journal alone: the same for a live run, a past one, a crash.
 
-A run is performed in sessions, and the fault that stopped an earlier one was dealt with. So only
-the last session's events count, while verdicts, the room's temperature and sessions that a crash
-cut off concern the whole run.
+The fault that stopped an earlier session was dealt with, so only the last session's events count;
+verdicts, ambient temperature and crashed sessions concern the whole run.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
 
-# A text may come from a device, so nothing of it reaches a screen uncleaned.
+# Text from devices is untrusted: it is cleaned before it is shown.
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The parts of a `hilcell.errors.DeviceError`; of other errors the code and ``found`` alone.
+    """The fields of a `hilcell.errors.DeviceError`; other errors have code and ``found`` only.
 
-    ``at`` is its record, if one dates it; ``severity`` only where it is not the entry's.
+    ``at`` is its record, if any; ``severity`` replaces the entry's.
     """
 
     code: str
@@ -52,13 +51,12 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """Return the found and the wanted value, as one line."""
+        """Return actual and expected value, as one line."""
         expected = f", expected {line(self.wanted)}" if self.wanted else ""
         return line(self.found) + expected
 
     @property
     def advice(self) -> str:
-        """Return ``act`` as a sentence."""
         text = line(self.act)
         end = "" if text.endswith((".", "?", "!")) else "."
         return f"{text[:1].upper()}{text[1:]}{end}" if text else ""
@@ -66,19 +64,19 @@ class Finding:
     def alarm(self, run: str, go_on: str, *, over: bool) -> Alarm:
         at, entry = self.at, entry_of(self.code, self.device)
         severity = self.severity or entry.severity
-        # An entry that knows its fault advises better than the error itself.
+        # The advice of a specific entry replaces the error's own.
         steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
         if not entry.specific:
             steps.insert(0, (self.advice, "you"))
         name = quote(line(run))
         command = f", or `hilcell resume {name}`" if over else ""
-        ways = {
+        following = {
             "resume": f"Continue: {go_on}{command}.",
             "new run": "Start a new run: `hilcell run`.",
         }
-        then = "" if severity == "notice" else ways.get(entry.then, "")
+        then = "" if severity == "notice" else following.get(entry.then, "")
         steps.append((then, "you"))
-        # An entry, which knows no run, says last: by now that may be another.
+        # Entries have `last`, which may be another run by now.
         last, this = "`hilcell show last`", f"`hilcell show {name}`"
         steps = [(step.replace(last, this), by) for step, by in steps if step]
         return Alarm(
@@ -106,7 +104,7 @@ def line(text: str) -> str:
 
 
 def findings_of(error: Json) -> list[Finding]:
-    """Return the findings of an error's facts; devices that failed together have one each."""
+    """Return the findings of an error; devices that failed together have one each."""
     if causes := error.get("causes"):
         return [finding for cause in causes for finding in findings_of(cause)]
     parts = ("code", "device", "operation", "found", "wanted", "act")
@@ -117,18 +115,18 @@ def findings_of(error: Json) -> list[Finding]:
 DRIFT_LIMIT_K = 2.0
 CONTINUE_KEY = "space"  # the usual key
 Cause = Literal[
-    "watched",  # looked at again and again: raised for as long as it is there
-    "not watched",  # whether it is there is not known before the run goes on
-    "over",  # it happened, and lasts no longer
+    "watched",  # polled: raised as long as it lasts
+    "not watched",  # unknown until the run continues
+    "over",  # momentary
 ]
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One alarm, ready to be shown: every text is one clean line; ``do`` are steps in order.
+    """One alarm for display: every text is one clean line; ``do`` are the steps in order.
 
-    ``by`` says for each step who knows that it is done. ``origin`` is the record by which it is the
-    same alarm when it is raised again, where that is not ``seq``.
+    ``by`` is who verifies each step. ``origin`` is the record that identifies the alarm when it is
+    raised again, if not ``seq``.
     """
 
     code: str
@@ -140,16 +138,16 @@ class Alarm:
     do: tuple[str, ...]
     t: str
     seq: int
-    ended: bool = False  # the run cannot go on: a new one is needed
-    passes: bool = False  # it shows a condition: raised again, it is new
+    ended: bool = False  # a new run is needed
+    passes: bool = False  # a condition: a new alarm when raised again
     cause: Cause = "over"
     by: tuple[By, ...] = ()
-    goes_on: bool = False  # the last step is how work goes on
+    goes_on: bool = False  # the last step continues the work
     origin: int = 0
 
     @property
     def mark(self) -> tuple[str, int, str]:
-        """Return what an alarm that is raised again has as well."""
+        """Return the identity of an alarm that is raised again."""
         return self.code, self.origin or self.seq, self.where
 
 
@@ -158,10 +156,8 @@ def alarms_of(
 ) -> list[Alarm]:
     """Return the alarms of a run, newest last; ``live``: its engine is at work.
 
-    ``go_on`` is the key that lets a run continue, as the screen has it; ``lost`` tells that no
-    calibration's file is there, which matters where the run has ended with one.
-
-    Alarms that no record dates (verdicts, temperature) stand first.
+    ``go_on`` is the screen's key to continue; ``lost``: the run's calibration file is missing.
+    Alarms without a record's time (temperature) come first.
     """
     if log.plan is None:
         return []
@@ -181,14 +177,14 @@ def alarms_of(
 
 @dataclass(frozen=True, eq=False)
 class _Raised:
-    """The findings that a run's journal raises; ``session`` are the events of the last session."""
+    """The findings of a run's journal; ``session`` are the events of the last session."""
 
     log: Log
     session: list[Record]
     live: bool
 
     def temperature(self) -> Iterator[Finding]:
-        """Yield the first point at which the air is too far from that of the run's first."""
+        """Yield the first point whose temperature is too far from that of the first point."""
         first_c = next(iter(self.log.celsius.values()), 0.0)
         for key, now_c in self.log.celsius.items():
             off_k = now_c - first_c
@@ -212,7 +208,7 @@ class _Raised:
         for record in self.session:
             match record.fact:
                 case events.NoReadingOf(error=error):
-                    # Tried again at once; whether that helped is elsewhere.
+                    # A retry follows.
                     yield from self._of_error(error, record, "notice")
                 case events.SafeStopSent() | events.Closed() as closing:
                     code = "HC-C02" if isinstance(closing, events.SafeStopSent) else "HC-C03"
@@ -222,7 +218,7 @@ class _Raised:
                 case events.CommandRefused() as impossible:
                     yield _cell("HC-C06", "command", impossible.why, record)
                 case events.ScreenLost() if record.seq > back:
-                    found = "nobody watches any more"
+                    found = "no screen is connected"
                     yield _cell("HC-C08", "screen lost", found, record, "watched")
                 case events.AnswerRefused() | events.RetakeRefused() as refused:
                     found = refused.subject + after(refused.why) if refused.subject else refused.why
@@ -232,18 +228,18 @@ class _Raised:
                     yield _cell("HC-R12", "link", self.log.link.counts, record)
 
     def points(self) -> Iterator[Finding]:
-        """Yield the points and sweeps that were not as they should be."""
+        """Yield outliers and unusable sweeps."""
         for record in self.session:
             match record.fact:
                 case events.OutlierMeasuredAgain(key=key):
-                    found = f"{key} stands out from its neighbours and was measured again"
+                    found = f"{key} differs from its neighbours and was re-measured"
                     yield _cell("HC-V05", "outlier", found, record)
                 case events.CurveMeasured(holds=False) as sweep:
                     found = f"A{sweep.axis}: {sweep.reason}"
                     yield _cell("HC-V06", "axis sweep", found, record)
 
     def strip(self) -> Iterator[Finding]:
-        """Yield the holds that took long, or at which drive and strip have moved apart."""
+        """Yield holds with many approaches, or with a drift between drive and strip."""
         rail, first_mm = self.log.cell.rail, dict[str, float]()
         for record in self.session:
             held = record.fact
@@ -261,7 +257,7 @@ class _Raised:
                 yield _cell("HC-S09", "strip apart", found, record)
 
     def devices(self) -> Iterator[Finding]:
-        """Yield the devices that are lost while the run waits: the next motion would be refused."""
+        """Yield the devices that are lost while the run waits."""
         lost: dict[str, tuple[Record, Json]] = {}
         for record in self.session if self.log.state in ("paused", "suspended") else ():
             match record.fact:
@@ -273,17 +269,14 @@ class _Raised:
             yield from self._of_error(error, record, cause="watched")
 
     def cut_off(self) -> Iterator[Finding]:
-        """Yield the crashes of earlier sessions: a screen that comes later asks about them, too.
-
-        A run that has finished since has proven the cell: there they are only worth a notice.
-        """
+        """Yield the crashes of earlier sessions; of a finished run as notices."""
         severity: Severity | None = "notice" if self.log.state == "finished" else None
         for cut in self.log.cut_off:
             found = self._crash(cut.state, cut.points)
             yield replace(found, at=cut.last, severity=severity, origin=cut.began)
 
     def end(self) -> Iterator[Finding]:
-        """Yield why the run stands as it does, or why a session did not begin."""
+        """Yield the reason of the run's state, or why a session did not begin."""
         log, state, end = self.log, self.log.state, self.log.end
         none = Change(0, "", StateChanged(machine="run", to="idle"))
         newest = log.life[-1] if log.life else none
@@ -301,11 +294,11 @@ class _Raised:
         failed = (EXIT_REFUSED, EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE)
         refused = end is not None and end.exit in failed and end.reason != reason
         if end is not None and end.error and refused:
-            # Its end alone says so.
+            # Only the end has the error.
             yield from self._of_error(end.error, newest, "fault", "not watched")
 
     def lost(self) -> Iterator[Finding]:
-        """Yield that the calibration's file is not there, where the run has ended with one."""
+        """Yield that the run's calibration file is missing."""
         if self.log.calibrates:
             newest = self.log.life[-1]
             yield _cell("HC-J11", "calibration", "it has no file", newest, "watched")
@@ -320,7 +313,7 @@ class _Raised:
 
     @staticmethod
     def _problem(name: str, closing: events.Closing) -> str:
-        """Return the message of a device's error, with its name once and without its advice."""
+        """Return a device's error with its name once and without its advice."""
         finding = findings_of(closing.errors[name])[0]
         text = f"{finding.where}: {finding.text}" if finding.where else finding.text
         return text if text.startswith(f"{name}: ") else f"{name}: {text}"
@@ -337,21 +330,19 @@ def _cell(
     return Finding(code, "Cell", operation, found, at=at, cause=cause)
 
 
-# -- alarms that stand -----------------------------------------------------------------------------
+# -- latched alarms -------------------------------------------------------------------------------
 
-# Alarms latch at their highest severity until their cause is gone and somebody acknowledged them.
-# A cause is gone when the journal raises its alarm no more: the run that asked has gone on, the
-# screen that was lost is back. Only then, and only acknowledged, the alarm is let go; a cause that
-# lasted no longer than its record needs the acknowledgement alone. An alarm of a condition
-# (`Entry.passes`) latches again when it is raised again. No clock: an alarm is new by the records
-# that it comes from, so the same journal, read again, counts nothing twice.
+# Alarms latch at their highest severity until their cause is gone and they are acknowledged. A
+# cause is gone once the journal no longer raises its alarm; a momentary cause needs the acknowledgement
+# alone. An alarm of a condition (`Entry.passes`) latches again when it is raised again. Alarms are
+# identified by their records, so a journal that is read again counts nothing twice.
 
 
 @dataclass(frozen=True, slots=True)
 class Latched:
-    """An alarm that stands: the newest of its code, and how many came.
+    """The newest latched alarm of its code and their number.
 
-    ``gone`` is when its cause was seen to be gone, as an ISO time; "" where it is not known to be.
+    ``gone`` is the ISO time at which its cause was gone, "" if it may last.
     """
 
     alarm: Alarm
@@ -362,40 +353,39 @@ class Latched:
 
     @property
     def settled(self) -> bool:
-        """Whether nobody has to know of it any more."""
         return self.acknowledged and (bool(self.gone) or self.alarm.cause == "over")
 
 
 class Latch:
-    """The alarms that stand. Used by one thread."""
+    """The latched alarms. Used by one thread."""
 
     def __init__(self) -> None:
         self._latched: dict[str, Latched] = {}
-        self._seen: dict[tuple[str, int, str], Alarm] = {}
+        self._known: dict[tuple[str, int, str], Alarm] = {}
 
     def take(
         self, alarms: Iterable[Alarm], at: str = "", acknowledged: Mapping[str, int] | None = None
     ) -> None:
-        """Latch those that were not seen before; ``alarms`` are all that the journal raises now.
+        """Latch new ones; ``alarms`` are all that the journal raises now.
 
-        ``at`` is the time of its newest record, by which the causes of all others are gone; ""
-        where it is not known: a run that is opened again has not tried its devices yet.
-        ``acknowledged`` is what the journal says, as `acknowledged_in` returns it.
+        ``at`` is the time of its newest record, when the causes of all others are gone; "" if
+        unknown, as in a resumed run before its devices connect. ``acknowledged`` is as from
+        `acknowledged_in`.
         """
         acknowledged = acknowledged or {}
         for code in acknowledged:
             self._acknowledge_until(code, acknowledged)
         raised = {alarm.mark: alarm for alarm in alarms}
-        for mark, alarm in [*self._seen.items()]:
+        for mark, alarm in [*self._known.items()]:
             if mark not in raised and alarm.passes:
-                del self._seen[mark]
+                del self._known[mark]
         for code, latched in [*self._latched.items()]:
             there = raised.get(latched.alarm.mark)
             gone = "" if there else latched.gone or at
             self._keep(code, replace(latched, alarm=there or latched.alarm, gone=gone))
         for mark, alarm in raised.items():
-            if mark not in self._seen:
-                self._seen[mark] = alarm
+            if mark not in self._known:
+                self._known[mark] = alarm
                 self._add(alarm)
                 self._acknowledge_until(alarm.code, acknowledged)
 
@@ -414,7 +404,7 @@ class Latch:
         self._latched[alarm.code] = Latched(alarm, severity, before.count + 1)
 
     def _acknowledge_until(self, code: str, acknowledged: Mapping[str, int]) -> None:
-        """Acknowledge an alarm that somebody has seen, on whichever screen."""
+        """Acknowledge an alarm that was acknowledged on any screen."""
         latched, until = self._latched.get(code), acknowledged.get(code)
         if latched is not None and until is not None and latched.alarm.seq <= until:
             self._keep(code, replace(latched, acknowledged=True))
@@ -425,7 +415,7 @@ class Latch:
         return sorted(newest, key=lambda each: -SEVERITIES.index(each.severity))
 
     def waits(self) -> bool:
-        """Whether one of them waits for its acknowledgement."""
+        """Whether an alarm is not acknowledged."""
         return not all(each.acknowledged for each in self._latched.values())
 
     def acknowledge(self, code: str = "") -> None:

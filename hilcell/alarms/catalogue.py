@@ -1,8 +1,7 @@
 """The catalogue: the meaning of each code for a technician, and the steps to take.
 
 Entries are TOML files in packages: this one has those of the core; the entry points
-``hilcell.alarms`` name the packages beside the code of drivers and procedures. An error says its
-code itself, so nothing here has to recognise it.
+``hilcell.alarms`` name those of drivers and procedures. An error has its code.
 """
 
 from __future__ import annotations
@@ -19,23 +18,23 @@ Severity = Literal["notice", "warning", "fault"]
 By = Literal["you", "controller"]
 SEVERITIES: tuple[Severity, ...] = ("notice", "warning", "fault")
 GROUP = "hilcell.alarms"
-# By device, for errors whose code no catalogue has: their own words and advice are shown.
+# By device, for codes that no catalogue has: the error's own text and advice are shown.
 UNKNOWN = {"Rail": "HC-R99", "Robot": "HC-B99", "Tracker": "HC-T99", "": "HC-C99"}
 UNKNOWN_VERDICT = "HC-V99"
 
 
 class CatalogueError(HilcellError):
-    """A package's catalogue cannot be read, or has a code that another one has."""
+    """A package's catalogue cannot be read or has a duplicate code."""
 
     code = "HC-C11"
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One kind of alarm. ``then`` says how work goes on after ``do``.
+    """One kind of alarm. ``then`` is how work continues after ``do``.
 
-    ``by`` says for each step of ``do`` who knows that it is done: a person, or a controller that
-    is asked before anything moves again; empty where it is always a person.
+    ``by`` is who verifies each step of ``do``: the operator, or a controller that is queried before
+    anything moves again; empty if always the operator.
     """
 
     code: str
@@ -44,9 +43,9 @@ class Entry:
     do: tuple[str, ...]
     severity: Severity = "fault"
     then: Literal["resume", "new run", "nothing"] = "resume"
-    passes: bool = False  # it shows a condition, and goes when that is put right
-    verdict: str = ""  # the verdict that raises it where it does not hold
-    outcome: str = ""  # the one of that verdict which alone raises it
+    passes: bool = False  # a condition that may end by itself
+    verdict: str = ""  # the verdict that raises it if it fails
+    outcome: str = ""  # the verdict's outcome that raises it, "" for any
     by: tuple[By, ...] = ()
 
     def __post_init__(self) -> None:
@@ -55,12 +54,11 @@ class Entry:
 
     @property
     def checked_by(self) -> tuple[By, ...]:
-        """Return who knows that a step is done, for each step."""
         return self.by or tuple("you" for _ in self.do)
 
     @property
     def specific(self) -> bool:
-        """Whether this entry knows its fault."""
+        """Whether the entry describes a specific fault."""
         return self.code not in (*UNKNOWN.values(), UNKNOWN_VERDICT)
 
 
@@ -113,16 +111,16 @@ def entries_of(package: str) -> list[Entry]:
 
 
 def entry_of(code: str, device: str = "") -> Entry:
-    """Return the entry of a code; of one that no catalogue has, the device's general one."""
+    """Return the entry of a code, or the device's general one."""
     entries = catalogue()
     return entries.get(code) or entries[UNKNOWN.get(device, UNKNOWN[""])]
 
 
 def code_of_verdict(name: str, outcome: str = "") -> str:
-    """Return the code that a verdict raises: by its name, or by the part before its first dot.
+    """Return the code of a failed verdict by its name up to the first dot.
 
-    An entry of its very outcome goes before one of any.
+    An entry with the verdict's outcome takes precedence.
     """
     kind = name.partition(".")[0]
-    found = {e.outcome: e.code for e in catalogue().values() if e.verdict == kind}
-    return found.get(outcome) or found.get("", UNKNOWN_VERDICT)
+    codes = {e.outcome: e.code for e in catalogue().values() if e.verdict == kind}
+    return codes.get(outcome) or codes.get("", UNKNOWN_VERDICT)

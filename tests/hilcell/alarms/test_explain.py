@@ -50,4 +50,4 @@ def test_codes_are_described_where_none_is_like_an_unknown_one(
     typed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["explain", typed]) == 2
-    assert "; codes are like HC-T10" in capsys.readouterr().err
+    assert "a code like HC-T10" in capsys.readouterr().err
