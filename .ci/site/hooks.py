@@ -97,7 +97,7 @@ def page_of(script: Path) -> str:
     text = script.read_text("utf-8")
     docstring = ast.get_docstring(ast.parse(text)) or ""
     title, _, words = docstring.partition("\n")
-    parts = [f"# {title.rstrip('.')}", words.strip()]
+    parts = [f"# {title.rstrip('.')}", words.strip("\n")]
     for cell in re.split(r"^# %%", text, flags=re.MULTILINE)[1:]:
         kind, _, body = cell.partition("\n")
         if "[markdown]" in kind:

@@ -1,11 +1,12 @@
-"""Identify a robot from measured positions, bound its errors, and correct poses.
+"""Identify a robot from measured positions.
 
     python docs/tutorials/identify_a_robot.py
 
-The measurements are simulated here, so that the result can be compared with the truth: a robot
-with errors of its link parameters, a reflector on its flange, and a laser tracker. With a real
-robot the two inputs come from files: `hc.read_robot("robot.urdf", tip="tool0")` or
-`hc.read_robot("robot.toml")`, and `hc.read_measurements("train.csv")`.
+Then bound its errors and correct poses. The measurements are simulated here, so that the result can
+be compared with the truth: a robot with errors of its link parameters, a reflector on its flange,
+and a laser tracker. With a real robot the two inputs come from files:
+`hc.read_robot("robot.urdf", tip="tool0")` or `hc.read_robot("robot.toml")`, and
+`hc.read_measurements("train.csv")`.
 """
 
 # %%

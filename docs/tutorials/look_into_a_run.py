@@ -1,9 +1,10 @@
-"""Open a run's journal: points, frames, verdicts, result, and tables as data frames.
+"""Look into a run.
 
     python docs/tutorials/look_into_a_run.py
 
-It first calibrates a simulated cell, which takes some seconds, as
-`hilcell run calibrate --unattended` does. Data frames need pandas (`pip install '.[pandas]'`).
+It opens the journal of a run: points, frames, verdicts, result, and tables as data frames. First it
+calibrates a simulated cell, which takes some seconds, as `hilcell run calibrate --unattended` does.
+Data frames need pandas (`pip install '.[pandas]'`).
 """
 
 # %%

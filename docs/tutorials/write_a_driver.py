@@ -1,9 +1,9 @@
-"""Try a driver: a laser tracker that answers lines of text over TCP.
+"""Try a driver.
 
     python docs/tutorials/write_a_driver.py
 
-The tracker is simulated by a small server in this file. How a driver is installed, selected in a
-cell file, given alarms and tested: `docs/first-driver.md`.
+The device is a laser tracker that answers lines of text over TCP; here a small server simulates it.
+How a driver is installed, selected in a cell file, given alarms and tested: `docs/first-driver.md`.
 """
 
 # %%
@@ -89,7 +89,7 @@ class LineTracker:
         if not off_mm <= limit_mm:  # NaN fails it, too
             raise TRACKER.no_reading(
                 "HC-T11", "measure", f"reflector {off_mm:.2f} mm from its expected place",
-                wanted=f"<= {limit_mm:.1f} mm", act="seat the reflector, then resume",
+                expected=f"<= {limit_mm:.1f} mm", act="seat the reflector, then resume",
                 off_mm=off_mm, limit_mm=limit_mm,
             )  # fmt: skip
         return TrackerReading(values[:3], values[3:6], samples, reflector, None, taken_s)

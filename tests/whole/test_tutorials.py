@@ -69,7 +69,7 @@ def test_a_driver_measures_fails_and_stops() -> None:
         "measured: [1000.02  199.99   50.01] mm, 1 sigma [0.005 0.006 0.006] mm",
         (
             "HC-T11: NoReading: Tracker: measure: reflector 19.98 mm from its expected place, "
-            "wanted <= 5.0 mm; seat the reflector, then resume"
+            "expected <= 5.0 mm; seat the reflector, then resume"
         ),
         "HC-T02: DeviceError: Tracker: measure: ADDRESS: no answer within 1 s",
         "Stopped: a stop was asked for",
