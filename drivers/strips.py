@@ -98,7 +98,7 @@ class SerialStrip:
     def connect(self) -> Identity:
         self._answers = self._bad = 0
         self._check = self._clock.check
-        link = open_link(STRIP, self._options.channel, self._look)
+        link = open_link(STRIP, self._options.channel, self._poll)
         self._lines = TextLines(link, end=b"", split=rb"\r")
         with on_failure(self.close):
             self._lines.drop_pending()
@@ -126,7 +126,7 @@ class SerialStrip:
         if lines is not None:
             lines.link.close()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         self._check()
 
     def _identify(self, address: str) -> Identity:
@@ -174,7 +174,7 @@ class StripNode(Node):
         super().__init__(link, expected, check, in_pdo=cia.SENSOR_ERRORS)
         self.pdo = Pdo(0x1800, 0x180 + o.node, Transmission.EVERY_SYNC, objects, "<iH")
         self._counts_per_mm = o.counts_per_mm
-        self._speaks = True  # it has alarms of its own
+        self._has_alarms = True  # it has alarms of its own
 
     def identify(self, address: str) -> Identity:
         """Wait for the sensor and compare it, and its step, with the cell file."""
@@ -221,8 +221,8 @@ class StripNode(Node):
         inbox.expect(self.pdo)
         supported = self.sdo.read_if_present(Object.SUPPORTED_ALARMS)
         silent = supported is not None and not supported & cia.POSITION_ERROR
-        self._speaks = not silent and self.pdo is whole
-        self.sensor_fails = not self._speaks and has_sensor_error(
+        self._has_alarms = not silent and self.pdo is whole
+        self.sensor_fails = not self._has_alarms and has_sensor_error(
             self.sdo.read(Object.ERROR_REGISTER)
         )
 
@@ -232,7 +232,7 @@ class StripNode(Node):
         Where 6503h is absent or says none, emergencies are the alarms.
         """
         counts, *alarms = values[self.pdo.cob_id]
-        if not self._speaks and self.sensor_fails:
+        if not self._has_alarms and self.sensor_fails:
             alarms.append(cia.POSITION_ERROR)
         return counts, reduce(or_, alarms, 0)
 

@@ -62,7 +62,7 @@ class Wire(Link):
 def documents(data: bytes) -> None:
     """States of EthernetKRL: command -7 is answered, then the next one by what is left."""
     channel = object.__new__(EkiChannel)
-    channel.attend = lambda: None
+    channel.check_wait = lambda: None
     channel._root, channel._link = eki.STATE, cast("Any", Wire(data))
     channel._lock, channel._received, channel._dead = threading.Lock(), b"", ""
     for number in (ASKED, ASKED - 1):

@@ -49,7 +49,7 @@ class Drive:
         self._limits, self._watch = limits, watch
         self._watchdog = watchdog
         self.slide = SlideMonitor(
-            self._look,
+            self._poll,
             clock,
             limits.windows,
             units_per_mm=limits.counts_per_mm,
@@ -61,7 +61,7 @@ class Drive:
         self._left_limit: int | None = None  # where the slide stood on a switch
         self._mode, self._unanswered = NO_MODE, 0  # by SDO, and questions in a row without answer
 
-    def _look(self, operation: str) -> Snapshot:
+    def _poll(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
 
         def look() -> None:
@@ -251,8 +251,8 @@ class Drive:
                 if moving and self._old_error:
                     self._old_error = False
                     self._check_motion(operation, now)
-                cause, act = _why_not(now, moving=moving)
-                found = f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}"
+                cause, act = _cause(now, moving=moving)
+                found = f"no progress for {stall_s:.0f} s at {self._state_text(now)}{cause}"
                 raise self._at(now).failed(
                     "HC-R31", operation, found, expected=expected, act=act, waited_s=stall_s
                 )
@@ -260,7 +260,7 @@ class Drive:
                 raise self._at(now).failed(
                     "HC-R28",
                     operation,
-                    f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
+                    f"not done after {limits.spent_s:.0f} s at {self._state_text(now)}",
                     expected=f"{expected} within {limits.limit_s:.0f} s",
                     spent_s=limits.spent_s,
                     limit_s=limits.limit_s,
@@ -364,7 +364,7 @@ class Drive:
             mode=now.mode,
         )
 
-    def _seen(self, now: Snapshot) -> str:
+    def _state_text(self, now: Snapshot) -> str:
         """Return the values of a poll, in words."""
         return (
             f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
@@ -372,7 +372,7 @@ class Drive:
         )
 
 
-def _why_not(now: Snapshot, *, moving: bool) -> tuple[str, str]:
+def _cause(now: Snapshot, *, moving: bool) -> tuple[str, str]:
     """Return why a drive does not go on, as its status word tells it, and what to do."""
     if moving:
         return "", "check the slide for an obstacle and the drive, then resume"

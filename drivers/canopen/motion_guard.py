@@ -60,8 +60,8 @@ OVERSPEED = 1.2
 
 
 @dataclass(frozen=True, slots=True)
-class Proofs:
-    """Proofs of the last looks; each value (n - 2,), of the window from look i to the newest."""
+class SpeedBounds:
+    """Bounds by the last polls; each value (n - 2,), of the window from poll i to the newest."""
 
     gone: Array  # to where the slide is now, less a step that stands out
     path: Array  # all steps
@@ -96,7 +96,7 @@ class Proofs:
         return np.array(found[::-1])
 
     @classmethod
-    def of(cls, since_s: Array, until_s: Array, position: Array, speed: Array) -> Proofs:
+    def of(cls, since_s: Array, until_s: Array, position: Array, speed: Array) -> SpeedBounds:
         """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
 
         ``speed`` is signed, as the drive says it; units are the caller's.
@@ -124,7 +124,7 @@ class Speeds:
 
     by_positions: float
     by_drive: float
-    way: float
+    distance: float
 
     @property
     def factor(self) -> float:
@@ -135,7 +135,7 @@ class Speeds:
 class SpeedGuard:
     """The looks at one motion."""
 
-    LOOKS = 50  # one second of polls
+    POLLS = 50  # one second of polls
     CONTRADICTION = 1.5  # filters, and speeds that change between two looks
     FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
     FAST_MM, SLOW_MM = (
@@ -150,8 +150,8 @@ class SpeedGuard:
         self._before_s = self._now_s = now_s
         self._speed, self._acceleration = speed, acceleration
         self._units_per_mm = units_per_mm
-        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=self.LOOKS)
-        self._found: Proofs | None = None
+        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=self.POLLS)
+        self._found: SpeedBounds | None = None
 
     def add(self, position: float, speed: float, now_s: float) -> None:
         """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
@@ -160,7 +160,7 @@ class SpeedGuard:
         self._looks.append((self._before_s, now_s, position, speed))
         self._before_s, self._now_s = self._now_s, now_s
         if len(self._looks) > 2:
-            self._found = Proofs.of(*np.array(self._looks, dtype=float).T)
+            self._found = SpeedBounds.of(*np.array(self._looks, dtype=float).T)
 
     def contradiction(self) -> Speeds | None:
         """Return the speeds of a window in which 606Ch says another one than the positions."""
@@ -168,8 +168,8 @@ class SpeedGuard:
             return None
         most = found.fastest + self._acceleration * (found.between_s / 2 + self.FASTER_LAG_S)
         least = np.maximum(0.0, found.slowest - self._acceleration * self.SLOWER_LAG_S)
-        longest = self._way(self.FAST_MM, self.CONTRADICTION * most, found.at_most_s)
-        shortest = self._way(-self.SLOW_MM, least / self.CONTRADICTION, found.at_least_s)
+        longest = self._distance(self.FAST_MM, self.CONTRADICTION * most, found.at_most_s)
+        shortest = self._distance(-self.SLOW_MM, least / self.CONTRADICTION, found.at_least_s)
         agree = (found.gone <= longest) & (found.path >= shortest)
         return self._speeds(found, ~agree)
 
@@ -178,13 +178,13 @@ class SpeedGuard:
         if (found := self._found) is None:
             return None
         allowed = np.full_like(found.gone, OVERSPEED * self._speed)
-        longest = self._way(self.FAST_MM, allowed, found.at_most_s)
+        longest = self._distance(self.FAST_MM, allowed, found.at_most_s)
         return self._speeds(found, ~(found.gone <= longest))
 
-    def _way(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
+    def _distance(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
         return margin_mm * self._units_per_mm + speed * duration_s
 
-    def _speeds(self, found: Proofs, where: NDArray[np.bool_]) -> Speeds | None:
+    def _speeds(self, found: SpeedBounds, where: NDArray[np.bool_]) -> Speeds | None:
         """Return the mean speeds of the longest window of those ``where`` something is proven."""
         if not where.any():
             return None
@@ -242,7 +242,7 @@ class MotionGuard:
             speed_mm_s=seen.by_positions / limits.counts_per_mm,
             drive_speed_mm_s=seen.by_drive / limits.counts_per_mm,
             factor=seen.factor,
-            way_mm=seen.way / limits.counts_per_mm,
+            way_mm=seen.distance / limits.counts_per_mm,
         )
 
     def check(self, operation: str, now: Snapshot) -> None:

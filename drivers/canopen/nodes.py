@@ -70,11 +70,11 @@ class NodeMonitor:
     def check(self, operation: str) -> None:
         """Raise `DeviceError` for an emergency, a boot-up, or a heartbeat that is too old."""
         if self._armed and not self._failure:
-            self._look()
+            self._poll()
         if self._failure:
             raise RAIL.failed(self._code, operation, self._failure, act=self._act, node=self.number)
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         age_s = self._link.time.listened_s - self._heard_s
         if not age_s <= self.HEARTBEAT_AGE_S:
             self._fail("HC-R02", f"node {self.number}: no heartbeat for {age_s:.1f} s")

@@ -307,7 +307,7 @@ class Release:
     RELEASE_S = 5.0  # wire deadline, beside two dwells
     SILENT_S = 1.0  # more than a poll takes that nothing answers
     POLL_S = 0.02
-    HEARD = 5  # looks within which a drive shows that it obeys
+    OBEY_POLLS = 5  # looks within which a drive shows that it obeys
     NO_STRIP = -1  # alarms: SDO asks the drive alone
 
     def __init__(
@@ -324,9 +324,9 @@ class Release:
         self._link, self._image, self._sdo = link, image, sdo
         self._windows, self._node, self._rest = windows, node, rest
         self._standstill = Standstill(windows)
-        self._unheard = 0  # looks at a drive that goes on, though it was asked to stop
+        self._ignored = 0  # looks at a drive that goes on, though it was asked to stop
         self.by_sdo = node.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
-        self._began_s, self._looks = time.monotonic(), 0  # of asking this way
+        self._began_s, self._polls = time.monotonic(), 0  # of asking this way
 
     def leave_held(self) -> None:
         """Return when the drive has no power and the slide stands; raises `DeviceError`."""
@@ -368,17 +368,17 @@ class Release:
         windows, passed_s = self._windows, time.monotonic() - self._began_s
         # A busy PC looks seldom: until it has looked as often as rest needs, time tells nothing.
         # These looks fit into the deadline, however slow: a slide that creeps is always braked.
-        restless = passed_s > 2 * windows.dwell_s and self._looks >= READINGS
+        restless = passed_s > 2 * windows.dwell_s and self._polls >= READINGS
         if self._standstill.rest is not None:
             self._control(Control.DISABLE_VOLTAGE)
         elif now.state in cia.BRAKING:
-            self._unheard = 0
+            self._ignored = 0
         elif not abs(now.velocity) <= windows.speed or restless:
-            self._unheard += 1
-            last = self._unheard > 2 * self.HEARD
+            self._ignored += 1
+            last = self._ignored > 2 * self.OBEY_POLLS
             self._control(Control.DISABLE_VOLTAGE if last else Control.QUICK_STOP)
-            if self._unheard > self.HEARD:
-                self._stop_by_all_ways()
+            if self._ignored > self.OBEY_POLLS:
+                self._stop_by_all_means()
 
     def _control(self, controlword: int) -> None:
         if self.by_sdo:
@@ -392,7 +392,7 @@ class Release:
         else:
             self._image.control(controlword)
 
-    def _stop_by_all_ways(self) -> None:
+    def _stop_by_all_means(self) -> None:
         """Stop a drive that does not answer, or does not obey."""
         self._link.end_heartbeat()
         if self._node.state == NodeState.STOPPED:  # it serves no SDO there
@@ -410,7 +410,7 @@ class Release:
                 self._link.check()  # a link that is lost brings no answer
                 silent = silent or error
                 if self.by_sdo:
-                    self._stop_by_all_ways()
+                    self._stop_by_all_means()
                     if over:
                         raise RAIL.at(**silent.fields).failed(
                             silent.code,
@@ -423,14 +423,14 @@ class Release:
                 self._ask(by_sdo=not self.by_sdo)
             else:
                 self._standstill.add(now, time.monotonic() - self._began_s)
-                self._looks += 1
+                self._polls += 1
                 return now
 
     def _ask(self, *, by_sdo: bool) -> None:
         """Change the way of asking: earlier looks prove nothing now."""
         self.by_sdo = by_sdo
         self._standstill.forget()
-        self._began_s, self._looks = time.monotonic(), 0
+        self._began_s, self._polls = time.monotonic(), 0
 
     def _read_by_sdo(self) -> Snapshot:
         statusword, velocity, position = (

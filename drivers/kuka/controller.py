@@ -26,20 +26,20 @@ PROGRESS = "$AXIS_ACT"
 PROGRAM_VERSION = 4  # of hilcell.src
 
 
-class Line:
+class ControllerLink:
     """One connection, one request in flight; a lock lets a keep-alive share it."""
 
-    def __init__(self, host: str, port: int, attend: Callable[[], None]) -> None:
-        """``attend`` runs in every wait."""
-        self.attend = attend
-        self._link = TcpLink(ROBOT, host, port, self._attend)
+    def __init__(self, host: str, port: int, check: Callable[[], None]) -> None:
+        """``check`` runs in every wait; `check_wait` may be replaced for a while."""
+        self.check_wait = check
+        self._link = TcpLink(ROBOT, host, port, self._check_wait)
         self._lock = threading.Lock()
         self._received = b""
         self._dead = ""  # why no request may be made any more
         self.used_s = time.monotonic()
 
-    def _attend(self) -> None:
-        self.attend()
+    def _check_wait(self) -> None:
+        self.check_wait()
 
     @contextmanager
     def _in_flight(self, operation: str) -> Iterator[None]:
@@ -65,7 +65,7 @@ class Line:
             if held:
                 self._lock.release()
 
-    def keep(self) -> None:
+    def keep_alive(self) -> None:
         """Ask something harmless; raises `DeviceError`."""
         raise NotImplementedError
 
@@ -78,26 +78,26 @@ class Controller(Protocol):
 
     address: str
     versions: dict[str, int]  # what must be installed: the number of each
-    _line: Line
-    _stop_line: Line
+    _line: ControllerLink
+    _stop_line: ControllerLink
     _keeper: KeepAlive
 
     @property
-    def rounds(self) -> Sequence[tuple[str, ...]]:
+    def poll_groups(self) -> Sequence[tuple[str, ...]]:
         """Return what to look at: each poll of a motion looks at the next of these."""
 
     @property
-    def ready(self) -> tuple[str, ...]:
+    def motion_checks(self) -> tuple[str, ...]:
         """Return what to look at before a motion is ordered."""
 
     @property
-    def measured(self) -> str:
+    def joints_variable(self) -> str:
         """Return the variable of the measured joints, or of the ordered ones without it."""
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """From here on, values are to be as new as this call."""
 
-    def knows(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
         """Whether the controller lets a variable be read."""
 
     def value(self, name: str) -> krl.Value:
@@ -115,7 +115,7 @@ class Controller(Protocol):
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Hand a motion of E1 alone over."""
 
-    def sign(self) -> None:
+    def heartbeat(self) -> None:
         """Give the program a sign of life, if one is due."""
 
     def hold_slide(self, held: bool) -> None:
@@ -133,13 +133,13 @@ class Controller(Protocol):
     def lower_override(self, found: int, expected: int) -> None:
         """Lower $OV_PRO so that the controller itself knows its old value."""
 
-    def give_back_override(self) -> None:
+    def restore_override(self) -> None:
         """Give back an override that was lowered, where nobody has changed it meanwhile.
 
         The robot must stand.
         """
 
-    def undisturbed(self) -> AbstractContextManager[Controller]:
+    def ignoring_stop(self) -> AbstractContextManager[Controller]:
         """Return a controller whose waits a stop does not end."""
 
     def stop(self) -> None:
@@ -149,7 +149,7 @@ class Controller(Protocol):
         """Return a whole number that the controller has; raises `DeviceError`."""
         value = self.value(name)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise unreadable(name, f"expected a whole number, got {value!r}")
+            raise value_error(name, f"expected a whole number, got {value!r}")
         return value
 
     def release(self) -> None:
@@ -157,7 +157,7 @@ class Controller(Protocol):
         if self.value("HC_STOP") is not False:
             self.end_brake()
 
-    def lowered_override(self) -> bool:
+    def has_lowered_override(self) -> bool:
         """Whether an override is still to be given back."""
         return self.integer("HC_OV_OLD") != 0
 
@@ -175,11 +175,11 @@ class Controller(Protocol):
 
     def has_slide(self) -> bool:
         """Whether the controller has an external axis."""
-        return self.knows("$EX_AX_NUM") and self.integer("$EX_AX_NUM") > 0
+        return self.has("$EX_AX_NUM") and self.integer("$EX_AX_NUM") > 0
 
-    def mastered(self) -> bool:
+    def is_mastered(self) -> bool:
         """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
-        return not self.knows("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
+        return not self.has("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
 
     def check(self) -> None:
         """Raise what an idle wire has failed by."""
@@ -192,18 +192,18 @@ class Controller(Protocol):
             line.close()
 
 
-def unreadable(name: str, found: object) -> DeviceError:
+def value_error(name: str, found: object) -> DeviceError:
     """Return the error for a value that is not what belongs there."""
     return ROBOT.failed("HC-B26", f"read {name}", str(found), variable=name)
 
 
 @contextmanager
-def readable(name: str) -> Iterator[None]:
+def value_errors(name: str) -> Iterator[None]:
     """Raise `DeviceError` where a value is not what belongs there."""
     try:
         yield
     except ValueError as error:
-        raise unreadable(name, error) from error
+        raise value_error(name, error) from error
 
 
 LOST, STOPPED = 8, 9  # HC_ERR
@@ -250,7 +250,7 @@ class KeepAlive:
     LOOK_S = 1.0
     JOIN_S = 3.0
 
-    def __init__(self, *lines: Line) -> None:
+    def __init__(self, *lines: ControllerLink) -> None:
         self._lines = lines
         self._failure: HilcellError | None = None
         self._end = threading.Event()
@@ -271,7 +271,7 @@ class KeepAlive:
             while not self._end.wait(self.LOOK_S):
                 for line in self._lines:
                     if time.monotonic() - line.used_s > self.IDLE_S:
-                        line.keep()
+                        line.keep_alive()
         except Stopped:
             return  # the run ends; nothing needs these connections any longer
         except HilcellError as error:

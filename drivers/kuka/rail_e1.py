@@ -64,7 +64,7 @@ class KukaE1Rail:
             dwell_s=options.standstill_dwell_s,
         )
         self._slide = SlideMonitor(
-            self._look,
+            self._poll,
             clock,
             windows,
             units_per_mm=1.0,
@@ -163,7 +163,7 @@ class KukaE1Rail:
         self._slide.standstill.forget()
         self._before = None
 
-    def _look(self, operation: str) -> Poll:
+    def _poll(self, operation: str) -> Poll:
         """Look at axis and strip; the speed is that since the last look."""
         self._clock.check()
         axis, now_s = self._axis().read_axis(), self._clock.now_s()

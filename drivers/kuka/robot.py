@@ -122,10 +122,10 @@ class KukaRobot:
         self._rest_deg = np.zeros(6)
         self._identity = Identity(ROBOT.name, "", "", "")
         self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
-        self._free = False  # E1 may move
+        self._slide_free = False  # E1 may move
         self._slide_seen: tuple[float, float] | None = None  # where E1 was, and when
         self._sequence = 0
-        self._under_way = False
+        self._moving = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._stopped = False
 
@@ -137,14 +137,14 @@ class KukaRobot:
         self.slide_mm = None
         with on_failure(self._close_wires):
             controller = self._controller = self._wires(self)
-            self._round = cycle(controller.rounds)
+            self._round = cycle(controller.poll_groups)
             self._good |= {name: ((n,), "HC-B17") for name, n in controller.versions.items()}
-            controller.look()
+            controller.refresh()
             identity = self._identify()
             self.check(*controller.versions, *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
-            self._take_back_stop()
+            self._reset_stop()
             self._identity = msgspec.structs.replace(
                 identity, firmware=f"hilcell.src {PROGRAM_VERSION}"
             )
@@ -160,7 +160,7 @@ class KukaRobot:
         try:
             number = self.command(target_deg, round(speed_percent))
             limits = MotionLimits(planned, STALL_S, self.PROGRESS_DEG)
-            while self.look(number, limits, self._round):
+            while self.poll_motion(number, limits, self._round):
                 self._clock.wait(POLL_S)
             return self.rest(target_deg)
         finally:
@@ -173,13 +173,13 @@ class KukaRobot:
         """
         self.wire().check()
         taken_s = self._clock.pc_s()
-        self.wire().look()
+        self.wire().refresh()
         before = self._axes()
         self._clock.wait(self.DWELL_S)
-        self.wire().look()
+        self.wire().refresh()
         pose = self._pose()
         moved = np.abs(self._axes() - before)
-        still = not self._under_way and bool(np.all(moved <= self.STILL[: len(moved)]))
+        still = not self._moving and bool(np.all(moved <= self.STILL[: len(moved)]))
         return RobotReading(np.radians(before[:6]), pose, still, taken_s, self._ended_s)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
@@ -199,12 +199,14 @@ class KukaRobot:
         Raises `DeviceError` where they are not seen to stand.
         """
         try:
-            if self._under_way and self._controller is not None:
+            if self._moving and self._controller is not None:
                 with suppress(DeviceError):  # what is heard follows
                     self.stop()
-                with self._controller.undisturbed() as access:
-                    await_rest(access, self._controller.measured, self._names(), closing=True)
-            elif self._free and not self._stopped and not self._under_way:
+                with self._controller.ignoring_stop() as access:
+                    await_rest(
+                        access, self._controller.joints_variable, self._names(), closing=True
+                    )
+            elif self._slide_free and not self._stopped and not self._moving:
                 self.hold_axis()
         finally:
             self._close_wires()
@@ -215,7 +217,7 @@ class KukaRobot:
         if self.slide_mm is None:
             found = "the controller has no external axis: $EX_AX_NUM is 0"
             raise RAIL.refused("HC-R50", "connect", found, expected="one")
-        if not self._slide_wire().mastered():
+        if not self._slide_wire().is_mastered():
             raise RAIL.refused("HC-R51", "connect", "$AXIS_JUS[7] is FALSE", expected="TRUE")
         of = self._identity
         return replace(of, device=RAIL.name, model=f"E1 of {of.model}", kind="drive")
@@ -224,7 +226,7 @@ class KukaRobot:
         """Return a reading; its time is that of the question."""
         taken_s = self._clock.pc_s()
         self.wire().check()
-        self.wire().look()
+        self.wire().refresh()
         return AxisReading(*self._slide_wire().slide(), taken_s)
 
     def move_axis(
@@ -239,21 +241,21 @@ class KukaRobot:
         controller.check()
         way_mm = abs(position_mm - self.read_axis().position_mm)
         limits = MotionLimits(100.0 * way_mm / (percent * full_mm_s), STALL_S, self.PROGRESS_MM)
-        self._free, self._slide_seen = True, None
+        self._slide_free, self._slide_seen = True, None
         try:
             controller.hold_slide(held=False)
             number = self.begin(lambda n: controller.start_slide(n, position_mm, percent))
             self.slide_mm = position_mm
-            while self.look(number, limits, self._round):
+            while self.poll_motion(number, limits, self._round):
                 attend(self._judged_speed(self.OVERSPEED * speed_mm_s))
                 self._clock.wait(POLL_S)
-            self.rest(self.stands_at())
+            self.rest(self.commanded_deg())
         finally:
-            self.unwatch()
+            self.end_motion()
 
     def hold_axis(self) -> None:
         self._slide_wire().hold_slide(held=True)
-        self._free = False
+        self._slide_free = False
 
     def _judged_speed(self, allowed_mm_s: float) -> float:
         """Return where the slide is; judge the least speed that two looks on its way allow for.
@@ -311,7 +313,7 @@ class KukaRobot:
         expected = " or ".join(str(value).upper() for value in good)
         if isinstance(good, range):
             expected = f"{good[0]} to {good[-1]}"
-        return state_error(code, name, text, expected, moving=self._under_way)
+        return state_error(code, name, text, expected, moving=self._moving)
 
     def _check_frame(self, name: str, expected: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, POSE)
@@ -328,15 +330,15 @@ class KukaRobot:
                 wanted_frame=expected,
             )
 
-    def _take_back_stop(self) -> None:
+    def _reset_stop(self) -> None:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
         controller = self.wire()
-        controller.look()
-        if controller.lowered_override():  # by a dead engine, whose sweep is braked first
+        controller.refresh()
+        if controller.has_lowered_override():  # by a dead engine, whose sweep is braked first
             if self.wire().integer("HC_SEQ") != self.wire().integer("HC_ACK"):
                 controller.brake()
                 await_rest(controller)
-            controller.give_back_override()
+            controller.restore_override()
         controller.release()
         self._sequence = controller.integer("HC_SEQ")
         for last in polls(self.CATCH_UP_S, self.POLL_LOOK_S):
@@ -352,10 +354,10 @@ class KukaRobot:
                     sequence=self._sequence,
                 )
             self._clock.wait(POLL_S)
-            controller.look()
+            controller.refresh()
             controller.release()  # a motion that a dead engine left behind brakes by itself
         self._rest_deg = self._axes()[:6]
-        self._under_way = self._stopped = False
+        self._moving = self._stopped = False
 
     # -- moving -------------------------------------------------------------------------------
 
@@ -367,16 +369,16 @@ class KukaRobot:
     def begin(self, start: Callable[[int], None]) -> int:
         """Start a motion by its number, where the controller is well; return that."""
         self._check_stopped()
-        self.wire().look()
-        self.check(*self.wire().ready)
+        self.wire().refresh()
+        self.check(*self.wire().motion_checks)
         number = self._sequence % self.MAX_SEQUENCE + 1
-        self._under_way, self._ended_s = True, None
+        self._moving, self._ended_s = True, None
         self._watch.start()
         start(number)
         self._sequence = number
         return number
 
-    def look(
+    def poll_motion(
         self, number: int, limits: MotionLimits, rounds: Iterator[tuple[str, ...]]
     ) -> tuple[str, ...]:
         """Look at a motion; return the variables that were looked at, none once it has ended."""
@@ -410,30 +412,30 @@ class KukaRobot:
         expected = self._whole(target_deg)
         for _ in polls(REST_S, self.POLL_LOOK_S):
             taken_s = self._clock.pc_s()
-            controller.look()
+            controller.refresh()
             axes, before = self._axes(), self._pose()
             self._clock.wait(self.DWELL_S)
-            controller.look()
+            controller.refresh()
             pose = self._pose()
             arrived = bool(np.all(np.abs(axes - expected) <= self.ARRIVED[: len(expected)]))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
-                self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
+                self._moving, self._rest_deg, self._ended_s = False, target_deg, taken_s
                 return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
         tolerance = f"{joints_text(expected)} +-{self.AXIS_TOLERANCE_DEG}"
         raise not_at_target(joints_text(axes), tolerance, axes, expected)
 
     # -- for a sweep as well ------------------------------------------------------------------
 
-    def take_back(self) -> None:
+    def resume(self) -> None:
         """Take back a brake of our own, unless the robot was stopped otherwise as well."""
         if not self._stopped:
-            self._take_back_stop()
+            self._reset_stop()
 
-    def unwatch(self) -> None:
+    def end_motion(self) -> None:
         """Look at no motion any longer: it has ended, or is braked."""
         self._watch.stop()
 
-    def stands_at(self) -> Array:
+    def commanded_deg(self) -> Array:
         """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
         return self._rest_deg
 
@@ -443,8 +445,8 @@ class KukaRobot:
         Each look is a sign of life to the program.
         """
         self._check_stopped()
-        self.wire().sign()
-        self.wire().look()
+        self.wire().heartbeat()
+        self.wire().refresh()
         if self.wire().integer("HC_ACK") != number:
             return False
         if (error := self.wire().integer("HC_ERR")) != 0:
@@ -454,7 +456,7 @@ class KukaRobot:
     def wire(self) -> Controller:
         return ROBOT.connected(self._controller)
 
-    def attend(self) -> None:
+    def check_wait(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
         self._watch.feed()
@@ -465,7 +467,7 @@ class KukaRobot:
 
     def _axes(self) -> Array:
         """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""
-        return np.array(self.wire().numbers(self.wire().measured, self._names()))
+        return np.array(self.wire().numbers(self.wire().joints_variable, self._names()))
 
     def _names(self) -> tuple[str, ...]:
         return JOINTS if self.slide_mm is None else (*JOINTS, SLIDE)
@@ -532,23 +534,23 @@ class KukaSweep:
         self._speed_deg_s, self._full_deg_s = speed_deg_s, full
         self._target_deg = np.zeros(6)
         self._velocity = self._override = 100
-        self._variable, self._number, self._under_way = PROGRESS, 0, False
+        self._variable, self._number, self._moving = PROGRESS, 0, False
         self._round: Iterator[tuple[str, ...]] = iter(())
         self._limits = MotionLimits(0.0, STALL_S, self.PROGRESS_DEG)
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
         robot, controller = self._robot, self._robot.wire()
-        controller.look()
+        controller.refresh()
         robot.check(*HEALTH, "$OV_PRO")
-        self._variable, self._round = controller.measured, cycle(controller.rounds)
+        self._variable, self._round = controller.joints_variable, cycle(controller.poll_groups)
         found = controller.integer("$OV_PRO")
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = self.split_speed(share, found)
         self.speed_rad_s = float(
             np.radians(self._full_deg_s) * self._velocity * self._override / 100**2
         )
-        self._target_deg = robot.stands_at().copy()
+        self._target_deg = robot.commanded_deg().copy()
         way_deg = self._end_deg - self._target_deg[self._axis]
         self._target_deg[self._axis] = self._end_deg
         planned = planned_s(way_deg, np.array(self._full_deg_s), self._velocity)
@@ -557,21 +559,21 @@ class KukaSweep:
             try:
                 controller.lower_override(found, self._override)
             except BaseException as error:  # also a stop: the override is the operator's
-                self._give_back(error)
+                self._restore(error)
                 raise
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Brake a motion under way and give the override back."""
-        self._give_back(error)
+        self._restore(error)
 
     def kickoff(self) -> None:
-        self._under_way = True
+        self._moving = True
         self._number = self._robot.command(self._target_deg, self._velocity)
 
     def collect(self) -> JointSample:
         controller, before_s = self._robot.wire(), self._clock.now_s()
-        controller.look()
+        controller.refresh()
         joints_deg = controller.numbers(self._variable, JOINTS)
         after_s = self._clock.now_s()
         self._look()
@@ -582,28 +584,28 @@ class KukaSweep:
             self._clock.wait(self.POLL_S)
             self._look()
         reading = self._robot.rest(self._target_deg)
-        self._under_way = False
+        self._moving = False
         return reading
 
     def _look(self) -> None:
         if self.ended:
             return
-        names = self._robot.look(self._number, self._limits, self._round)
+        names = self._robot.poll_motion(self._number, self._limits, self._round)
         self.ended = not names
         if "$OV_PRO" in names:
             self._robot.wire().check_override(self._override)
 
-    def _give_back(self, error: BaseException | None) -> None:
+    def _restore(self, error: BaseException | None) -> None:
         """Leave the robot at rest with its override as it was."""
-        self._robot.unwatch()
+        self._robot.end_motion()
         try:
-            with self._robot.wire().undisturbed() as access:
-                if self._under_way:
+            with self._robot.wire().ignoring_stop() as access:
+                if self._moving:
                     access.brake()
                     await_rest(access)
-                access.give_back_override()
-            if self._under_way and not isinstance(error, Stopped):
-                self._robot.take_back()
+                access.restore_override()
+            if self._moving and not isinstance(error, Stopped):
+                self._robot.resume()
         except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise
@@ -641,7 +643,7 @@ def await_rest(
     for _ in polls(BRAKED_S):
         if closing:
             controller.brake()
-        controller.look()
+        controller.refresh()
         now = np.array(controller.numbers(joints, names))
         stands = bool(np.all(np.abs(now - before) <= STILL_DEG))
         if stands and (closing or controller.integer("HC_ERR") in (STOPPED, LOST)):

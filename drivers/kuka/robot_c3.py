@@ -24,10 +24,10 @@ from drivers.kuka.controller import (
     PROGRAM_VERSION,
     PROGRESS,
     Controller,
+    ControllerLink,
     KeepAlive,
-    Line,
-    readable,
-    unreadable,
+    value_error,
+    value_errors,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
@@ -84,7 +84,7 @@ def decode_body(tag: int, body: bytes) -> Reply:
     return Reply(tag, kind, body[3 : 3 + size].decode("latin-1"), error, body[-1] == 1)
 
 
-class C3Connection(Line):
+class C3Connection(ControllerLink):
     """One connection; a request has a tag."""
 
     _tag = 0
@@ -93,7 +93,7 @@ class C3Connection(Line):
         """Return the text of a variable; raises `DeviceError`."""
         return self._exchange("read", name).value
 
-    def knows(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
         """Whether the controller lets a variable be read."""
         return self._reply("read", name).ok
 
@@ -107,7 +107,7 @@ class C3Connection(Line):
             self._link.send(encode(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"
 
-    def keep(self) -> None:
+    def keep_alive(self) -> None:
         self.read("$MODE_OP")
 
     def _next_tag(self) -> int:
@@ -155,11 +155,11 @@ class C3Connection(Line):
 
 
 class C3Controller(Controller):
-    """Each poll of a motion looks at HC_ACK and at the next of ``rounds``, so that all are seen
+    """Each poll of a motion reads HC_ACK and the next of ``poll_groups``, so that all are read
     within eight polls: with 4 to 12 ms an exchange, each of them once in 0.30 to 0.45 s.
     """
 
-    rounds = (
+    poll_groups = (
         ("$ALARM_STOP",),
         ("$PRO_STATE1",),
         ("$MODE_OP",),
@@ -172,15 +172,18 @@ class C3Controller(Controller):
 
     PTP_JOINTS, PTP_SLIDE = 1, 2
     MEASURED, PLACE = "$AXIS_ACT_MEAS", "$AXIS_ACT.E1"
-    SIGN_S, TIMER = 0.2, "$TIMER[10]"  # of signs of life, from the first motion on
+    HEARTBEAT_S, TIMER = 0.2, "$TIMER[10]"  # of heartbeats, from the first motion on
 
-    ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
+    motion_checks = (
+        "$MODE_OP",
+        "$USER_SAF",
+    )  # who may be near; an exchange each, and the rest follows
 
     def __init__(self, options: KukaC3Robot.Options, robot: KukaRobot) -> None:
         self._open = partial(C3Connection, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION}
-        self._line: C3Connection = self._open(robot.attend)
+        self._line: C3Connection = self._open(robot.check_wait)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
             self._stop_line: C3Connection = self._open(ignore_stop)
@@ -188,21 +191,21 @@ class C3Controller(Controller):
         self._due_s = math.inf  # of the next sign of life
 
     @cached_property
-    def measured(self) -> str:
-        return self.MEASURED if self.knows(self.MEASURED) else PROGRESS
+    def joints_variable(self) -> str:
+        return self.MEASURED if self.has(self.MEASURED) else PROGRESS
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Do nothing: each variable is asked for."""
 
-    def knows(self, name: str) -> bool:
-        return self._line.knows(name)
+    def has(self, name: str) -> bool:
+        return self._line.has(name)
 
     def value(self, name: str) -> krl.Value:
-        with readable(name):
+        with value_errors(name):
             return krl.parse(self._line.read(name))
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        with readable(name):
+        with value_errors(name):
             return krl.numbers(self._line.read(name), components)
 
     def text(self, name: str) -> str:
@@ -225,13 +228,13 @@ class C3Controller(Controller):
         self._line.write("HC_CMD", str(command))
         if self._due_s == math.inf:  # tell the program how long the PC may keep silent
             self._line.write("HC_LIFE", str(round(HEARTBEAT_TIMEOUT_S * 1000)))
-        self._due_s = time.monotonic() + self.SIGN_S
+        self._due_s = time.monotonic() + self.HEARTBEAT_S
         self._line.write("HC_SEQ", str(number))
 
-    def sign(self) -> None:
+    def heartbeat(self) -> None:
         """Set the timer back, if that is due."""
         if time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + self.SIGN_S
+            self._due_s = time.monotonic() + self.HEARTBEAT_S
             self._line.write(self.TIMER, str(round(-HEARTBEAT_TIMEOUT_S * 1000)))
 
     def hold_slide(self, held: bool) -> None:
@@ -241,7 +244,7 @@ class C3Controller(Controller):
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
         place_mm = self.value(self.PLACE)
         if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
-            raise unreadable(self.PLACE, f"{place_mm!r} is no place")
+            raise value_error(self.PLACE, f"{place_mm!r} is no place")
         return float(place_mm), self.value("HC_HELD") is True
 
     def brake(self) -> None:
@@ -257,7 +260,7 @@ class C3Controller(Controller):
         self._line.write("$OV_PRO", str(expected))
         self.check_override(expected)
 
-    def give_back_override(self) -> None:
+    def restore_override(self) -> None:
         before = self.integer("HC_OV_OLD")
         if before == 0:
             return
@@ -266,7 +269,7 @@ class C3Controller(Controller):
         self._line.write("HC_OV_OLD", "0")
 
     @contextmanager
-    def undisturbed(self) -> Iterator[C3Controller]:
+    def ignoring_stop(self) -> Iterator[C3Controller]:
         """Open a connection for a while."""
         other, line = copy(self), self._open(ignore_stop)
         other._line = line  # noqa: SLF001 # of its own class

@@ -38,9 +38,9 @@ from drivers.kuka.controller import (
     PROGRAM_VERSION,
     PROGRESS,
     Controller,
+    ControllerLink,
     KeepAlive,
-    Line,
-    readable,
+    value_errors,
 )
 from drivers.kuka.krl import JOINTS, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot
@@ -203,17 +203,17 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
     return int(number), state
 
 
-class EkiChannel(Line):
+class EkiChannel(ControllerLink):
     """One connection, whose answers are documents."""
 
     ANSWER_S = 2.0
     RECEIVE = 4096
 
     def __init__(
-        self, host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
+        self, host: str, port: int, root: str, check: Callable[[], None], probe: bytes
     ) -> None:
         """``root`` is that of the answers; ``probe``, of Id 0, only asks for one."""
-        super().__init__(host, port, attend)
+        super().__init__(host, port, check)
         self._root, self._probe = root, probe
 
     def ask(self, number: int, document: bytes) -> State:
@@ -227,7 +227,7 @@ class EkiChannel(Line):
         with self._unheard():
             self._link.send(document, "stop")
 
-    def keep(self) -> None:
+    def keep_alive(self) -> None:
         self.ask(0, self._probe)
 
     def _answer(self, number: int, operation: str) -> State:
@@ -263,15 +263,15 @@ class EkiChannel(Line):
 
 
 def open_channel(
-    host: str, port: int, root: str, attend: Callable[[], None], probe: bytes
+    host: str, port: int, root: str, check: Callable[[], None], probe: bytes
 ) -> EkiChannel:
     """Return a channel that has answered ``probe``; raises `DeviceError`."""
     deadline, over = Deadline(OPEN_S, OPEN_S), False
     while True:
         try:
-            channel = EkiChannel(host, port, root, attend, probe)
+            channel = EkiChannel(host, port, root, check, probe)
             with on_failure(channel.close):  # the controller serves one client alone
-                channel.keep()
+                channel.keep_alive()
         except DeviceError:
             if over:
                 raise
@@ -279,7 +279,7 @@ def open_channel(
             return channel
         over = deadline.expired()
         for _ in range(5):
-            attend()
+            check()
             time.sleep(POLL_S)
 
 
@@ -290,9 +290,9 @@ class EkiController(Controller):
     LARGEST_ID = 1_000_000_000
     LIFE_MS = round(1000 * HEARTBEAT_TIMEOUT_S)
 
-    measured = "$AXIS_ACT_MEAS"
-    rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
-    ready = (*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")  # one document has them all
+    joints_variable = "$AXIS_ACT_MEAS"
+    poll_groups = ((*HEALTH, "$OV_PRO", PROGRESS),)
+    motion_checks = (*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")  # one document has them all
 
     def __init__(self, options: KukaEkiRobot.Options, robot: KukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
@@ -303,7 +303,7 @@ class EkiController(Controller):
         self._state: State | None = None
         self._life_ms = 0
         probe, stop_probe = command(0, Kind.ASK), stop_command(0, brake=False)
-        self._line: EkiChannel = opened(options.port, STATE, robot.attend, probe)
+        self._line: EkiChannel = opened(options.port, STATE, robot.check_wait, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
             self._stop_line: EkiChannel = opened(
@@ -311,24 +311,24 @@ class EkiController(Controller):
             )
         self._keeper = KeepAlive(self._stop_line)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Forget the last state, so that the next value asks for one."""
         self._state = None
 
-    def knows(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
         """Whether a state has it, and it has all that is asked for."""
         return True
 
     def value(self, name: str) -> krl.Value:
-        with readable(name):
+        with value_errors(name):
             return self._known().single(name)
 
     def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        with readable(name):
+        with value_errors(name):
             return self._known().numbers(name, components)
 
     def text(self, name: str) -> str:
-        with readable(name):
+        with value_errors(name):
             return clean(self._known().text(*SINGLE[name]).strip())
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
@@ -353,7 +353,7 @@ class EkiController(Controller):
         (place_mm,) = self.numbers(PROGRESS, (SLIDE,))
         return place_mm, self.value("HC_HELD") is True
 
-    def sign(self) -> None:
+    def heartbeat(self) -> None:
         """Have the next command be a sign of life; others are none, so that a motion brakes whose
         engine has died while this one asks for states.
         """
@@ -371,17 +371,17 @@ class EkiController(Controller):
         self._send(Kind.LOWER, expected)
         self.check_override(expected)
 
-    def give_back_override(self) -> None:
+    def restore_override(self) -> None:
         self._send(Kind.GIVE_BACK)
 
     @contextmanager
-    def undisturbed(self) -> Iterator[EkiController]:
+    def ignoring_stop(self) -> Iterator[EkiController]:
         """Let a stop through for a while: the controller serves one client only."""
-        attend, self._line.attend = self._line.attend, ignore_stop
+        check, self._line.check_wait = self._line.check_wait, ignore_stop
         try:
             yield self
         finally:
-            self._line.attend = attend
+            self._line.check_wait = check
 
     def stop(self) -> None:
         """Send the stop over its own channel."""

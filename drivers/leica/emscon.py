@@ -102,20 +102,20 @@ class Setting(Enum):
     ORIENTATION = "station orientation", 13, 0, {15}, "<6d"  # three lengths, three angles
     TRANSFORMATION = "transformation", 15, 0, {16}, "<7d"  # three lengths, three angles, scale
 
-    def __init__(self, words: str, read: int, write: int, changes: set[int], layout: str) -> None:
-        self.words, self.read, self.write = words, read, write
+    def __init__(self, label: str, read: int, write: int, changes: set[int], layout: str) -> None:
+        self.label, self.read, self.write = label, read, write
         self.changes, self.layout = changes, Struct(layout)
 
 
-SPOKEN = {
+COMMAND_NAMES = {
     **{int(each): each.name for each in Command},
     **{each.write: f"set {each.name}" for each in Setting if each.write},
     **{each.read: f"get {each.name}" for each in Setting},
 }
 
 
-def spoken(command: int) -> str:
-    return SPOKEN[command].lower().replace("_", " ")
+def command_name(command: int) -> str:
+    return COMMAND_NAMES[command].lower().replace("_", " ")
 
 
 def failed(command: int, status: int) -> DeviceError:
@@ -125,7 +125,7 @@ def failed(command: int, status: int) -> DeviceError:
     act = "look at the tracker, then resume"
     if known.alarm == "HC-T11":
         act = "clear the beam or seat the reflector, then resume"
-    return error(known.alarm, spoken(command), status_text(status), act=act, status=status)
+    return error(known.alarm, command_name(command), status_text(status), act=act, status=status)
 
 
 class Status(NamedTuple):
@@ -361,8 +361,8 @@ class EmsconSettings:
         numbers_of: Callable[[int, Struct], tuple[float, ...]],
     ) -> None:
         self._ask, self._numbers_of = ask, numbers_of
-        self._kept: dict[Setting, tuple[float, ...]] = {}
-        self._news: set[int] = set()
+        self._recorded: dict[Setting, tuple[float, ...]] = {}
+        self._changes: set[int] = set()
 
     def write(self, setting: Setting, *values: float) -> None:
         """Write a setting and believe it only when it reads back."""
@@ -375,17 +375,17 @@ class EmsconSettings:
         Lengths are converted from and to the tracker's own unit, so their last digits may differ.
         """
         found = self._numbers_of(setting.read, setting.layout)
-        self._news.difference_update(setting.changes)  # our own; the reading is younger
+        self._changes.difference_update(setting.changes)  # our own; the reading is younger
         if not self._same(found, values):
-            raise readback_error(setting.words, found, values)
-        self._kept[setting] = values
+            raise readback_error(setting.label, found, values)
+        self._recorded[setting] = values
 
-    def keep(self, setting: Setting) -> tuple[float, ...]:
+    def record(self, setting: Setting) -> tuple[float, ...]:
         """Return a setting that is left as it is, and must stay so."""
-        self._kept[setting] = found = self._numbers_of(setting.read, setting.layout)
+        self._recorded[setting] = found = self._numbers_of(setting.read, setting.layout)
         return found
 
-    def keep_frame(self) -> None:
+    def record_frame(self) -> None:
         """Keep the frame in which the tracker measures; refuse one that stretches lengths.
 
         A controller that does not tell its system settings is older, and tells none of these.
@@ -397,9 +397,9 @@ class EmsconSettings:
             if refusal.fields.get("status") != NOT_IMPLEMENTED:
                 raise
             return
-        _weather, transforms, _orients = self.keep(Setting.SYSTEM_SETTINGS)
-        self.keep(Setting.ORIENTATION)
-        scale = self.keep(Setting.TRANSFORMATION)[-1]
+        _weather, transforms, _orients = self.record(Setting.SYSTEM_SETTINGS)
+        self.record(Setting.ORIENTATION)
+        scale = self.record(Setting.TRANSFORMATION)[-1]
         if transforms and not abs(scale - 1.0) <= 1e-9:
             raise TRACKER.refused(
                 "HC-T06",
@@ -407,29 +407,29 @@ class EmsconSettings:
                 f"a transformation of scale {scale:.9g} is in use",
                 expected="1",
                 act="switch it off or set its scale to 1 in the tracker's software, then resume",
-                setting=Setting.TRANSFORMATION.words,
+                setting=Setting.TRANSFORMATION.label,
                 scale=scale,
             )
 
-    def hear(self, change: int) -> None:
+    def note_change(self, change: int) -> None:
         """Take the news of a change; nothing is asked yet."""
-        self._news.add(change)
+        self._changes.add(change)
 
-    def prove(self) -> None:
+    def verify(self) -> None:
         """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
-        if Change.COMPENSATION in self._news:
+        if Change.COMPENSATION in self._changes:
             raise changed("compensation", "it was changed", "the one of before")
-        all_of_them = Change.SERVER_STARTED in self._news
-        for setting in self._kept:
-            if all_of_them or not self._news.isdisjoint(setting.changes):
-                self.read_again(setting)
-        self._news.clear()
+        all_of_them = Change.SERVER_STARTED in self._changes
+        for setting in self._recorded:
+            if all_of_them or not self._changes.isdisjoint(setting.changes):
+                self.verify_setting(setting)
+        self._changes.clear()
 
-    def read_again(self, setting: Setting) -> None:
+    def verify_setting(self, setting: Setting) -> None:
         """Raise `DeviceError` where a setting is no longer the kept one."""
-        found, kept = self._numbers_of(setting.read, setting.layout), self._kept[setting]
+        found, kept = self._numbers_of(setting.read, setting.layout), self._recorded[setting]
         if not self._same(found, kept):
-            raise changed(setting.words, f"now reads {found}", f"{kept}")
+            raise changed(setting.label, f"now reads {found}", f"{kept}")
 
     @staticmethod
     def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:

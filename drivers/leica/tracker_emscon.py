@@ -195,12 +195,12 @@ class LeicaEmsconTracker:
         settings = self.settings = EmsconSettings(self._ask, self._numbers_of)
         settings.write(Setting.UNITS, *Value.MILLIMETRES)
         settings.write(Setting.COORDINATE_SYSTEM, Value.RIGHT_HANDED)
-        if settings.keep(Setting.MEASUREMENT_MODE) != (Value.STATIONARY,):
+        if settings.record(Setting.MEASUREMENT_MODE) != (Value.STATIONARY,):
             self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
         settings.write(Setting.MEASUREMENT_MODE, Value.STATIONARY)
         settings.write(Setting.STATIONARY, round(1000 * options.reading_s), 1)
         settings.write(Setting.SEARCH, options.find_radius_mm, self.SEARCH_MS)
-        settings.keep_frame()
+        settings.record_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
             raise TRACKER.refused("HC-T05", "connect", problem, expected=self.AIR)
@@ -222,7 +222,7 @@ class LeicaEmsconTracker:
         if face == Value.SECOND_FACE:
             self._turn_to(Value.FIRST_FACE)
         elif face == Value.FIRST_FACE:
-            self.settings.keep(Setting.FACE)
+            self.settings.record(Setting.FACE)
 
     def _read_reflectors(self) -> dict[str, int]:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
@@ -265,7 +265,7 @@ class LeicaEmsconTracker:
         try:
             self.start(near_mm)
             result = self._await_result()
-            self._check_alone()
+            self._check_single()
         except NoReading as error:
             # Only a stop that was answered proves that nothing of this try can still come.
             status = self._request(Command.STOP_MEASUREMENT).status
@@ -281,7 +281,7 @@ class LeicaEmsconTracker:
 
     def start(self, near_mm: Array) -> None:
         """Start to measure; search once more where the beam has lost its reflector."""
-        self.settings.prove()
+        self.settings.verify()
         reply = self._request(Command.START_MEASUREMENT)
         if reply.status == emscon.NOT_READY:
             self._find(near_mm)
@@ -290,14 +290,14 @@ class LeicaEmsconTracker:
             raise emscon.failed(Command.START_MEASUREMENT, reply.status)
         self._results = 0
 
-    def _check_alone(self) -> None:
+    def _check_single(self) -> None:
         """Refuse a result that was not the only one, or whose settings were changed meanwhile.
 
         A measurement that still goes on makes the tracker busy, so its result comes before the
         reply.
         """
-        self.settings.read_again(Setting.REFLECTOR)
-        self.settings.prove()
+        self.settings.verify_setting(Setting.REFLECTOR)
+        self.settings.verify()
         if self._results != 1:
             found = f"{self._results} results came to one start"
             act, came = "one was late; it is measured again", self._results
@@ -366,7 +366,7 @@ class LeicaEmsconTracker:
         limit_s = limit_s or self.REPLY_S
 
         def ask() -> Reply:
-            self._wire().send(emscon.encode(command, body), emscon.spoken(command))
+            self._wire().send(emscon.encode(command, body), emscon.command_name(command))
             return self._status(command, Deadline(limit_s))
 
         return retry_while_busy(
@@ -380,8 +380,8 @@ class LeicaEmsconTracker:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
                 found = f"a reply to command {packet.command} came"
-                raise self._lost(found, emscon.spoken(command))
-        raise self._lost("no answer in time", emscon.spoken(command))
+                raise self._lost(found, emscon.command_name(command))
+        raise self._lost("no answer in time", emscon.command_name(command))
 
     def _numbers_of(self, command: int, layout: struct.Struct) -> tuple[float, ...]:
         return self._decoded(layout.unpack_from, self._ask(command))
@@ -407,7 +407,7 @@ class LeicaEmsconTracker:
         if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
             raise self._lost("the tracker's server is closing", "receive")
         if isinstance(packet, StatusChange):
-            self.settings.hear(packet.change)
+            self.settings.note_change(packet.change)
         self._results += isinstance(packet, Single)
         return packet
 
@@ -508,7 +508,7 @@ class EmsconStream:
         """End the stream and return the rest of it; raises `NoReading` where nothing ever came."""
         looked_s = self._clock.now_s()
         samples = self._samples(self._stop())
-        self._tracker.settings.prove()  # those that were changed while it measured
+        self._tracker.settings.verify()  # those that were changed while it measured
         if self._last_s is None:
             raise self._empty("no sample came")
         return self._blocks(samples, looked_s)

@@ -81,7 +81,7 @@ class Rpc(IntEnum):
     GET_ATR = 18006
 
     @property
-    def spoken(self) -> str:
+    def label(self) -> str:
         return self.name.lower().replace("_", " ")
 
     @property
@@ -94,7 +94,7 @@ class Rpc(IntEnum):
         error = TRACKER.no_reading if again else TRACKER.failed
         alarm, _ = CODES.get(code, UNKNOWN)
         act = ACTS.get(alarm, ACT)
-        return error(alarm, self.spoken, status_text(code), act=act, status=code)
+        return error(alarm, self.label, status_text(code), act=act, status=code)
 
 
 CODES = {  # alarm and words
@@ -303,7 +303,7 @@ class LeicaGeocomTracker:
         # An answer to a program that ran before is then nobody's.
         self._transactions = count(time.time_ns() // 1_000_000)
         self._given_up: set[int] = set()
-        self._kept: dict[str, tuple[Rpc, tuple[float, ...]]] = {}
+        self._settings: dict[str, tuple[Rpc, tuple[float, ...]]] = {}
         self._arrived_s = 0.0
 
     # -- the port -----------------------------------------------------------------------------
@@ -311,7 +311,7 @@ class LeicaGeocomTracker:
     def connect(self) -> list[Identity]:
         self.close()
         link = open_link(TRACKER, self._options.channel, self._clock.check)
-        self._lines, self._given_up, self._kept = TextLines(link), set(), {}
+        self._lines, self._given_up, self._settings = TextLines(link), set(), {}
         with on_failure(self.close):
             self._begin()
             identity = self._identify(link.address)
@@ -323,7 +323,7 @@ class LeicaGeocomTracker:
         options = self._options
         of = f"the prism constant is that of {options.reflector!r}"
         check_reflector(reflector, [options.reflector], of)
-        self._prove()
+        self._verify_settings()
         self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
         std_mm = options.std_mm(points_mm[0])
@@ -407,11 +407,11 @@ class LeicaGeocomTracker:
         if not self._same(found, expected):
             act = "set it at the instrument, or correct tracker.options; then resume"
             raise readback_error(what, found, expected, refusal, act)
-        self._kept[what] = read, expected
+        self._settings[what] = read, expected
 
-    def _prove(self) -> None:
+    def _verify_settings(self) -> None:
         """Read all settings again: somebody may have changed one at the keyboard."""
-        for what, (read, kept) in self._kept.items():
+        for what, (read, kept) in self._settings.items():
             reply = self._ask(read)
             if not reply.is_empty and self._same(self._decoded(reply, len(kept)), kept):
                 continue
@@ -483,7 +483,7 @@ class LeicaGeocomTracker:
         before = self._ask(rpc)
         while (reply := self._ask(rpc)).is_empty or reply.values != before.values:
             if deadline.expired():
-                raise self._lost("answers without values, or each another one", rpc.spoken)
+                raise self._lost("answers without values, or each another one", rpc.label)
             before = reply
             self._clock.wait(BUSY_PAUSE_S)
         return reply
@@ -512,18 +512,18 @@ class LeicaGeocomTracker:
                 return reply
             if reply.transaction not in self._given_up:
                 found = f"an answer to request {reply.transaction} came, not to {transaction}"
-                raise self._lost(f"{found}; does another program use this line?", rpc.spoken)
+                raise self._lost(f"{found}; does another program use this line?", rpc.label)
         self._given_up.add(transaction)
         if not rpc.measures:
-            raise self._lost("no answer in time", rpc.spoken)
+            raise self._lost("no answer in time", rpc.label)
         self._exchange(Rpc.NULL, (), self.REPLY_S)  # it lives, or the line is lost
-        found = f"no answer to {rpc.spoken} in {limit_s:.1f} s"
+        found = f"no answer to {rpc.label} in {limit_s:.1f} s"
         raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
         transaction = 1 + next(self._transactions) % (self.TRANSACTIONS - 1)
         self._given_up.discard(transaction)
-        self._wire().send(request(rpc, transaction, *parameters), rpc.spoken)
+        self._wire().send(request(rpc, transaction, *parameters), rpc.label)
         return transaction
 
     def _line(self, deadline: Deadline) -> str | None:

@@ -52,7 +52,7 @@ MEASURE_S = 30.0
 BUSY_PAUSE_S = 0.2
 READY = ("Instrument is connected", "READY")
 BUSY = 201
-LONGEST_WORDS = 120
+MAX_TEXT = 120
 # Codes of the vendor's list that a measurement, or a question of one, may bring.
 CODES = {
     200: ("HC-T23", "command rejected"),
@@ -105,14 +105,14 @@ class Reply(NamedTuple):
     def found(self) -> str:
         """Return the code with its meaning and the bridge's own words."""
         _, meaning = CODES.get(self.code, UNKNOWN)
-        return f"ERR-{self.code} ({meaning}): {self.text[:LONGEST_WORDS]}"
+        return f"ERR-{self.code} ({meaning}): {self.text[:MAX_TEXT]}"
 
 
 def parse(line: str) -> Reply:
     """Return a reply; raises `ProtocolError`."""
     found = re.fullmatch(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?", line.strip())
     if found is None:
-        raise ProtocolError(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
+        raise ProtocolError(f"no reply of T2SA: {clean(line[:MAX_TEXT])!r}")
     return Reply(found[1] == "ACK", int(found[2]), clean(found[3] or ""))
 
 
@@ -125,11 +125,9 @@ def position_of(reply: Reply, point: str) -> Array:
     commas = r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)"
     found = re.search(axes, reply.text) or re.search(commas, reply.text)
     if found is None:
-        raise ProtocolError(
-            f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}"
-        )
+        raise ProtocolError(f"no position x,y,z with decimal points: {reply.text[:MAX_TEXT]!r}")
     if point not in re.split(r"[\s;]+", reply.text[: found.start()]):
-        raise ProtocolError(f"the answer is not of point {point}: {reply.text[:LONGEST_WORDS]!r}")
+        raise ProtocolError(f"the answer is not of point {point}: {reply.text[:MAX_TEXT]!r}")
     form = r"\s*[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?\s*"
     values = [float(each) if re.fullmatch(form, each) else math.nan for each in found.groups()]
     # Beyond 1e9 it is beyond the reach of any tracker, in whichever unit.
@@ -150,7 +148,7 @@ class T2saTracker:
 
     HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
     MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
-    WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
+    WARM_POLL_S, WARM_S = 1.0, 300.0  # of the cell's time
     COMPARED = 5  # points of the list, from the first to the last
     SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
     NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
@@ -297,7 +295,7 @@ class T2saTracker:
             state = self._ask(self.LASER).text
         ends_s = self._clock.now_s() + self.WARM_S
         while "WARM" in state and self._clock.now_s() < ends_s:
-            self._clock.wait(self.WARM_LOOK_S)
+            self._clock.wait(self.WARM_POLL_S)
             state = self._ask(self.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
@@ -376,7 +374,7 @@ class T2saTracker:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
             error = TRACKER.no_reading if again else TRACKER.failed
-            act, operation = ACTS.get(alarm, ACT), self._spoken(command)
+            act, operation = ACTS.get(alarm, ACT), self._label(command)
             raise error(alarm, operation, reply.found, act=act, status=reply.code)
         return reply
 
@@ -396,11 +394,11 @@ class T2saTracker:
         if reply is not None:
             return reply
         if not measures:
-            raise self._lost("no answer in time", self._spoken(command))
+            raise self._lost("no answer in time", self._label(command))
         # It is halted, and no reply to it may be still to come.
         self._confirm(self.HALT, lambda reply: reply.accepted and not reply.is_result)
         self._confirm(self.LASER, lambda reply: reply.is_laser)
-        found = f"no answer to {self._spoken(command)} in {MEASURE_S:.1f} s"
+        found = f"no answer to {self._label(command)} in {MEASURE_S:.1f} s"
         raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=MEASURE_S)
 
     def _lost(self, found: str, operation: str) -> DeviceError:
@@ -411,11 +409,11 @@ class T2saTracker:
 
     def _confirm(self, command: str, answers: Callable[[Reply], bool]) -> None:
         if self._answer(command, answers) is None:
-            raise self._lost("no answer in time", self._spoken(command))
+            raise self._lost("no answer in time", self._label(command))
 
     def _answer(self, command: str, answers: Callable[[Reply], bool]) -> Reply | None:
         """Request, and drop all replies up to the one that answers; None where none comes."""
-        self._wire().send(command, self._spoken(command))
+        self._wire().send(command, self._label(command))
         deadline = Deadline(self._limit_s(command))
         while (reply := self._reply(deadline)) is not None and not answers(reply):
             pass
@@ -449,7 +447,7 @@ class T2saTracker:
         return MEASURE_S if command.startswith(self.MEASURE) else REPLY_S
 
     @staticmethod
-    def _spoken(command: str) -> str:
+    def _label(command: str) -> str:
         return command.partition(":")[0].strip("!?").lower().replace("_", " ")
 
 

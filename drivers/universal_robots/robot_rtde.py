@@ -67,7 +67,7 @@ ERRORS = {
 class UrRtdeRobot:
     """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
 
-    LIFE_EVERY_S = 0.2
+    HEARTBEAT_S = 0.2
     STARTED_S = 5.0  # wire deadline: from sending the script to its first word
     ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
     BRAKED_S = 2.0  # wire deadline: a script that brakes (stopj, 2 rad/s2) goes on
@@ -104,9 +104,9 @@ class UrRtdeRobot:
         self._order = Order(0, np.zeros(6), 0.0)
         self.rest_rad = np.zeros(6)  # where the robot was sent last, or was found
         self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
-        self._life_due_s = self._seen_s = 0.0
+        self._heartbeat_due_s = self._seen_s = 0.0
         self._asked_s = 0.0  # when the state of the last reading was asked for
-        self._under_way = self._stopped = self._started = False
+        self._moving = self._stopped = self._started = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
 
     # -- the port -----------------------------------------------------------------------------
@@ -120,7 +120,7 @@ class UrRtdeRobot:
             self._open_panels()
             identity = self._identify()
             self._check_remote()
-            self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
+            self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._check_wait)
             if state_error := self._link.next().problem(moving=False):
                 raise state_error
             self._end_former_script()
@@ -152,7 +152,7 @@ class UrRtdeRobot:
 
     def read(self) -> RobotReading:
         states = self._dwell()
-        still = not self._under_way and stands(states)
+        still = not self._moving and at_rest(states)
         return self._reading(states[-1], still=still)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> UrSweep:
@@ -204,18 +204,18 @@ class UrRtdeRobot:
         link = self.link()
         if (before := link.next()).runtime_state == Runtime.STOPPED and not self._started:
             return
-        if self._ours_plays(before):
+        if self._is_own_script(before):
             self._panel().ask("stop")
         for _ in polls(self.ENDED_S, LOOK_S):
             state = link.fresh()
-            if state.runtime_state == Runtime.STOPPED and stands([state]):
+            if state.runtime_state == Runtime.STOPPED and at_rest([state]):
                 self._started = False
                 return
         found, act = f"{state.runtime}, {self.ENDED_S:.0f} s after stop", self.STOP_IT
         expected = f"{Runtime.STOPPED} (stopped), at rest"
         raise ROBOT.refused("HC-B25", "connect", found, expected=expected, act=act)
 
-    def _ours_plays(self, before: UrState) -> bool:
+    def _is_own_script(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
 
         Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
@@ -237,7 +237,7 @@ class UrRtdeRobot:
         # The script may begin before these registers arrive, which must move nothing then.
         self._order = Order(0, link.fresh().joints_rad, 0.0, command=Order.NOTHING)
         link.write(self._order)
-        line = TcpLink(ROBOT, options.host, options.script_port, self._attend)
+        line = TcpLink(ROBOT, options.host, options.script_port, self._check_wait)
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
@@ -252,7 +252,7 @@ class UrRtdeRobot:
         finally:
             line.close()
         self._count, self._counted_s = state.count, state.by_s
-        self._under_way = False
+        self._moving = False
 
     def _check_tool(self, state: UrState) -> None:
         """Refuse a tool that is not the cell file's: the pose would be another point's."""
@@ -270,18 +270,18 @@ class UrRtdeRobot:
         if self._stopped:
             raise ROBOT.failed("HC-B21", "move", "the robot was stopped")
         self._open_panels()
-        self.look(self.link().next())
+        self.check_state(self.link().next())
         number = self._order.sequence % UrLink.MAX_NUMBER + 1
         self._order = Order(number, target_rad, speed_rad_s)
-        self._under_way, self._ended_s = True, None
+        self._moving, self._ended_s = True, None
         self.watch.start()
         self._seen_s = time.monotonic()
-        self.live()
+        self.heartbeat()
         return number
 
-    def live(self) -> None:
+    def heartbeat(self) -> None:
         """Give the script a sign of life."""
-        self._life_due_s = time.monotonic() + self.LIFE_EVERY_S
+        self._heartbeat_due_s = time.monotonic() + self.HEARTBEAT_S
         self.link().write(self._order)
 
     def acknowledged(self, number: int) -> bool:
@@ -298,14 +298,14 @@ class UrRtdeRobot:
                 code, words = ERRORS.get(state.error, ("HC-B20", "unknown"))
                 found, act = f"error {state.error} of the script: {words}", "see the panel, resume"
                 raise ROBOT.failed(code, "move", found, act=act, error=state.error)
-            self.look(state)
+            self.check_state(state)
         return states[-1].acknowledged == number
 
     def _check_health(self, state: UrState) -> None:
-        if state_error := state.problem(moving=self._under_way):
+        if state_error := state.problem(moving=self._moving):
             raise state_error
 
-    def look(self, state: UrState) -> None:
+    def check_state(self, state: UrState) -> None:
         """Raise `DeviceError` where a state forbids to go on."""
         self._check_health(state)
         if state.runtime_state != Runtime.PLAYING or state.session != self._session:
@@ -329,13 +329,13 @@ class UrRtdeRobot:
         for _ in polls(REST_S, LOOK_S):
             began_s, states = self._clock.pc_s(), self._dwell()
             for state in states:
-                self.look(state)
+                self.check_state(state)
             last = states[-1]
             arrived = np.abs(last.joints_rad - target_rad) <= self.AXIS_TOLERANCE_RAD
-            if bool(np.all(arrived)) and stands(states):
+            if bool(np.all(arrived)) and at_rest(states):
                 # The pose means something only with the tool that connect has verified.
                 self._check_tool(last)
-                self._under_way, self.rest_rad = False, target_rad
+                self._moving, self.rest_rad = False, target_rad
                 self._ended_s = began_s
                 return self._reading(last, still=True)
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
@@ -373,20 +373,20 @@ class UrRtdeRobot:
         """Brake a motion by the script; return at standstill, also while a stop is on."""
         begun_s = time.monotonic()
         self._order = replace(self._order, stop=Order.BRAKE)
-        self.live()
+        self.heartbeat()
         for _ in polls(REST_S):
             state = self.link().fresh(patiently=True)
             done = state.acknowledged == number and state.error in (STOPPED, LOST)
             ended = state.runtime_state != Runtime.PLAYING or done
             if ended and bool(np.all(np.abs(state.speeds_rad_s) <= self.STILL_RAD_S)):
                 break
-            self.live()
+            self.heartbeat()
         else:
             found = f"not at rest {time.monotonic() - begun_s:.1f} s after the brake"
             raise ROBOT.failed("HC-B71", "sweep", found, expected=f"at rest within {REST_S:g} s")
         self._order = replace(self._order, stop=Order.GO)
-        self.live()
-        self._under_way, self.rest_rad = False, state.joints_rad
+        self.heartbeat()
+        self._moving, self.rest_rad = False, state.joints_rad
 
     # -- wires --------------------------------------------------------------------------------
 
@@ -404,7 +404,7 @@ class UrRtdeRobot:
 
     def _open_panels(self) -> None:
         """Connect to the dashboard; where it has closed an idle connection meanwhile, again."""
-        self._dashboard = self._open_panel(self._dashboard, self._attend)
+        self._dashboard = self._open_panel(self._dashboard, self._check_wait)
         # The stop must get through while the run is already stopping.
         self._stop_line = self._open_panel(self._stop_line, ignore_stop)
 
@@ -418,12 +418,12 @@ class UrRtdeRobot:
     def _panel(self) -> Dashboard:
         return ROBOT.connected(self._dashboard)
 
-    def _attend(self) -> None:
+    def _check_wait(self) -> None:
         """Run in every wait on the wire."""
         self._clock.check()
         self.watch.feed()
-        if self.watch.active and time.monotonic() >= self._life_due_s:
-            self.live()
+        if self.watch.active and time.monotonic() >= self._heartbeat_due_s:
+            self.heartbeat()
 
     def _close_wires(self) -> None:
         for line in (self._link, self._dashboard, self._stop_line):
@@ -444,7 +444,7 @@ def script_text(session: int) -> bytes:
     )
 
 
-def stands(states: Sequence[UrState]) -> bool:
+def at_rest(states: Sequence[UrState]) -> bool:
     """Whether no joint moves, by speed and by spread."""
     joints_rad = np.array([state.joints_rad for state in states])
     speeds = np.abs([state.speeds_rad_s for state in states])
@@ -481,13 +481,13 @@ class UrSweep:
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad, self._wanted_rad_s = axis, end_rad, speed_rad_s
-        self._number, self._under_way = 0, False
+        self._number, self._moving = 0, False
 
     def __enter__(self) -> Self:
         """Set the speed; nothing moves."""
         robot = self._robot
         state = robot.link().fresh()
-        robot.look(state)
+        robot.check_state(state)
         self._fraction = state.speed_fraction
         self.speed_rad_s = self._wanted_rad_s * self._fraction
         self._target_rad = robot.rest_rad.copy()
@@ -499,7 +499,7 @@ class UrSweep:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Brake a motion under way."""
         self._robot.watch.stop()
-        if not self._under_way:
+        if not self._moving:
             return
         try:
             self._robot.brake(self._number)
@@ -512,13 +512,13 @@ class UrSweep:
     def kickoff(self) -> None:
         """Start the motion; return when the controller has the order."""
         self._number = self._robot.command(self._target_rad, self._wanted_rad_s)
-        self._under_way = True
+        self._moving = True
         self._robot.link().fresh()
 
     def collect(self) -> JointSample:
         """Return the joints as they left the controller after this call began."""
         before_s = self._clock.now_s()
-        self._robot.live()
+        self._robot.heartbeat()
         state = self._robot.link().fresh()
         after_s = self._clock.now_s()
         self._look(state)
@@ -527,10 +527,10 @@ class UrSweep:
     def complete(self) -> RobotReading:
         while not self.ended:
             self._clock.wait(self.POLL_S)
-            self._robot.live()
+            self._robot.heartbeat()
             self._look(self._robot.link().fresh())
         reading = self._robot.rest(self._target_rad)
-        self._under_way = False
+        self._moving = False
         return reading
 
     def _look(self, state: UrState) -> None:
@@ -601,9 +601,9 @@ class Release:
             states = [first, *(state for state in between if state.by_s <= by_s)]
             last, ended = states[-1], all(s.runtime_state == Runtime.STOPPED for s in states)
             # At rest no joint moves while the controller's time goes on.
-            if ended and stands(states) and last.timestamp_s > first.timestamp_s:
+            if ended and at_rest(states) and last.timestamp_s > first.timestamp_s:
                 return
-            self._hear(Deadline(0.0))
+            self._read_answer(Deadline(0.0))
         if link is None:
             raise self._unconfirmed("no connection by RTDE")
         fastest_deg_s = float(np.degrees(np.max(np.abs(last.speeds_rad_s))))
@@ -619,7 +619,7 @@ class Release:
             self._again_s = now_s + self.AGAIN_S
             self.stop()
 
-    def _hear(self, deadline: Deadline) -> None:
+    def _read_answer(self, deadline: Deadline) -> None:
         """Take note of what the dashboard has answered to the stops."""
         if self._panel is None:
             return
@@ -629,7 +629,7 @@ class Release:
             self._answer = error.found
 
     def _unconfirmed(self, found: str) -> DeviceError:
-        self._hear(Deadline(self.ANSWER_S))
+        self._read_answer(Deadline(self.ANSWER_S))
         return ROBOT.failed(
             "HC-B71",
             "close",

@@ -312,7 +312,7 @@ class _Reader:
             self._check_calls(statement)
 
     def _motion(self, statement: Statement) -> None:
-        self._stands.stands_at(())
+        self._stands.commanded_deg(())
         self._moves_in.setdefault(self._surely.program, statement.line)
         target, rest = _target(statement.tokens)
         clause = self._clause(rest)
@@ -324,7 +324,7 @@ class _Reader:
                 return
             self._frames.move(statement.line, clause)
             self._add({f"{statement.line}": inline}, statement)
-            self._stands.stands_at([f"{statement.line}"])
+            self._stands.commanded_deg([f"{statement.line}"])
             return
         self._places.add(target[0].start)
         if statement.head in self.JOINTWISE and self._stays(name, statement.line):
@@ -332,7 +332,7 @@ class _Reader:
         self._frames.move(statement.line, clause)
         meant = {each.name: each for each in self._meant(target)}
         self._add(meant, statement)
-        self._stands.stands_at(list(meant))
+        self._stands.commanded_deg(list(meant))
 
     def _joint_target(self, statement: Statement, inline: Datum) -> None:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""

@@ -399,7 +399,7 @@ class StrokeRule:
         self._shift_mm = (0.0, 0.0, 0.0)
         self._interrupted = 0  # the line of an interrupt that may move the robot at any time
 
-    def stands_at(self, keys: Sequence[str]) -> None:
+    def commanded_deg(self, keys: Sequence[str]) -> None:
         """Take a motion to one of some targets, or to a place that is not known: to none."""
         self._keys, self._shift_mm = keys, (0.0, 0.0, 0.0)
 
@@ -412,7 +412,7 @@ class StrokeRule:
             return [found for each in self._drills[statement.head] for found in self._from(each)]
         moves = any(token.word in self._moving for token in statement.tokens)
         if statement.head in BRANCHES or statement.is_label or moves:
-            self.stands_at(())
+            self.commanded_deg(())
         if moves and statement.is_at_any_time:
             self._interrupted = self._interrupted or statement.line
         return []

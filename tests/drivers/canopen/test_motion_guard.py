@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from drivers.canopen.motion_guard import Limits, MotionGuard, Proofs, SpeedGuard, Speeds
+from drivers.canopen.motion_guard import Limits, MotionGuard, SpeedBounds, SpeedGuard, Speeds
 from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
 from drivers.slide import ScaleGuard, Windows
@@ -393,7 +393,7 @@ def test_a_speed_that_is_no_number_is_a_contradiction() -> None:
 def test_durations_lie_between_the_looks() -> None:
     since_s, until_s = np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0, 5.0])
     position, speed = np.array([0.0, 1.0, 3.0, 2.5]), np.array([1.0, -1.0, 2.0, 3.0])
-    found = Proofs.of(since_s, until_s, position, speed)
+    found = SpeedBounds.of(since_s, until_s, position, speed)
 
     def values(each: Array) -> list[float]:
         return [float(value) for value in each]

@@ -190,7 +190,7 @@ def test_a_document_is_read_when_its_last_value_has_come() -> None:
 
 
 def test_a_stop_is_heard_before_its_channel_is_cleared() -> None:
-    """What a client has sent stays readable after it has gone, until EKI_Clear."""
+    """What a client has sent stays value_errors after it has gone, until EKI_Clear."""
     lines = lines_of("hilcell_eki")
     cycle = lines[lines.index("ENDIF") + 1 :]
     assert cycle[:2] == ["GONE = NOT $FLAG[911]", "HE_HEAR_STOPS ( )"]

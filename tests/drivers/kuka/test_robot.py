@@ -430,7 +430,7 @@ SIGN = "write $TIMER[10]"
 def test_each_motion_gets_signs_and_a_standing_robot_none(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(C3Controller, "SIGN_S", 0.0)
+    monkeypatch.setattr(C3Controller, "HEARTBEAT_S", 0.0)
     robot.move_to(TARGET_RAD, 30.0)
     assert peer.requests.count(SIGN) == 3  # one a look
     assert peer.variables["$TIMER[10]"] == "-1500"
@@ -446,7 +446,7 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(
 
 
 def test_a_late_pc_reports_that_before_the_robot_brakes() -> None:
-    assert HEARTBEAT_TIMEOUT_S > LATE_S + C3Controller.SIGN_S
+    assert HEARTBEAT_TIMEOUT_S > LATE_S + C3Controller.HEARTBEAT_S
 
 
 def test_a_robot_that_has_braked_by_itself_says_why(robot: KukaC3Robot, peer: KukaPeer) -> None:

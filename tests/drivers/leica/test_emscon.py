@@ -85,9 +85,9 @@ def test_settings_are_read_and_written_by_the_published_commands() -> None:
         "ORIENTATION": (13, 0, 15),
         "TRANSFORMATION": (15, 0, 16),
     }
-    assert emscon.spoken(Setting.MEASUREMENT_MODE.read) == "get measurement mode"
-    assert emscon.spoken(Setting.UNITS.write) == "set units"
-    assert emscon.spoken(Command.GO_POSITION) == "go position"
+    assert emscon.command_name(Setting.MEASUREMENT_MODE.read) == "get measurement mode"
+    assert emscon.command_name(Setting.UNITS.write) == "set units"
+    assert emscon.command_name(Command.GO_POSITION) == "go position"
 
 
 def test_a_result_is_the_published_bytes() -> None:
