@@ -118,17 +118,17 @@ class _Lines:
         )  # fmt: skip
 
     def approach(self) -> Influence:
-        """Return the larger of limit and measurement, there the whole way from side to side."""
+        """Return the larger of limit and measurement, of the whole distance between both sides."""
         limit_mm = self.log.cell.uncertainty.reversal_limit_mm
-        found = self.log.once_measured(reversal)
-        seen_mm, seen = 0.0, ""
-        if found is not None:
-            seen_mm = found.max_mm
-            seen = f"; {found.points} vertices from above: {seen_mm:.3f} mm"
-        how = f"programs approach from below on every axis, as the run did{seen}"
+        verdict = self.log.once_measured(reversal)
+        measured_mm, measured = 0.0, ""
+        if verdict is not None:
+            measured_mm = verdict.max_mm
+            measured = f"; {verdict.points} vertices from above: {measured_mm:.3f} mm"
+        how = f"programs approach from below on every axis, as the run did{measured}"
         if limit_mm:
-            how = f"limit ±{limit_mm:g} mm, programs approach from any side{seen}"
-            limit_mm = max(limit_mm, seen_mm)
+            how = f"limit ±{limit_mm:g} mm, programs approach from any side{measured}"
+            limit_mm = max(limit_mm, measured_mm)
         return _limit("Approach direction", how, limit_mm)
 
     def drift(self) -> Influence:

@@ -1,7 +1,7 @@
 """Causes of errors that nothing else explains: how each moves the poses, and which explains best.
 
 An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
-orientation, an arm that grew by its reach. A suspicion is a hint where to look, no proof.
+orientation, an arm that grew by its reach. A suspicion is a hint, no verification.
 
 The tracker is proven by its own nests, so a pose that comes out elsewhere is the robot's, its
 mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is judged as
@@ -188,7 +188,7 @@ class _Explained(NamedTuple):
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
     causes = patterns(arm, found.joints_rad)
-    if found.rail.any():  # a slide that stands elsewhere along it
+    if found.rail.any():  # a slide at another place along it
         column = np.tile(found.rail, len(found.joints_rad))[:, None]
         causes = [*causes, Pattern(Cause.STRIP, column, 1.0, "mm")]
     return _by_patterns(found, causes, noticed_by)

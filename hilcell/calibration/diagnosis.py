@@ -249,7 +249,7 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
     """Return smooth errors that the model may have left, columns (N, 3, K) of 0.05 mm each: the
     causes' own patterns, alike everywhere, and growing along x and along z.
 
-    Poses are visited in an order, so that such an error would look like a slope.
+    Poses are visited in an order, so such an error resembles a slope.
     """
     alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
     along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
@@ -374,8 +374,8 @@ def warm(log: Log) -> Suspicion | None:
 # -- the robot's base where it was measured, against where the cell file has it --------------------
 
 # Floor nests are known to each other: reflectors of another size in all of them leave their
-# distances as they are, and lift {W} with all that is measured in it. The base stands where it
-# stood, so it comes out lower or higher by the difference of the radii.
+# distances as they are, and lift {W} with all that is measured in it. The base has not
+# moved, so its measured height changes by the difference of the radii.
 
 
 def misplaced_base(log: Log) -> Suspicion | None:
@@ -412,8 +412,8 @@ def _balls(off_mm: Array) -> str:
 # -- the mount -------------------------------------------------------------------------------------
 
 # Both are compared with what links, zeros and a mount measured by hand explain, and with what the
-# instrument itself does: a turn of {B} about z, that axis 6's small circle leaves open, looks
-# like a reflector that sits sideways.
+# instrument itself does: a rotation of {B} about z, that axis 6's small circle leaves open,
+# resembles a reflector that is mounted sideways.
 
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 

@@ -66,7 +66,7 @@ class Validity(msgspec.Struct, frozen=True):
     orientations: list[list[list[float]]] = []
 
     def turned_deg(self, poses: Array) -> Array:
-        """Return by how much poses (N, 4, 4) in {B} are turned from the nearest of all (N,)."""
+        """Return the rotations (N,) of poses (N, 4, 4) in {B} from the nearest orientation."""
         known = (self.orientation, *self.orientations)
         angles_deg = [turned_deg(np.array(R), poses) for R in known]
         return np.asarray(np.min(angles_deg, axis=0))
@@ -84,7 +84,7 @@ class Validity(msgspec.Struct, frozen=True):
 class LostMotion(msgspec.Struct, frozen=True):
     """The lost motion of axes 1 to 6 when they reverse, and 1 sigma of it, in rad.
 
-    An axis that comes from above stands lower by it than one that comes from below. ``measured``
+    An axis that arrives from above is lower by it than one that arrives from below. ``measured``
     says that the run measured it, of axes 1 to 3.
     """
 
@@ -477,7 +477,7 @@ class _Checks:
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
             elif each.holds and not judged_again(each).holds:
-                yield f"{at}: is said to hold, but its figures do not: {each.figures_text}"
+                yield f"{at}: passes, but its figures fail: {each.figures_text}"
 
     @staticmethod
     def _is_covariance(found: Array) -> bool:

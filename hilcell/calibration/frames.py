@@ -2,7 +2,7 @@
 
 {L} tracker, {W} world, {B} robot base, {S} slide: ``T_W_L`` comes from the floor nests, ``T_W_B``
 at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests.
-The robot stands rigidly on the slide, so eq 17 gives every station's base frame.
+The robot is bolted to the slide, so eq 17 gives every station's base frame.
 
 How well a run knows its frames is a covariance (6, 6) of each: of the shift of the frame's origin
 (mm) and of a rotation vector about it (rad), with the axes of {W}, as in `hilcell.geometry.frames`.
@@ -202,7 +202,7 @@ def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
 def base_covariance(log: Log, station: Station) -> Array:
     """Return the covariance of {B} at ``station`` as it was carried there from the grid's station.
 
-    Nothing is carried at the grid's own: the grid's errors stand in the {B} measured there, and
+    Nothing is carried at the grid's own: the grid's errors are in the {B} measured there, and
     an error of that {B} moves grid and targets alike.
     """
     if station.name == log.cell.grid.station:

@@ -1,7 +1,7 @@
 """The calibration that a run makes: of its own grid, or a change of the one that it used.
 
 A re-check that measured a moved base keeps model and volume and changes the base frames. The robot
-stands rigidly on the slide, so the motion is the same in {B} at each station.
+is bolted to the slide, so the motion is the same in {B} at each station.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
     points = log.select("grid")
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
-    # A model that knows turns holds at more orientations than the grid's.
+    # Some models are valid at more orientations than the grid's.
     others = cell.plan.grid_orientations if MODELS[method].any_orientation else []
     further = [from_zyx(angles).tolist() for angles in others]
     values = {

@@ -1,11 +1,11 @@
 """The errors of a robot as a run has measured them: the grid's vertices, free poses and curves.
 
-Which vertices stand out: a smooth field, of second order in x, y and z, is fitted to all, and each
+Outlying vertices: a smooth field, of second order in x, y and z, is fitted to all, and each
 is judged by its studentized residual, divided by ``sqrt(1 - h)``, h its leverage, against the
 spread that the residuals show. A limit in mm would be knowledge about one robot.
 
 How alike the errors of two poses are (section 3.2, eq 8): similarity falls with the distance of
-joints; that of tool points stands for it only at one fixed orientation and configuration. One
+joints; that of tool points replaces it only at one fixed orientation and configuration. One
 nearly equal pair rules a mean of similarities, so means are taken of the differences.
 """
 
@@ -96,7 +96,7 @@ def vertex_ids(grid: Grid) -> list[PointId]:
 
 
 def outlying_vertices(log: Log) -> list[PointId]:
-    """Return the vertices whose error stands out, by more than a reading's deviation may be."""
+    """Return the outlying vertices, by more than a reading's deviation may be."""
     cell = log.cell
     found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
     return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
@@ -111,7 +111,7 @@ def grid_pairs(log: Log) -> Pairs:
 
 
 def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
-    """Return which (nx, ny, nz) of the errors (nx, ny, nz, 3) stand out, by more than ``least_mm``.
+    """Return which (nx, ny, nz) of errors (nx, ny, nz, 3) are outliers by more than ``least_mm``.
 
     The limit is the quantile that a sound grid exceeds once in a hundred, of the distance of three
     normal coordinates, at the spread that the median shows. The worst is taken out and the rest

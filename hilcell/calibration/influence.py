@@ -164,7 +164,7 @@ def combined_bounds(
 ) -> Bounds:
     """Return the bounds of targets at poses (N, 4, 4) in {W}.
 
-    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which stands at ``T_W_B``;
+    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which is at ``T_W_B``;
     its residual was estimated from ``model_samples`` poses that differ, None: it is known.
     """
     R = T_W_B[:3, :3]

@@ -201,7 +201,7 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
 def compared_reflectors(log: Log) -> list[MeasuredReflector]:
     """Return each reflector against the others; nothing where too few were measured."""
     points = list(log.measured(REFLECTOR))
-    fewest_reflectors = 3  # of two nobody can say which is off
+    fewest_reflectors = 3  # of two, either may be off
     if len(points) < fewest_reflectors:
         return []
     noise = run_noise(log)

@@ -165,13 +165,13 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
 
     def figures(self) -> list[Worst]:
         """Return each characteristic that was measured, where it is worst."""
-        worst, way = self.worst, self.distance
-        ends = f"{way.start} to {way.to}"
+        worst, distance = self.worst, self.distance
+        ends = f"{distance.start} to {distance.to}"
         found = [
             (AP, AP.symbol, worst.ap_pose, worst.ap_mm, worst.ap_u95_mm),
             (RP, RP.symbol, worst.rp_pose, worst.rp_mm, worst.rp_u95_mm),
-            (AD, AD.symbol, ends, abs(way.ad_mm), way.ad_u95_mm),
-            (RD, RD.symbol, ends, way.rd_mm, way.rd_u95_mm),
+            (AD, AD.symbol, ends, abs(distance.ad_mm), distance.ad_u95_mm),
+            (RD, RD.symbol, ends, distance.rd_mm, distance.rd_u95_mm),
         ]
         turns = ((of, worst_angle(self.orientation, of)) for of in (AP_ANGLES, RP_ANGLES))
         found += [(of, *angle) for of, angle in turns if angle is not None]
@@ -252,7 +252,7 @@ def commanded_mm(cell: Cell) -> dict[str, Array]:
 
 
 def velocity_percent(cell: Cell) -> float:
-    """Return the speed of the test, in percent of the rated one."""
+    """Return the speed of the test, in percent of the rated speed."""
     stated = cell.iso9283.velocity_percent
     return cell.robot.speed_percent if stated is None else stated
 

@@ -3,7 +3,7 @@
 The file is named in the cell's table of the procedure, and its content journalled when the run
 begins: the result is computed from the journal alone, also after the file is gone.
 
-Points of such a run stand in the calibration's {B}, with the noise of that visit: that of the
+Points of such a run are in the calibration's {B}, with the noise of that visit: that of the
 calibration's budget, lines that differ from point to point, and frames, which move all points of
 the run together.
 """
@@ -84,7 +84,7 @@ class CalibrationFile:
 
     @cached_property
     def status(self) -> CalibrationStatus | None:
-        """How it stands; None where its run is not there.
+        """Its status; None where its run is not there.
 
         A run in a copy of ``runs`` may have been revoked since in ``runs``.
         """
@@ -216,7 +216,7 @@ def calibration_in(log: Log) -> Calibration | None:
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     """Return the current calibration; where there is none, the newest that is not known to be bad.
 
-    A touched base is of a visit that ends when the run that looks for one homes the slide.
+    A touched base is of a visit that ends when the run that asks for one homes the slide.
     """
     gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
     rows = read_index(runs)
@@ -259,8 +259,8 @@ def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Pro
         return read_calibration(path).provenance
     except SettingsError:
         of_cell = (row.cell, row.simulated) == (cell.name, cell.simulation is not None)
-        wanted = status.usable or status.state == "in doubt"
-        if wanted and (of_cell or not row.readable):
+        needed = status.usable or status.state == "in doubt"
+        if needed and (of_cell or not row.readable):
             raise
         return None
 

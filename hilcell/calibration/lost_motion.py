@@ -1,12 +1,12 @@
-"""Lost motion of the joints: as measured, and what it costs on a straight way in to a hole.
+"""Lost motion of the joints: as measured, and what it costs on a straight path to a hole.
 
 A calibration is measured with every axis coming from below, so that lost motion cancels. Of N
 vertices that were approached from above as well, the differences between both sides are the
 Jacobian's columns times what each axis loses when it reverses. Axes 1 to 3, whose levers are
 metres, are estimated; the others are noise here.
 
-On a straight way some axes turn down, and stand elsewhere by their lost motion. That of the large
-axes is as measured, the rest is an uncertainty. On three simulated machines the straight way took
+On a straight path some axes reverse, and err by their lost motion. That of the large
+axes is as measured, the rest is an uncertainty. On three simulated machines the straight path took
 the tool .05 to .07 mm away in the mean; corrected, .014 to .031 mm were left.
 """
 
@@ -100,7 +100,7 @@ def lost_too_much(log: Log) -> Suspicion | None:
     return Suspicion(Cause.REVERSAL, found.lost_urad[axis], f"urad of axis {axis + 1}", noticed_by)
 
 
-# -- the cost of a straight way in to a hole ------------------------------------------------------
+# -- the cost of a straight path to a hole ---------------------------------------------------------
 
 TAKE_UP_RAD = 3e-4  # an axis that turns down by less has taken up a part of its play only
 
@@ -114,17 +114,17 @@ class StraightPath:
 
     @property
     def text(self) -> str:
-        """Return in words what was corrected and what is left."""
+        """Return how much was corrected and how much is left."""
         most_mm = float(lengths_mm(self.shift_mm).max())
         left_mm = float(bounds95_mm(self.covariance_mm2).max())
         return (
-            f"axes that turn down on the straight way in lose motion: corrected by up to "
+            f"axes that reverse on the straight path in lose motion: corrected by up to "
             f"{most_mm:.3f} mm; up to {left_mm:.3f} mm (95 %) comes on top of the bounds"
         )
 
 
 def straight_path(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightPath:
-    """Return what straight ways by joints (N, K, 6) of an arm at ``T_W_B`` cost at their ends."""
+    """Return what straight paths by joints (N, K, 6) of an arm at ``T_W_B`` cost at their ends."""
     end_rad = straight_rad[:, -1]
     fall_rad = straight_rad.max(axis=1) - end_rad
     turns_down = end_rad < straight_rad[:, -2]

@@ -72,7 +72,7 @@ def systematic_mm2(stated: UncertaintyTable, at_mm: Array) -> Array:
 
 
 NOISE, WORLD = "Tracker, reading noise", "World frame"
-STEEL_EXPANSION_PER_K = 11.5e-6  # of what stands between {W} and the points
+STEEL_EXPANSION_PER_K = 11.5e-6  # of the structure between {W} and the points
 
 
 @dataclass(frozen=True, slots=True)

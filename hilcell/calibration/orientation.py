@@ -155,7 +155,7 @@ def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Orienta
 def validated_orientation_errors(
     log: Log, stations: Sequence[str]
 ) -> dict[Sent, OrientationErrors]:
-    """Return the largest errors of each target at ``stations`` by the way of sending."""
+    """Return the largest errors of each target at ``stations`` as sent."""
     seats = seats_of(log)
     if seats is None:
         return {}

@@ -52,7 +52,7 @@ def position_errors(log: Log, points: list[Point]) -> Errors:
 
 
 def targets(log: Log, station: str, how: Sent) -> list[Point]:
-    """Return the targets of a station sent in one way, each by its largest measured error.
+    """Return the targets of a station, sent as ``how``, each by its largest measured error.
 
     So a target that is measured again, whatever the reason, cannot make the figures smaller.
     """

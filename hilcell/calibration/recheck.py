@@ -1,12 +1,12 @@
-"""Whether a calibration still holds, judged by a few corrected poses measured again.
+"""Whether a calibration is still valid, judged by a few corrected poses measured again.
 
 Of N errors e (3N values) the calibration predicts the covariance C: that of each pose by itself
 (model, one visit, reading) and that of frames, which move all of them together. Generalised
 least squares splits ``e' C^-1 e`` into a part of 6 degrees of freedom, explained by a small motion
 of the robot's base, and the rest, of 3N - 6; both are chi^2 where nothing has changed. A rest that
 is too large asks for a new calibration, a motion that is too large for an update of the base frame.
-A reflector that slipped on its mount is a shift in {T}: poses of one orientation do not tell it
-from one of the base, turned poses do.
+A reflector that slipped on its mount is a shift in {T}: poses of one orientation do not
+distinguish it from one of the base, reoriented poses do.
 The motion is the mean of its posterior: C has the uncertainty of the frames, so that noise of {W}
 alone moves no base.
 """
@@ -35,7 +35,7 @@ from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
 KIND = "recheck"  # of the points, key of result and verdict
-RISK = 0.01  # that a calibration which holds is not found to
+RISK = 0.01  # that a valid calibration is judged invalid
 MOTION, SLIP = 6, 3  # degrees of freedom
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
@@ -142,7 +142,7 @@ class Judgement:
 
     @property
     def base(self) -> Array:
-        """Return the base as it stands now (4, 4) in the {B} of the calibration."""
+        """Return the present base (4, 4) in the {B} of the calibration."""
         return matrix(from_rotvec(self.motion[3:]), self.motion[:3])
 
 

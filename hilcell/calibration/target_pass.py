@@ -1,6 +1,6 @@
 """A pass over targets: errors as measured, and their residuals folded into the calibration.
 
-Targets that no others support, by more than `GROSS` standard deviations, are left out and named.
+Targets that no others support, by more than 5 standard deviations, are left out and named.
 Errors that share a motion which the calibration does not predict are not its targets': nothing is
 folded in where the base, the slide or the mount has moved.
 """
@@ -32,7 +32,7 @@ KIND = "targets"
 
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
-    """Return names and values (N, 6) in {W} of the targets, once they stand in the journal."""
+    """Return names and values (N, 6) in {W} of the targets, once the journal has them."""
     for found in log.happened(TargetsListed):
         values: Array = np.array(found.values, dtype=float)
         return found.names, values
@@ -47,7 +47,7 @@ def target_points(log: Log) -> list[Point]:
 
 
 def gross_targets(log: Log) -> list[str]:
-    """Return the targets that stand out from all others."""
+    """Return the outliers."""
     points, (this, poses) = target_points(log), _pass(log)
     residuals = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
     sigmas = residuals.sigmas()
@@ -159,13 +159,13 @@ def moved_together(log: Log) -> Judgement | None:
     """Return the judgement of a motion that all targets share; None where it holds.
 
     Fewer targets than a re-check takes are not judged. Errors of the model are alike at targets
-    that lie near each other, so that many tell no more than `APART` do.
+    that lie near each other, so that many tell no more than ten do.
     """
     points = target_points(log)
     if len(points) < FEWEST:
         return None
     found = as_predicted(log, points, points[0].station)
-    apart = 10  # targets of which each stands for itself, as in a re-check
+    apart = 10  # targets that count as independent, as in a re-check
     own_mm2 = found.own_mm2 * max(1.0, len(points) / apart)
     judgement = judged(replace(found, own_mm2=own_mm2))
     return None if judgement.moved.holds else judgement

@@ -1,6 +1,6 @@
 """The tip at which targets are given: of a tool of the cell file, or the reflector's centre.
 
-A calibration knows the reflector's frame {T}. A tool's tip {D} stands at a fixed pose in {T}, so a
+A calibration knows the reflector's frame {T}. A tool's tip {D} has a fixed pose in {T}, so a
 target of {D} is one of {T}, and is corrected as such: in orientation too, where several reflectors
 were measured. With one reflector the flange's turn is not known; over the lever between reflector
 and tip it is a part of the bounds. (The turn that the kinematics of one reflector would predict is
@@ -57,14 +57,14 @@ class Tip:
 
     @property
     def standoff_mm(self) -> float:
-        """Return how far it is kept from the part between holes, if nothing else is ordered."""
+        """Return the stand-off from the part between holes, unless another is given."""
         if self.table is None:
             return self.REFLECTOR_STANDOFF_MM
         return self.table.standoff_mm or self.table.least_standoff_mm
 
     @property
     def least_standoff_mm(self) -> float:
-        """Return the shortest stand-off that may be ordered."""
+        """Return the shortest allowed stand-off."""
         return STANDOFF_MORE_MM if self.table is None else self.table.least_standoff_mm
 
     @property

@@ -40,8 +40,8 @@ from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_m
 from hilcell.model.point import Point, PointId
 from hilcell.model.suspicion import Suspicion
 
-# A target recognition finds reflectors by direction. Where a nest stands behind or before the
-# flange in its line of sight, the instrument chooses neither, or the wrong one.
+# Target recognition locates reflectors by direction. Where a nest is behind or before the flange in
+# its line of sight, the instrument chooses neither, or the wrong one.
 
 
 def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:

@@ -1,8 +1,8 @@
-"""Whether a calibration may be used here and now: sign, validation, cell, age, temperature.
+"""Whether a calibration may be used: sign, validation, cell, age, temperature.
 
 Volume and orientation are judged target by target in `hilcell.calibration.file`. A calibration
-with the wrong sign looks sound and doubles every error, so one that was not proven on the cell is
-refused; so is one whose validation failed or was not made, unless somebody accepts that.
+with the wrong sign doubles every error and nothing in it shows that, so one whose sign was not
+verified on the cell is refused; so is one without a passed validation, unless that is accepted.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def out_of_tolerance(
     """Return why a calibration is not known to be in tolerance, with the figures.
 
     ``limits`` are those of the cell; None is those that it was judged by. ``settled`` are keys of
-    verdicts that somebody has decided on since.
+    verdicts that an operator has decided on since.
     """
     if not calibration.verdicts:
         return ["its correction was never validated: its run ended before, or measures none"]

@@ -247,7 +247,7 @@ def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
     """Raise `ModelError` where an array of a shape (..., 3, 3) is no covariances."""
     if found.shape != shape or not np.isfinite(found).all():
         counts = " x ".join(map(str, shape))
-        raise ModelError(f"{name}: wanted {counts} finite numbers")
+        raise ModelError(f"{name}: expected {counts} finite numbers")
     largest = float(np.abs(found).max())
     most_mm2 = 1e4  # beyond is no uncertainty of a robot's error
     if not largest <= most_mm2:

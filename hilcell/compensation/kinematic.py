@@ -62,7 +62,7 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             name: _numbers(f"robot.{name}", getattr(self, name), (6,), MOST_MM) for name in names
         }
         if not (np.abs(rows["sign"]) == 1.0).all():
-            raise ModelError("robot.sign: wanted 1 or -1")
+            raise ModelError("robot.sign: expected 1 or -1")
         if self.status not in range(8):
             raise ModelError(f"robot.status {self.status}, expected 0 .. 7")
         return NominalRobot(
@@ -397,5 +397,5 @@ def _numbers(name: str, found: object, shape: tuple[int, ...], most: float) -> A
         raise ModelError(f"{name}: no numbers: {error}") from error
     if values.shape != shape or not (np.abs(values) <= most).all():
         counts = " x ".join(map(str, shape)) or "one"
-        raise ModelError(f"{name}: wanted {counts} finite numbers within +-{most:g}")
+        raise ModelError(f"{name}: expected {counts} finite numbers within +-{most:g}")
     return values

@@ -65,7 +65,7 @@ class Program(Protocol):
     A format inherits from it what its language does not state.
     """
 
-    in_root: bool = False  # whether targets stand in the robot's root {B}, else in {W}
+    in_root: bool = False  # whether targets are in the robot's root {B}, else in {W}
 
     @property
     def names(self) -> list[str]:
@@ -89,7 +89,7 @@ class Program(Protocol):
     def with_positions(self, positions: Array, remark: str = "") -> Mapping[str, bytes]:
         """Return the files by name, with other x, y, z (N, 3), or with a, b, c besides (N, 6).
 
-        A remark that is not empty stands as a comment in each; nothing else differs.
+        A remark is a comment in each, unless it is empty; nothing else differs.
         """
 
     @property
@@ -195,7 +195,7 @@ def write_program(
 @dataclass(frozen=True, eq=False)
 class Places:
     """N poses of a tool's tip in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg; and
-    how the nominal arm stands there: ``joints_rad`` (N, 6), ``status`` (N,).
+    the nominal arm there: ``joints_rad`` (N, 6), ``status`` (N,).
     """
 
     values: Array

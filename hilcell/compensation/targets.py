@@ -98,9 +98,9 @@ class CsvText:
     def header(self) -> list[str]:
         return self.rows[0][1] if self.rows else []
 
-    def surplus(self, count: int, wanted: int) -> str:
-        """Return what may have split a row into more fields than wanted; may be nothing."""
-        if count > wanted and self.separator == ",":
+    def surplus(self, count: int, expected: int) -> str:
+        """Return the likely cause of more fields than expected, or ""."""
+        if count > expected and self.separator == ",":
             return "; where a decimal comma has split numbers, separate fields by semicolons"
         return ""
 
@@ -307,13 +307,13 @@ def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
     """Return in words what is wrong with a header, compared with that which is most like it."""
     if any("\t" in each for each in header):
         return "; its fields are separated by tabs: save it with commas or semicolons"
-    wanted = max(headers, key=lambda each: len({*each} & {*header}))
-    missing = [each for each in wanted if each not in header]
-    unknown = [_shown(each) for each in header if each not in wanted]
+    expected = max(headers, key=lambda each: len({*each} & {*header}))
+    missing = [each for each in expected if each not in header]
+    unknown = [_shown(each) for each in header if each not in expected]
     words = [f"missing: {', '.join(missing)}"] if missing else []
     words += [f"unknown: {', '.join(unknown)}"] if unknown else []
     if not words:
-        words = ["a column twice" if len(header) > len(wanted) else "in another order"]
+        words = ["a column twice" if len(header) > len(expected) else "in another order"]
     return f" ({'; '.join(words)})" if any(header) else ""
 
 

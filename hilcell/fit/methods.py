@@ -172,7 +172,7 @@ class AtPoints:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rows by pose and reflector: ``at`` (N, 2) says where each row stands in the readings."""
+    """Rows by pose and reflector: ``at`` (N, 2) says the place of each row in the readings."""
 
     readings: Readings
     at: Ints
@@ -500,14 +500,14 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
     most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
     if len(struck) <= most_struck * len(rows):
         return
-    look = "the robot's and the tracker's state during the measurement"
+    suspect = "the robot's and the tracker's state during the measurement"
     target, own = Counter(rows.target[n] for n in struck).most_common(1)[0]
     if len(set(rows.target)) > 1 and 2 * own > len(struck):
-        look = f"reflector {target}, {own} of them: it may have moved on the flange"
+        suspect = f"reflector {target}, {own} of them: it may have moved on the flange"
     raise FitError(
         f"{rows.source}: {len(struck)} of {len(rows)} training rows contradict the others, "
-        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and "
-        "measure again"
+        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; check {suspect}, "
+        "and measure again"
     )
 
 

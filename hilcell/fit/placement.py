@@ -1,4 +1,4 @@
-"""Where a measured robot stands and carries its reflectors, found with nominal kinematics.
+"""Base and reflectors of a measured robot, by nominal kinematics.
 
 Rows that nominal kinematics miss absurdly are another robot's, or in other units. Suppositions
 that would make them fit are tried, and the one that does is named.

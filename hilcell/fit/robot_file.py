@@ -33,8 +33,8 @@ Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 class Robot:
     """A robot's nominal kinematics, from whatever file.
 
-    ``arm`` has its tool point on the flange behind the sixth row, ``base`` (4, 4) is where it
-    stands in the robot's root frame, ``tool`` (4, 4) on the flange the frame that targets are meant
+    ``arm`` has its tool point on the flange behind the sixth row, ``base`` (4, 4) is its
+    base in the robot's root frame, ``tool`` (4, 4) on the flange the frame that targets are meant
     for. The joints' limits (2, 6) are infinite where none are stated.
     """
 

@@ -1,6 +1,6 @@
 """URDF files: the six-axis arm in one, and the same file with another arm in it.
 
-URDF has metres and radians; beyond this module are mm. The chain is the way from the root link to
+URDF has metres and radians; beyond this module are mm. The chain leads from the root link to
 one tip: six revolute joints, any number of fixed ones. A joint's frame in a `Chain` includes the
 fixed joints before it; when a chain is written, these keep their origins.
 
@@ -74,7 +74,7 @@ class JointText:
             rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
             if not np.abs(rpy_rad).max() <= most_rotation_rad:
                 raise ValueError(
-                    f"origin rpy {origin['rpy']!r} turns by more than 2 pi: wanted radians"
+                    f"origin rpy {origin['rpy']!r} is more than 2 pi: expected radians"
                 )
             R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
             step = matrix(R, xyz_m * MM)
@@ -224,10 +224,10 @@ class Urdf(Robot):
     def with_chain(self, chain: Chain, comment: Sequence[str]) -> bytes:
         """Return the file with the origins of a chain of its axes, see `Chain.beside`."""
         origins, done = [], np.eye(4)
-        wanted = iter(chain.origins)
+        origin = iter(chain.origins)
         for joint, step in zip(self.joints, self.steps, strict=True):
             if joint.kind in REVOLUTE:
-                origins.append((joint, _origin_tag(inverse(done) @ next(wanted))))
+                origins.append((joint, _origin_tag(inverse(done) @ next(origin))))
                 done = np.eye(4)
             else:
                 done = done @ step
@@ -316,32 +316,32 @@ def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
     tips = [tip] if tip else sorted(set(above) - parents)
     if not tips:
         raise NotUrdf("its links form a loop: no link is a tip" if text.joints else "has no joint")
-    ways = {tip: _way_to(tip, above) for tip in tips}
-    good = [tip for tip in tips if not _unfit(ways[tip])]
+    chains = {tip: _joints_to(tip, above) for tip in tips}
+    good = [tip for tip in tips if not _unfit(chains[tip])]
     if len(good) == 1:
-        return ways[good[0]]
+        return chains[good[0]]
     if good:
         raise NotUrdf(f"several chains of six joints end in {_list(good)}: say which, --tip LINK")
-    longest = max(tips, key=lambda tip: len(ways[tip]))
+    longest = max(tips, key=lambda tip: len(chains[tip]))
     others = f"; tips: {_list(tips)}; where an earlier link ends the arm, --tip LINK names it"
-    raise NotUrdf(f"the chain to {longest} {_unfit(ways[longest])}{'' if tip else others}")
+    raise NotUrdf(f"the chain to {longest} {_unfit(chains[longest])}{'' if tip else others}")
 
 
-def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
+def _joints_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
     """Return the joints from the root to a link."""
-    way: list[JointText] = []
+    joints: list[JointText] = []
     link = tip
     while link in above:
-        if len(way) > len(above):
+        if len(joints) > len(above):
             raise NotUrdf(f"its links form a loop through {link}")
-        way.append(above[link])
+        joints.append(above[link])
         link = above[link].end("parent")
-    return way[::-1]
+    return joints[::-1]
 
 
-def _unfit(way: list[JointText]) -> str:
+def _unfit(joints: list[JointText]) -> str:
     """Return why joints are no arm of six revolute joints, or nothing."""
-    moving = [joint for joint in way if joint.kind != "fixed"]
+    moving = [joint for joint in joints if joint.kind != "fixed"]
     strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
     mimics = [joint.name for joint in moving if "mimic" in joint.parts]
     if strange:
@@ -460,17 +460,17 @@ class Chain:
         """Return a chain that moves as this one, with axes of ``nominal`` and frames near its own.
 
         Each joint's frame is the nominal one, turned the least that brings its axis parallel to the
-        wanted one, and shifted the least that brings its origin onto it.
+        other one, and shifted the least that brings its origin onto it.
         """
         found, near = self.frames, nominal.frames
         frames = found.copy()
         for joint in range(6):
-            wanted = found[joint, :3, :3] @ self.axes[joint]
+            axis = found[joint, :3, :3] @ self.axes[joint]
             R = near[joint, :3, :3]
             on_axis, origin = found[joint, :3, 3], near[joint, :3, 3]
             frames[joint] = matrix(
-                _turn(R @ nominal.axes[joint], wanted) @ R,
-                on_axis + np.dot(origin - on_axis, wanted) * wanted,
+                _turn(R @ nominal.axes[joint], axis) @ R,
+                on_axis + np.dot(origin - on_axis, axis) * axis,
             )
         steps = inverse(frames[:6]) @ frames[1:]
         return Chain(np.concatenate([frames[:1], steps[:5]]), nominal.axes, steps[5])
@@ -497,7 +497,7 @@ def _dh_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, 
     normal = np.array([-along[1], along[0], 0.0]) / np.hypot(along[0], along[1])
     a = float(normal @ point_mm)
     a = a if abs(a) > no_length_mm else 0.0
-    # No row goes a negative way, nor, where it goes none, turns by over 90 deg.
+    # No row has a negative length, nor, without length, an angle over 90 deg.
     aback = normal[0] < -no_length_mm or (normal[0] < no_length_mm and normal[1] < 0.0)
     if a < 0.0 or (a == 0.0 and aback):
         normal, a = -normal, abs(a)

@@ -5,10 +5,10 @@ segment from a box is the least value of a convex function of one number, so it 
 Lengths mm, angles rad.
 
 That an arm on a slide keeps a clearance on a motion is proven, and not only sampled. A posture is
-(7,): where the slide stands in mm, and six joints in rad; on a motion all seven go in step. Between
+(7,): the slide's place in mm, and six joints in rad; on a motion all seven go in step. Between
 two postures no point of the arm travels farther than its levers allow (`levers_mm`). So a posture
-that has more clearance than wanted, by half of that, proves the motion around it; where it has
-less, the motion is halved and both halves are looked at. A motion counts as clear only when the
+that has more clearance than required, by half of that, proves the motion around it; where it has
+less, the motion is halved and both halves are checked. A motion counts as clear only when the
 parts that are proven make up the whole: a posture that is no number proves nothing.
 """
 
@@ -115,7 +115,7 @@ def clearance_mm(
 
     ``shift_mm`` (N, V, 3) is how far each box sees the capsules moved, its axes.
     Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
-    there are ``enough_mm`` (N, C), the sphere's own clearance stands for the capsule's.
+    there are ``enough_mm`` (N, C), the sphere's clearance is returned.
     """
     origins = boxes.into[:, :3, 3] + shift_mm
     middle = (ends_mm[..., 0, :] + ends_mm[..., 1, :]) / 2
@@ -170,7 +170,7 @@ def _lengths(vectors: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """Which motions (N,) are proven clear, and at which share of the way the others are not."""
+    """Which motions (N,) are proven clear, and at which share of the motion the others are not."""
 
     clear: Bools
     share: Array
@@ -180,7 +180,7 @@ class Proof:
 class Tightest:
     """The least clearance that was found on a motion: by which capsule from which box, and where.
 
-    ``box`` counts those that stand, then those that ride.
+    ``box`` counts the fixed boxes, then the carried ones.
     """
 
     clearance_mm: float
@@ -191,13 +191,13 @@ class Tightest:
 
 @dataclass(frozen=True)
 class Body:
-    """An arm with its shape, among boxes that stand in {W} and boxes that ride on its slide.
+    """An arm with its shape, among boxes fixed in {W} and boxes carried by its slide.
 
     ``base`` is {B} in {W} (4, 4) with the slide at 0, ``direction`` (3,) that of the slide in {W};
     carried boxes are given in {B}.
     """
 
-    RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
+    RESOLUTION_MM = 1.0  # a motion that is nearer than this to the required clearance is not proven
 
     arm: Arm
     capsules: Capsules

@@ -9,7 +9,7 @@ Two families of six-axis arms that plants have are solved in closed form. Both a
 turns about the vertical, two parallel links in a plane, and a last part that turns by
 ``Rz(q) Ry(-theta 5) Rz(theta 6)`` within it. With a spherical wrist axes 4 to 6 meet in the wrist
 centre, and q is theta 4. With three parallel axes (Universal Robots) axis 4 is parallel to 2 and 3,
-and q is the sum of these three angles; the arm then stands beside the plane.
+and q is the sum of these three angles; the arm is then beside the plane.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def solved(arm: Arm, poses: Array, status: int) -> tuple[Array, Array]:
     """
     family = _family(arm)
     if status not in range(8):
-        raise ReachError(f"status {status}: wanted 0 .. 7")
+        raise ReachError(f"status {status}: expected 0 .. 7")
     theta, excess_mm = family.solve(arm, poses @ inverse(arm.tool), status)
     return wrapped(arm.sign * (theta - arm.offset_rad)), excess_mm
 
@@ -97,7 +97,7 @@ class _Family(Protocol):
         zeros = (("a", self.zero_a, arm.a_mm), ("d", self.zero_d, arm.d_mm))
         return [
             name
-            for name, found, wanted in (
+            for name, found, expected in (
                 ("alpha", arm.alpha_rad, self.alpha_rad),
                 ("beta", arm.beta_rad, np.zeros(6)),
                 *(
@@ -106,7 +106,7 @@ class _Family(Protocol):
                 ),
                 ("offset of axis 5", arm.offset_rad[4], 0.0),
             )
-            if not bool(np.all(np.abs(found - wanted) <= rounding))
+            if not bool(np.all(np.abs(found - expected) <= rounding))
         ]
 
     def elbow(
@@ -185,7 +185,7 @@ class _SphericalWrist(_Family):
 
 
 class _ParallelAxes(_Family):
-    """Axes 2 to 4 are parallel (Universal Robots); the arm stands beside the plane of its links."""
+    """Axes 2 to 4 are parallel (Universal Robots); the arm is beside the plane of its links."""
 
     name = "three parallel axes"
     alpha_rad = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
@@ -340,9 +340,9 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
     refined_mm, refined_rad = 1e-7, 1e-10
     for _ in range(101):
-        wanted, found = poses[~arrived], forward(arm, joints[~arrived])
-        rotation = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
-        error = np.hstack([wanted[..., :3, 3] - found[..., :3, 3], to_rotvec(rotation)])
+        target, found = poses[~arrived], forward(arm, joints[~arrived])
+        rotation = target[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
+        error = np.hstack([target[..., :3, 3] - found[..., :3, 3], to_rotvec(rotation)])
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
         there = (shift <= refined_mm) & (turn <= refined_rad)
         arrived[~arrived] = there

@@ -174,13 +174,13 @@ def axis_motion(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     offset_s, clock_s = _clock(time_s, window_s)
     joint_rad = middle_rad + speed_rad_s * (time_s + offset_s - middle_s)
     separation_s = float(np.median(np.diff(time_s)))
-    wanted = round((time_s[-1] - time_s[0]) / separation_s) + 1
-    lost = wanted - len(time_s)
+    expected = round((time_s[-1] - time_s[0]) / separation_s) + 1
+    lost = expected - len(time_s)
     lost_share = 0.25
-    if not lost <= lost_share * wanted:
+    if not lost <= lost_share * expected:
         raise BadStream(
-            f"{lost} of {wanted} samples never came, expected <= {100 * lost_share:g} %: see the "
-            "beam's way and the tracker's link"
+            f"{lost} of {expected} samples never came, expected <= {100 * lost_share:g} %: check "
+            "the beam's path and the tracker's link"
         )
     clock_s = float(np.hypot(clock_s, read_s))
     return Motion(joint_rad, angle_rad - joint_rad, speed_rad_s, clock_s, lost)

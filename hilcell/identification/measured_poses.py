@@ -92,7 +92,7 @@ def count_poses(joints_rad: Array) -> int:
 
 
 def places_of(joints_rad: Array) -> Array:
-    """Return where each row (N,) stands in a scattered order of the poses, from 0 to less than 1.
+    """Return the place of each row (N,) in a scattered order of the poses, from 0 to less than 1.
 
     One part of the order holds poses of the whole space.
     """
@@ -165,8 +165,8 @@ class Noise:
         """
         rows = np.repeat(known, 3, axis=1)
         found = float(np.sum(np.where(rows, weighted, 0.0) ** 2))
-        wanted = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
-        reading = self._step(self.reading_mm, found, wanted, self.TYPICAL_MM)
+        expected = float(np.sum(np.where(rows, np.einsum("mii->mi", precision), 0.0)))
+        reading = self._step(self.reading_mm, found, expected, self.TYPICAL_MM)
         pose = self.pose_mm
         if pose > 0.0:
             of_pose = self._components(self._shifts(known), weighted, precision)
@@ -196,8 +196,8 @@ class Noise:
     def _components(factors: Array, weighted: Array, precision: Array) -> tuple[Array, Array]:
         """Return y'P V P y and tr P V (J,) of the sources V = F F' by their factors (M, 3K, J)."""
         found = np.sum(np.einsum("mij,mi->mj", factors, weighted) ** 2, axis=0)
-        wanted = np.sum(factors * (precision @ factors), axis=(0, 1))
-        return found, wanted
+        expected = np.sum(factors * (precision @ factors), axis=(0, 1))
+        return found, expected
 
     @staticmethod
     def _joined(by_joint: Array, known: Bools) -> Array:
@@ -211,9 +211,9 @@ class Noise:
         return shifts.reshape(len(known), -1, 3)
 
     @staticmethod
-    def _step(sigma: float, found: float, wanted: float, typical: float) -> float:
+    def _step(sigma: float, found: float, expected: float, typical: float) -> float:
         """Return sigma after a step, drawn to the typical value by an inverse chi^2."""
         doubt = 4.0  # readings' worth of data that the typical value counts for
         found += doubt * typical**2 / sigma**4
-        wanted += doubt / sigma**2
-        return float(sigma * (found / wanted) ** 0.25)
+        expected += doubt / sigma**2
+        return float(sigma * (found / expected) ** 0.25)

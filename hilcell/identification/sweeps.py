@@ -1,6 +1,6 @@
 """From two sweeps of one axis, upwards and downwards, to its transmission curve.
 
-A lag between both streams looks like a constant error of the joint, of opposite sign in the two
+A lag between both streams resembles a constant error of the joint, of opposite sign in the two
 directions, and shifts the curve along the joint by as much. So the constants tell the lag, as far
 as lost motion lets them, and the lines of both directions improve it. The constant of a curve, its
 slope and its long waves are never used: frames, kinematics and gravity are in them, too.
@@ -127,7 +127,7 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     if not found.differ_rad <= DIFFERS * largest_rad:
         reason = (
             f"the directions differ by a line of {found.differ_rad * 1e6:.1f} urad, the largest "
-            f"that they share has {largest_rad * 1e6:.1f} urad: wanted <= {100 * DIFFERS:g} %"
+            f"that they share has {largest_rad * 1e6:.1f} urad: expected <= {100 * DIFFERS:g} %"
         )
     seen = replace(
         without_curve(axis, reason, lines.shift.rad / speed_rad_s),
@@ -209,7 +209,7 @@ class Records:
         return self.joint_rad + shift_rad * self.side - self.middle_rad
 
     @cached_property
-    def ways(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def directions(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the numbers of the samples upwards and downwards."""
         return np.flatnonzero(self.side > 0), np.flatnonzero(self.side < 0)
 
@@ -425,9 +425,9 @@ class Explained:
             np.einsum("pf,pf->f", *pair)
             for pair in ((cosine, cosine), (cosine, sine), (sine, sine))
         )
-        wanted = np.stack([right.real, right.imag], axis=1)
-        amplitude = np.linalg.solve(normal - _symmetric(*taken), wanted[..., None])[..., 0]
-        return cls(np.einsum("fi,fi->f", wanted, amplitude), np.array(amplitude, dtype=float))
+        products = np.stack([right.real, right.imag], axis=1)
+        amplitude = np.linalg.solve(normal - _symmetric(*taken), products[..., None])[..., 0]
+        return cls(np.einsum("fi,fi->f", products, amplitude), np.array(amplitude, dtype=float))
 
 
 class Trial:
@@ -440,14 +440,16 @@ class Trial:
         oversampled = 4  # trial frequencies in one width of a line
         self.cycles = records.frequencies(oversampled)
         self.apart = slice(None, None, oversampled)  # of them, as good as independent
-        self._ways, angle_rad = records.ways, records.angle_rad(0.0)
+        self._directions, angle_rad = records.directions, records.angle_rad(0.0)
         half = records.smooth.shape[1] // 2
         self._waves, self._squares, self._smooth = list[Complex](), list[Complex](), list[Complex]()
-        for n, way in enumerate(self._ways):
-            waves, squares = self._even_waves(angle_rad[way])
+        for n, samples in enumerate(self._directions):
+            waves, squares = self._even_waves(angle_rad[samples])
             self._waves.append(waves)
             self._squares.append(squares)
-            self._smooth.append(self._sums(records.smooth[way, n * half : (n + 1) * half], waves))
+            self._smooth.append(
+                self._sums(records.smooth[samples, n * half : (n + 1) * half], waves)
+            )
 
     def explained(self, known: Known, shift: Shift) -> tuple[Explained, Explained]:
         """Return what waves of both directions explain, and those of opposite sign in them."""
@@ -455,8 +457,8 @@ class Trial:
         turns = (up, up.conj())
         rows = np.column_stack([known.waves, known.left_rad])
         sums = [
-            self._sums(rows[way], waves) * turn
-            for way, waves, turn in zip(self._ways, self._waves, turns, strict=True)
+            self._sums(rows[samples], waves) * turn
+            for samples, waves, turn in zip(self._directions, self._waves, turns, strict=True)
         ]
         smooth = [each * turn for each, turn in zip(self._smooth, turns, strict=True)]
         squares = self._squares[0] * up**2 + self._squares[1] * up.conj() ** 2
@@ -580,7 +582,7 @@ def spectral_noise(powers_rad2: Array, cycles: Array) -> Noise:
     """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
 
     They are exponentially distributed; maximum likelihood by Fisher's scoring, in which single
-    ones that stand out count little.
+    outliers count little.
     """
     mean = np.maximum(powers_rad2 / 2.0, 1e-24)
     X = _powers_of_log(cycles)

@@ -22,7 +22,7 @@ class Outcome(StrEnum):
     """The outcome of a figure, a point, a station or a run, the gravest first.
 
     ``text`` and ``short`` are for people, ``decision`` names the uncertainty as well,
-    ``decided`` stands between a figure and its limit.
+    ``decided`` is the text between a figure and its limit.
     """
 
     text: str

@@ -15,7 +15,7 @@ from hilcell.model.frame import Frame
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Measurements alike in a row, how many and how long in all; none: the way to the next."""
+    """Measurements alike in a row, how many and how long in all; none: the motion to the next."""
 
     kind: str
     measured: int  # with those of control points, which no plan counts as points
@@ -23,7 +23,7 @@ class Span:
 
     @property
     def each_s(self) -> float:
-        """Return how long one measurement takes, or the way."""
+        """Return how long one measurement takes, or the motion."""
         return self.duration_s / max(1, self.measured)
 
 

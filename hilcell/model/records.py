@@ -1,7 +1,7 @@
 """The records of a journal: each kind as a type, decoded from its plain JSON.
 
 A record is what was acknowledged: it is never changed. Its fact is made of it when it is first
-asked for: most readers look at a few kinds only.
+asked for: most readers use a few kinds only.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class OrientationFigures(StepResult, frozen=True, kw_only=True):
 
 
 class SentErrors(StepResult, frozen=True, kw_only=True):
-    """3D errors (mm) of targets that were sent in one way; their mean 95 % bound, and the share of
-    them that keeps its own.
+    """3D errors (mm) of targets that were sent alike; their mean 95 % bound, and the share of them
+    that keeps its own.
     """
 
     mean: float
@@ -78,8 +78,9 @@ class Decided(StepResult, frozen=True, kw_only=True):
 
 
 class Place(StepResult, frozen=True, kw_only=True):
-    """The targets of one station, or of several together: corrected ones, and all by their way of
-    sending. A quick plan sends none by the paper's method.
+    """The targets of one station, or of several together: corrected ones, and all by `Sent`.
+
+    A quick plan sends none by the paper's method.
     """
 
     points: int
@@ -93,9 +94,9 @@ class Place(StepResult, frozen=True, kw_only=True):
 
     @property
     def sent(self) -> Mapping[Sent, SentErrors]:
-        """Return the errors by the way of sending, in the order of sending."""
-        ways = {Sent.BEFORE: self.before, Sent.IDW: self.idw, Sent.CHOSEN: self.chosen}
-        return {way: errors for way, errors in ways.items() if errors is not None}
+        """Return the errors in the order of sending."""
+        errors = {Sent.BEFORE: self.before, Sent.IDW: self.idw, Sent.CHOSEN: self.chosen}
+        return {how: each for how, each in errors.items() if each is not None}
 
 
 class Repeated(StepResult, frozen=True, kw_only=True):

@@ -3,7 +3,7 @@
 They are known again by their points, too, where their stamp was lost. A spreadsheet drops the
 column with the stamp, a controller strips comments from a program; a second correction would then
 take the error off twice. So each correction leaves its points in the folder of the run whose
-calibration it used, and targets that stand at such points are refused. For a calibration that lies
+calibration it used, and targets at such points are refused. For a calibration that lies
 alone the folder of runs itself keeps them.
 """
 
@@ -318,7 +318,7 @@ class Memory:
 
         found = KDTree(known[:, :3]).query(places_mm)
         same, nearest = np.asarray(found[0]) <= self.SAME_MM, np.asarray(found[1])
-        rounded_mm = 0.09  # or to one: then most of a list stands at points of before
+        rounded_mm = 0.09  # or to one: then most of a list is at earlier points
         far = np.flatnonzero(known[:, 3] >= self.FAR * rounded_mm)
         if not same.any() and len(far):
             off_mm, nearest_far = KDTree(known[far, :3]).query(places_mm)

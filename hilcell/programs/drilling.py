@@ -1,11 +1,11 @@
-"""From corrected targets to the program of their station: base, tool, stand-off and clear ways.
+"""From corrected targets to the program of their station: base, tool, stand-off and clear paths.
 
 Nothing but the holes and the cell's boxes is known of a part. So it is taken to lie behind the
 plane of each hole, as far as that hole is the nearest one and not farther than `REACH_MM`; and a
 box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it, unless the box
 sticks out in front of that hole. The tool's tip is in front of all else of the tool, so it is
 judged against both, and so is the arm as far as its wrist; the wrist, and the line from the flange
-to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight way,
+to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight path,
 the tip may be near to such a box, but not in it. Lengths mm, angles rad.
 """
 
@@ -34,7 +34,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
-NEAR_SHARE = 0.5  # of the stand-off, that ways between holes keep at least
+NEAR_SHARE = 0.5  # of the stand-off, that paths between holes keep at least
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part
 
 
@@ -47,8 +47,8 @@ class Drilling:
     tip: Tip
     standoff_mm: float
 
-    STEP_MM = 5.0  # between places of a straight way at which joints are computed
-    DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where ways need it
+    STEP_MM = 5.0  # between places of a straight path at which joints are computed
+    DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where paths need it
 
     @property
     def arm(self) -> Arm:
@@ -109,10 +109,10 @@ def station_program(
 ) -> StationProgram:
     """Return the program for commands (N, 6) of the tip in {W}, as a list states them.
 
-    Between holes the tip keeps half of the stand-off at least. Where the direct way is not clear,
+    Between holes the tip keeps half of the stand-off at least. Where the direct path is not clear,
     it is drawn back farther first, at the hole before, at the next one, or at both. At each
     stand-off it comes from below on every axis, by ``robot.approach_deg``, as every pose of the
-    calibration did. Raises `HilcellError` where the arm leaves its limits, or no way is clear.
+    calibration did. Raises `HilcellError` where the arm leaves its limits, or no path is clear.
     """
     robot = drilling.cell.robot
     straight_rad = drilling.straight_rad(names, command)
@@ -124,8 +124,8 @@ def station_program(
     )  # fmt: skip
     problems = [
         f"{name}: {why}"
-        for name, below, off, way in zip(names, below_rad, off_rad, straight_rad, strict=True)
-        if (why := clearance.refusal(below, off) or clearance.straight_refusal(way))
+        for name, below, off, path in zip(names, below_rad, off_rad, straight_rad, strict=True)
+        if (why := clearance.refusal(below, off) or clearance.straight_refusal(path))
     ]
     safe_rad = np.radians(robot.safe_deg)
     from_safe_mm = lengths_mm(command[:, :3] - drilling.places(safe_rad[None]).values[:, :3])
@@ -135,14 +135,14 @@ def station_program(
     for n, (start, end) in enumerate(
         zip([safe_rad, *off_rad], [*below_rad, safe_rad], strict=True)
     ):
-        stops, why = _way(clearance, start, end, *map(drilling.drawn_back_rad, holes[n : n + 2]))
+        stops, why = _path(clearance, start, end, *map(drilling.drawn_back_rad, holes[n : n + 2]))
         via.append(drilling.places(np.array(stops).reshape(-1, 6)))
         if why:
-            to = f"the way to {names[n]}" if n < len(names) else "the way back to the safe pose"
+            to = f"the path to {names[n]}" if n < len(names) else "the path back to the safe pose"
             problems.append(f"{to}: {why}")
     if problems:
         raise HilcellError(
-            f"{station}: ways of its program are not clear:\n{indented(problems)}\n"
+            f"{station}: paths of its program are not clear:\n{indented(problems)}\n"
             "change --standoff, robot.safe_deg, the holes or keep_out of the cell file",
             code="HC-C10",
         )
@@ -164,18 +164,18 @@ def station_program(
     )
 
 
-def _way(
+def _path(
     clearance: Clearance, start: Array, end: Array, before: Iterable[Array], after: Iterable[Array]
 ) -> tuple[list[Array], str]:
-    """Return the stops (M, 6) of a clear way between joints (6,), and why there is none, or "".
+    """Return the stops (M, 6) of a clear path between joints (6,), and why there is none, or "".
 
     ``before`` and ``after`` are joints (6,) at which the tip is drawn back from the holes at the
-    way's start and end, nearest first; they are asked for only where the direct way is not clear.
+    path's start and end, nearest first; they are asked for only where the direct path is not clear.
     """
 
     def refusal(stops: Sequence[Array]) -> str:
-        ways = pairwise([start, *stops, end])
-        return next(filter(None, (clearance.refusal(*each) for each in ways)), "")
+        motions = pairwise([start, *stops, end])
+        return next(filter(None, (clearance.refusal(*each) for each in motions)), "")
 
     if not (direct := refusal([])):
         return [], ""
@@ -212,8 +212,8 @@ class Clearance:
 
     TO_WRIST = 4  # links; those after them work close to the part
     AT_HOLE_MM = 1.0  # of a hole: there the tip may touch what it drills
-    LOOK_MM = 5.0  # between looks along a way
-    LOOKS = 9  # by which a way's length is estimated
+    SAMPLE_MM = 5.0  # between samples along a path
+    SAMPLES = 9  # by which a path's length is estimated
 
     def __init__(
         self, cell: Cell, station: Station, arm: Arm, T_W_B: Array, part: Part, least_mm: float
@@ -240,7 +240,7 @@ class Clearance:
 
     def refusal(self, start_rad: Array, end_rad: Array) -> str:
         """Return why a motion of all joints in step between (6,) and (6,) is not clear, or ""."""
-        tip_mm = self._looks_mm(start_rad, end_rad)
+        tip_mm = self._sampled_mm(start_rad, end_rad)
         free_mm = float(self._part.free_mm(tip_mm).min())
         if not free_mm >= self._least_mm:
             where = "inside" if free_mm < 0.0 else "in front of"
@@ -253,14 +253,14 @@ class Clearance:
         )
 
     def straight_refusal(self, joints_rad: Array) -> str:
-        """Return why a straight way by joints (K, 6) to a hole is not clear, or ""."""
+        """Return why a straight path by joints (K, 6) to a hole is not clear, or ""."""
         tip_mm = self._tip_mm(joints_rad)
         before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > self.AT_HOLE_MM
         *_, end_mm = free_mm = self._part.free_mm(tip_mm)  # commands lie beside their holes
         deepest_mm = float(free_mm.min())
         if not deepest_mm >= min(float(end_mm), 0.0) - self.AT_HOLE_MM:
             return (
-                f"the tip is {-deepest_mm:.1f} mm inside the part on its straight way in: behind "
+                f"the tip is {-deepest_mm:.1f} mm inside the part on its straight path in: behind "
                 "the plane of another hole"
             )
         return (
@@ -272,7 +272,7 @@ class Clearance:
     def _tool_passes_through(self, joints_rad: Array) -> str:
         """Return which box the line from flange to tip is in, of those that carry no hole."""
         x_mm = self._arm.tool[:3, 3]
-        shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / self.LOOK_MM))
+        shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / self.SAMPLE_MM))
         flanges = forward(self._arm, joints_rad) @ inverse(self._arm.tool)
         line_mm = np.concatenate([np.outer(shares, x_mm).T, np.ones((1, len(shares)))])
         places_mm = np.swapaxes((flanges @ line_mm)[:, :3], 1, 2).reshape(-1, 3)
@@ -300,13 +300,13 @@ class Clearance:
                 )
         return ""
 
-    def _looks_mm(self, start_rad: Array, end_rad: Array) -> Array:
+    def _sampled_mm(self, start_rad: Array, end_rad: Array) -> Array:
         """Return places (K, 3) of the tip in {W} along a motion."""
-        way_rad = end_rad - start_rad
-        rough_mm = self._tip_mm(start_rad + np.linspace(0.0, 1.0, self.LOOKS)[:, None] * way_rad)
+        path_rad = end_rad - start_rad
+        rough_mm = self._tip_mm(start_rad + np.linspace(0.0, 1.0, self.SAMPLES)[:, None] * path_rad)
         length_mm = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(rough_mm))
-        shares = np.linspace(0.0, 1.0, 2 + int(np.ceil(length_mm / self.LOOK_MM)))
-        return self._tip_mm(start_rad + shares[:, None] * way_rad)
+        shares = np.linspace(0.0, 1.0, 2 + int(np.ceil(length_mm / self.SAMPLE_MM)))
+        return self._tip_mm(start_rad + shares[:, None] * path_rad)
 
     def _tip_mm(self, joints_rad: Array) -> Array:
         return apply(self._T_W_B, forward(self._arm, joints_rad)[:, :3, 3])

@@ -86,7 +86,7 @@ class Holes:
             return []
         axes = self.tools[:, 0, :, 2] * (twin_mm / twin_rad)
         places = np.hstack([self.points_mm, axes])
-        none = len(places)  # stands for no neighbour
+        none = len(places)  # means no neighbour
         near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=twin_mm)[1])
         pairs = {
             (min(n, other), max(n, other))

@@ -5,7 +5,7 @@ reach it, and the slide moves only when the next hole is out of reach. Travel is
 holes of one station; between stations the robot is at its safe pose.
 
 A hole is reached in the cell's configuration, for which its errors are known, with room to the
-joints' limits. The tracker must see it wherever the robot stands, so range depends on the hole
+joints' limits. The tracker must see it from wherever the robot is, so range depends on the hole
 alone. Where holes are planned for a calibration, its `Volume` says which poses it corrects at each
 station; `compensate` refuses what is outside of it: neither contradicts the other.
 """

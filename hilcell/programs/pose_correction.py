@@ -210,14 +210,14 @@ class Reach:
         """Return joints (N, 6), which were found, which in several postures, each (N,): searched
         from measured poses nearby until ``enough`` lead there.
         """
-        wanted = inverse(self.base) @ poses
+        in_base = inverse(self.base) @ poses
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
         several = np.zeros(len(poses), dtype=bool)
         same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
         other_rad = 0.01  # of a joint: two postures, not two roundings of one
         for start in np.swapaxes(self._nearest(poses), 0, 1):
             left = np.flatnonzero(count < enough)
-            found, arrived = refined(self.arm, wanted[left], start[left])
+            found, arrived = refined(self.arm, in_base[left], start[left])
             good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
             at, found = left[good], found[good]
             apart_rad = np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi))

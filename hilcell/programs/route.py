@@ -111,12 +111,12 @@ class _Search:
         self._tour: list[int] = [*order.tolist(), self._hub]
         self._place = [0] * len(self._tour)
         self._number(0, len(self._tour))
-        self._queue: dict[int, None] = {}  # nodes around which to look, the latest first
+        self._queue: dict[int, None] = {}  # nodes to improve around, the latest first
         self._chance = random.Random(1)  # noqa: S311 - no secret
 
     def run(self, good_mm: float, kicks_per_hole: int) -> Ints:
         """Shorten until ``good_mm`` or all kicks are spent; another run goes on from there."""
-        self._look_at(self._tour)
+        self._enqueue(self._tour)
         length_mm = self._length() - self._shortened()
         best_mm, best = length_mm, self._tour.copy()
         kicks = kicks_per_hole * self._hub
@@ -154,36 +154,36 @@ class _Search:
         """Replace edges a-b, c-d by a-c, b-d where that shortens; return the gain."""
         rows, tour, place = self._rows, self._tour, self._place
         size, row = len(tour), rows[a]
-        for way in (1, -1):
-            b = tour[(place[a] + way) % size]
+        for step in (1, -1):
+            b = tour[(place[a] + step) % size]
             for c in self._near[a]:
                 first = row[b] - row[c]
                 if first <= self.NEGLIGIBLE_MM:
                     break
-                d = tour[(place[c] + way) % size]
+                d = tour[(place[c] + step) % size]
                 gain = first + rows[c][d] - rows[b][d]
                 if gain > self.NEGLIGIBLE_MM:
-                    self._reverse(*((b, c) if way > 0 else (a, d)))
-                    self._look_at((a, b, c, d))
+                    self._reverse(*((b, c) if step > 0 else (a, d)))
+                    self._enqueue((a, b, c, d))
                     return gain
         return 0.0
 
     def _or_opt(self, a: int) -> float:
         """Move a stretch that ends in a between c and a neighbour of c; return the gain."""
-        for way in (1, -1):
+        for step in (1, -1):
             stretch = [a]
             for _ in range(self.LONGEST_STRETCH):
-                gain = self._moved(stretch, way)
+                gain = self._moved(stretch, step)
                 if gain > 0:
                     return gain
-                stretch.append(self._tour[(self._place[stretch[-1]] - way) % len(self._tour)])
+                stretch.append(self._tour[(self._place[stretch[-1]] - step) % len(self._tour)])
         return 0.0
 
-    def _moved(self, stretch: list[int], way: int) -> float:
+    def _moved(self, stretch: list[int], step: int) -> float:
         """Put ``stretch`` with its first node beside c where that shortens; return the gain."""
         rows, tour, place = self._rows, self._tour, self._place
         size, a, e = len(tour), stretch[0], stretch[-1]
-        b, p = tour[(place[a] + way) % size], tour[(place[e] - way) % size]
+        b, p = tour[(place[a] + step) % size], tour[(place[e] - step) % size]
         if b in stretch or p in stretch or b == p:
             return 0.0
         out = rows[a][b] + rows[e][p] - rows[p][b]
@@ -197,7 +197,7 @@ class _Search:
                 gain = out - rows[a][c] - rows[e][d] + rows[c][d]
                 if gain > self.NEGLIGIBLE_MM and d not in stretch:
                     self._insert(stretch, c, d)
-                    self._look_at((a, b, c, d, e, p))
+                    self._enqueue((a, b, c, d, e, p))
                     return gain
         return 0.0
 
@@ -235,10 +235,10 @@ class _Search:
         a, b, c, d, e, f = ends
         tour[i + 1 : k + 1] = tour[j + 1 : k + 1] + tour[i + 1 : j + 1]
         self._number(i + 1, k + 1)
-        self._look_at(ends)
+        self._enqueue(ends)
         return rows[a][b] + rows[c][d] + rows[e][f] - rows[a][d] - rows[e][b] - rows[c][f]
 
-    def _look_at(self, nodes: Iterable[int]) -> None:
+    def _enqueue(self, nodes: Iterable[int]) -> None:
         self._queue.update(dict.fromkeys(nodes))
 
     def _number(self, low: int, high: int) -> None:
@@ -392,7 +392,7 @@ class Stars:
 
 
 class _Growth:
-    """A blossom on its way to a star: shells of one node a tooth, put on outside, then inside."""
+    """A blossom that grows to a star: shells of one node a tooth, put on outside, then inside."""
 
     MOST_SHELLS = 12  # in each direction
     HELD = 0.05  # share by which a node must hang on a tooth to join it

@@ -72,7 +72,7 @@ class StationJob:
     """The holes of one station: its plan, and its corrected targets of the tool's tip.
 
     ``program`` are its files by name, ``sent`` the points (N, 6) of each kind in it: at the holes,
-    at the stand-offs, on the way to these. ``stroke`` says in words what a drill stroke adds at
+    at the stand-offs, on the path to these. ``stroke`` states what a drill stroke adds at
     most; between holes the tip is ``standoff_mm`` in front of the part.
     """
 

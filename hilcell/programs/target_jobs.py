@@ -50,7 +50,7 @@ from hilcell.sanitize import counted
 class TargetFiles:
     """Corrected targets, to be written as the list or the ``program`` at ``source`` states them.
 
-    ``positions`` (N, 3), or poses (N, 6), stand in the program, ``header`` and ``rows`` in the
+    ``positions`` (N, 3), or poses (N, 6), are those of the program, ``header`` and ``rows`` of the
     list; ``frame`` says in words what they are taken in.
     """
 
@@ -290,13 +290,13 @@ class StationTargets(TargetFiles):
         """
         if stated is None:
             return
-        wanted = inverse(calibration.base(station))
+        expected = inverse(calibration.base(station))
         places = targets[:, :3]
-        off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(wanted, places))
+        off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(expected, places))
         worst = float(off_mm.max())
         base_mm = 0.05  # at the targets: numbers of a program are rounded
         if not worst <= base_mm:
-            numbers = zyx_from_pose(wanted[None])[0]
+            numbers = zyx_from_pose(expected[None])[0]
             words = ",".join(
                 f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
             )
@@ -351,20 +351,20 @@ class StrokeLimits(NamedTuple):
     source: str
 
     def worst_miss(
-        self, ways: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array,
+        self, paths: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array,
         names: Sequence[str],
     ) -> StrokeMiss:  # fmt: skip
         """Return the largest of all; raises `StrokeError` naming those over ``most_mm`` (N,)."""
         bad, worst = list[str](), StrokeMiss()
-        for way, missed, most, name in zip(ways, missed_mm, most_mm.tolist(), names, strict=True):
-            way_mm = way[-1] - way[0]
-            direction = way_mm / max(float(np.linalg.norm(way_mm)), ROUNDING_MM)
+        for path, missed, most, name in zip(paths, missed_mm, most_mm.tolist(), names, strict=True):
+            path_mm = path[-1] - path[0]
+            direction = path_mm / max(float(np.linalg.norm(path_mm)), ROUNDING_MM)
             along_mm = missed @ direction
             across_mm = lengths_mm(missed - along_mm[:, None] * direction)
             found = StrokeMiss(float(across_mm.max()), float(np.abs(along_mm).max()))
             worst = StrokeMiss(*map(max, worst, found))
             if not (found.across_mm <= most and found.along_mm <= most):
-                depth_mm = float(lengths_mm(way)[across_mm.argmax()])
+                depth_mm = float(lengths_mm(path)[across_mm.argmax()])
                 bad.append(
                     f"{name}: {found.across_mm:.3f} mm across at {depth_mm:.0f} mm from the point, "
                     f"{found.along_mm:.3f} mm along; expected <= {most:.3f} mm, {self.source}"
@@ -398,10 +398,10 @@ def check_strokes(
 ) -> StrokeMiss:
     """Return by how far strokes miss the line that their target's nominal pose states.
 
-    A stroke keeps the correction of the target before it, so it misses by as much as the error on
-    its way differs from that at the target, and where angles are corrected by as much as the stroke
-    is turned with them. The calibration's model is asked every `STEP_MM` of the way: the ripple of
-    gears passes within some millimetres, an end can be good by chance. ``targets`` (N, 6) are
+    A stroke keeps the correction of the target before it, so it misses by the difference of the
+    error on its path from that at the target, and, where angles are corrected, by the rotation of
+    the stroke with them. The calibration's model is asked every `STEP_MM` of the path: the ripple
+    of gears passes within some millimetres, an end can be good by chance. ``targets`` (N, 6) are
     nominal, ``command`` (N, 6) corrected, poses of the ``tip`` in {W}. Raises `StrokeError` naming
     the strokes that lead too far, end outside of the calibrated volume, or miss by more than
     ``limits``.
@@ -426,13 +426,13 @@ def check_strokes(
         calibration.grid().check_inside(ends_mm, names)
     except OutsideGrid as error:
         raise StrokeError(f"strokes that end outside: {error}") from error
-    ways = [_way(each) for each in strokes]
-    missed_mm = _missed(calibration, T_B_W, targets[at], command[at], ways, tip)
+    paths = [_places(each) for each in strokes]
+    missed_mm = _missed(calibration, T_B_W, targets[at], command[at], paths, tip)
     most_mm = np.broadcast_to(limits.miss_mm, len(targets))[at]
-    return limits.worst_miss(ways, missed_mm, most_mm, names)
+    return limits.worst_miss(paths, missed_mm, most_mm, names)
 
 
-def _way(stroke: Stroke) -> Array:
+def _places(stroke: Stroke) -> Array:
     """Return places (K, 3) of a stroke, relative to its target, in {W}, `STEP_MM` apart."""
     length_mm = float(np.linalg.norm(np.subtract(stroke.shift_mm, stroke.from_mm)))
     return np.linspace(stroke.from_mm, stroke.shift_mm, max(2, ceil(length_mm / STEP_MM) + 1))
@@ -443,18 +443,18 @@ def _missed(
     T_B_W: Array,
     starts: Array,
     command: Array,
-    ways: Sequence[Array],
+    paths: Sequence[Array],
     tip: Tip,
 ) -> list[Array]:
-    """Return how far places of ``ways`` (K, 3) from nominal ``starts`` (N, 6) are missed in {W}."""
-    counts = [len(each) for each in ways]
+    """Return the misses in {W} of places of ``paths`` (K, 3) from nominal ``starts`` (N, 6)."""
+    counts = [len(each) for each in paths]
     places = np.repeat(starts, counts, axis=0)
-    places[:, :3] += np.concatenate(ways)
+    places[:, :3] += np.concatenate(paths)
     model = calibration.error_model()
     errors_mm = model.predict(T_B_W @ poses_from_zyx(places) @ tip.T_D_T).error_mm
     at_start_mm = model.predict(T_B_W @ poses_from_zyx(starts) @ tip.T_D_T).error_mm
     change_mm = (errors_mm - np.repeat(at_start_mm, counts, axis=0)) @ T_B_W[:3, :3]  # in {W}
     turn = poses_from_zyx(command)[:, :3, :3] @ poses_from_zyx(starts)[:, :3, :3].swapaxes(1, 2)
-    sent_mm = [way @ each.T for way, each in zip(ways, turn, strict=True)]
-    total_mm = change_mm + np.concatenate(sent_mm) - np.concatenate(ways)
+    sent_mm = [path @ each.T for path, each in zip(paths, turn, strict=True)]
+    total_mm = change_mm + np.concatenate(sent_mm) - np.concatenate(paths)
     return np.split(total_mm, np.cumsum(counts)[:-1])

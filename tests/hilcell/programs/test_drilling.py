@@ -56,7 +56,7 @@ def test_wrist_and_tool_work_close_to_it() -> None:
 
 
 def straight(*boxes: KeepOut, aside_mm: float = 0.0) -> str:
-    """Return why a straight way along the tool's z to a hole is refused; a second hole may lie 40
+    """Return why a straight path along the tool's z to a hole is refused; a second hole may lie 40
     mm in front of it, ``aside_mm`` beside.
     """
     T = forward(ARM, HOME_RAD)
@@ -81,7 +81,7 @@ def straight(*boxes: KeepOut, aside_mm: float = 0.0) -> str:
 def test_a_straight_way_keeps_in_front_of_the_plane_of_other_holes() -> None:
     assert straight() == ""
     assert straight(aside_mm=200.0) == ""
-    assert "inside the part on its straight way" in straight(aside_mm=10.0)
+    assert "inside the part on its straight path" in straight(aside_mm=10.0)
 
 
 def test_the_line_from_flange_to_tip_keeps_out_of_boxes_on_the_straight_way() -> None:

@@ -113,7 +113,7 @@ def test_search_keeps_its_books(seed: int, count: int) -> None:
     points = scattered(seed, count)
     search = _Search(cdist(points, points), np.random.default_rng(seed).permutation(count))
     before = search._length()
-    search._look_at(range(count + 1))
+    search._enqueue(range(count + 1))
     gain = search._shortened()
     assert search._length() == pytest.approx(before - gain, abs=1e-6)
     for place, node in enumerate(search._tour):

@@ -1,4 +1,4 @@
-"""What a straight way costs: only axes that turn down on it stand elsewhere."""
+"""The cost of a straight path: only axes that reverse on it err."""
 
 from __future__ import annotations
 
