@@ -15,7 +15,7 @@ from distributed import Client, LocalCluster, as_completed
 
 from benchmarks.words import parser
 from hilcell.cell.file import Cell, load_cell
-from hilcell.study.case import measured, packed, versions
+from hilcell.study.case import calibrate_case, encode_cell, versions
 from hilcell.study.cluster import local_workers
 from hilcell.study.design import Case, Choice, Point
 
@@ -30,11 +30,11 @@ EMPTY = 3000
 
 def rate(values: Mapping[str, str]) -> tuple[float, int]:
     """Return cases a second of processor after a first one, and the points of a case."""
-    cell, here = packed(load_cell("paper", values)), versions()
-    points = int(measured(cell, 1, 1, here).figures["points"])
+    cell, here = encode_cell(load_cell("paper", values)), versions()
+    points = int(calibrate_case(cell, 1, 1, here).figures["points"])
     began_s = time.process_time()
     for machine in range(2, 2 + MACHINES):
-        assert measured(cell, machine, 1, here).state == "done"
+        assert calibrate_case(cell, machine, 1, here).state == "done"
     return MACHINES / (time.process_time() - began_s), points
 
 
@@ -43,7 +43,7 @@ def handed_over_a_second(cell: Cell) -> float:
 
     Workers of a cluster together cannot measure more; scheduler and client share this process.
     """
-    content = packed(cell)
+    content = encode_cell(cell)
     with (
         LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -69,7 +69,9 @@ def wall_s(workers: int, cell: Cell) -> float:
         for numbers in (range(1, 1 + 2 * workers), range(100, 100 + CASES)):
             began_s = time.perf_counter()
             cases = [Case(n, Point(1, nothing), machine=n, seed=1) for n in numbers]
-            assert len(list(pool.measure((case, packed(cell)) for case in cases))) == len(cases)
+            assert len(list(pool.measure((case, encode_cell(cell)) for case in cases))) == len(
+                cases
+            )
         return time.perf_counter() - began_s
 
 

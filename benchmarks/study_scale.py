@@ -20,11 +20,11 @@ from unittest.mock import patch
 
 from benchmarks.words import parser
 from hilcell.study.analysis import answers
-from hilcell.study.case import RESULTS, measured, packed, versions
-from hilcell.study.cluster import workers_of
+from hilcell.study.case import RESULTS, calibrate_case, encode_cell, versions
+from hilcell.study.cluster import scheduler_workers
 from hilcell.study.results import Results
-from hilcell.study.runner import perform
-from hilcell.study.study_file import cell_of, read_study
+from hilcell.study.runner import run_study
+from hilcell.study.study_file import read_study, study_cell
 
 REAL = 60
 STUDY = """
@@ -102,13 +102,13 @@ def many_cases() -> None:
             with (
                 dask(*work, ready="Registered to") as (_, one),
                 dask(*work, ready="Registered to") as (_, two),
-                workers_of(address, print) as workers,
+                scheduler_workers(address, print) as workers,
                 results.held(),
             ):
                 processes = {"client": os.getpid(), "scheduler": scheduler, "worker": one}
                 before_s = {each: processor_s(pid) for each, pid in processes.items()}
                 began_s = time.perf_counter()
-                counts = perform(results, workers, lambda _: None)
+                counts = run_study(results, workers, lambda _: None)
                 took_s = time.perf_counter() - began_s
                 spent_s = {each: processor_s(pid) for each, pid in processes.items()}
                 assert counts == {"done": study.most_cases}
@@ -129,10 +129,10 @@ def real_cases() -> None:
         path = Path(name) / "study.toml"
         path.write_text(STUDY)
         few = {"validation.per_cell": 1, "validation.others": 3, "sweeps.enabled": False}
-        cell = packed(cell_of(read_study(path), few))
+        cell = encode_cell(study_cell(read_study(path), few))
     here, grown = versions(), []
     for number in range(1, REAL + 1):
-        assert measured(cell, number, 1, here).state == "done"
+        assert calibrate_case(cell, number, 1, here).state == "done"
         if number in (REAL // 6, REAL):
             grown.append(peak_mib(os.getpid()))
     print(f"a worker's {REAL} real cases: {grown[0]:.0f} MiB after {REAL // 6}, ", end="")
@@ -145,7 +145,7 @@ def main() -> None:
     if words.parse_args().part:
         real_cases()
         return
-    with patch("hilcell.study.cluster.measured", empty):
+    with patch("hilcell.study.cluster.calibrate_case", empty):
         many_cases()
     subprocess.run([sys.executable, "-m", "benchmarks.study_scale", "real"], check=True)
 

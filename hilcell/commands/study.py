@@ -80,13 +80,13 @@ def _run(args: RunStudy) -> int:
         finished = len(results.finished())
         print_message(f"study {study.name}: {planned} cases, {finished} finished, in {folder}")
         if finished < planned:
-            from hilcell.study.cluster import Cluster
+            from hilcell.study.cluster import ClusterError
 
             try:
                 with interrupted_once() as check, _workers(args) as workers:
                     counts = _measured(results, workers, planned, finished, check)
-            except (Cluster, KeyboardInterrupt) as error:
-                lost = isinstance(error, Cluster)
+            except (ClusterError, KeyboardInterrupt) as error:
+                lost = isinstance(error, ClusterError)
                 if not len(results.finished()) > (finished if lost else 0):
                     raise
                 print_message(
@@ -137,10 +137,10 @@ def _dry_run(study: Study, *, as_json: bool) -> int:
 
 
 def _workers(args: RunStudy) -> AbstractContextManager[Workers]:
-    from hilcell.study.cluster import local_workers, workers_of
+    from hilcell.study.cluster import local_workers, scheduler_workers
 
     if args.scheduler:
-        return workers_of(args.scheduler, print_message)
+        return scheduler_workers(args.scheduler, print_message)
     return local_workers(args.workers or len(os.sched_getaffinity(0)), print_message)
 
 
@@ -149,7 +149,7 @@ def _measured(
 ) -> Counter[str]:
     """Simulate the remaining cases, with a progress bar on stderr; ``check`` may end it."""
     from hilcell.commands.run_output import progress_bar
-    from hilcell.study.runner import perform
+    from hilcell.study.runner import run_study
 
     with progress_bar() as progress:
         task = progress.add_task(clean(results.study.name), total=planned, completed=finished)
@@ -158,7 +158,7 @@ def _measured(
             progress.advance(task)
             check()
 
-        return perform(results, workers, on_progress)
+        return run_study(results, workers, on_progress)
 
 
 def _report(args: RunStudy) -> int:

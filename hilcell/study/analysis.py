@@ -281,11 +281,11 @@ def answers(study: Study, rows: Rows) -> Answers:
         return Answers(found, within, counts, best=best if sound else None)
     if not done:
         return Answers(found, within, counts)
-    all_points = points_of(study, done)
+    all_points = design_points(study, done)
     model = Additive(study.factor, list(all_points.values()))
     effects = _effects(study, model, done)
     steps = {(each.factor.name, each.word) for each in effects if each.is_step}
-    tried = points_of(study, rows).values()
+    tried = design_points(study, rows).values()
     gaps = _Gaps(study, model, all_points.values(), tried, steps, counts)
     figures = np.array([_mean(own, study.accuracy) for own in _by(done, "point").values()])
     return Answers(
@@ -311,7 +311,7 @@ def covered(rows: Rows) -> Share:
     return Share.of(shares, sum(row.figure("targets") for row in rows))
 
 
-def points_of(study: Study, rows: Rows) -> dict[int, Point]:
+def design_points(study: Study, rows: Rows) -> dict[int, Point]:
     """Return the points of rows by number, in that order."""
     return {number: chosen(study, own[0]) for number, own in _by(rows, "point").items()}
 
@@ -349,7 +349,7 @@ def on_front(place: Array, places: Array) -> bool:
 
 def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
     """Return the effects of an additive model, fitted on each machine by itself."""
-    all_points = points_of(study, done)
+    all_points = design_points(study, done)
     targets = _targets(study, all_points, done)
     keys = (study.accuracy, "minutes", "covered")
     fits = [

@@ -1,7 +1,4 @@
-"""One case measured: in a worker's process, which gets everything it needs and knows no file.
-
-Its figures are those of one calibration, computed from its result.
-"""
+"""One case of a study: a calibration in a worker's process, which reads no file; its figures."""
 
 from __future__ import annotations
 
@@ -27,13 +24,13 @@ from hilcell.run.in_process import run_in_process
 from hilcell.run.procedure import Procedure
 
 IDW = "idw_mm"
-Level: TypeAlias = float | str | None  # of a factor, as a table keeps it
+Level: TypeAlias = float | str | None  # of a factor, in a table
 STATES = DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
 
 
-class Found(msgspec.Struct, frozen=True):
-    """The findings of a worker in a case; ``versions`` are its own where they are not the
-    study's, and then it measured nothing. ``minutes`` are the robot's.
+class CaseResult(msgspec.Struct, frozen=True):
+    """A worker's result; ``minutes`` are the robot's. ``versions``: the worker's, if they differ
+    from the study's; then the case was not simulated.
     """
 
     state: str
@@ -44,9 +41,9 @@ class Found(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """A case as a study keeps it: levels by the names of factors, figures by those of `RESULTS`.
+    """A stored case: levels by factor, figures by the names of `RESULTS`.
 
-    ``minutes`` are those of robot and people; a case without a result has none, and no figures.
+    ``minutes`` of robot and people, and figures, are missing without a result.
     """
 
     case: int
@@ -62,54 +59,66 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
     def figure(self, name: str) -> float:
         """Return a figure, or the minutes; raises `LookupError` for a case without it."""
-        found = self.minutes if name == "minutes" else self.figures[name]
-        if found is None:
+        figure = self.minutes if name == "minutes" else self.figures[name]
+        if figure is None:
             raise LookupError(f"case {self.case} has no {name}")
-        return found
+        return figure
 
 
-def packed(cell: Cell) -> bytes:
-    """Return a cell as bytes, which a worker of another PC reads."""
+def encode_cell(cell: Cell) -> bytes:
+    """Return a cell as bytes for a worker."""
     return msgspec.json.encode(cell)
 
 
-def unpacked(content: bytes) -> Cell:
-    stated = typed(_stated(decoded(content, dict[str, object])), dict[str, object])
-    return convert(stated, Cell, "cell")
+def decode_cell(content: bytes) -> Cell:
+    def without_nulls(value: object) -> object:  # a missing value is null in JSON
+        if isinstance(value, dict):
+            return {key: without_nulls(each) for key, each in value.items() if each is not None}
+        return [without_nulls(each) for each in value] if isinstance(value, list) else value
+
+    values = typed(without_nulls(decoded(content, dict[str, object])), dict[str, object])
+    return convert(values, Cell, "cell")
 
 
-def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> Found:
-    """Calibrate a cell without wires; return what was found.
+def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, str]) -> CaseResult:
+    """Calibrate a simulated cell without wires.
 
-    ``wanted`` are the versions of the study. A case that cannot be planned, or whose run ends
-    early, has its reason.
+    ``expected`` are the versions of the study. Without a plan, or if the run ends early, the result
+    has a reason.
     """
     here = versions()
-    if here != dict(wanted):
-        return Found(FAILED, versions=here)
-    built = unpacked(cell)
+    if here != dict(expected):
+        return CaseResult(FAILED, versions=here)
+    simulated = decode_cell(cell)
     calibrate: Procedure = load_entry("procedures", "calibrate")
     try:
-        plan = calibrate.plan(built, seed)
+        plan = calibrate.plan(simulated, seed)
     except HilcellError as error:
-        return Found(CANNOT_BE, str(error))
+        return CaseResult(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
         try:
             log = run_in_process(
-                built, calibrate, seed=seed, machine_seed=machine, folder=Path(folder), plan=plan
+                simulated,
+                calibrate,
+                seed=seed,
+                machine_seed=machine,
+                folder=Path(folder),
+                plan=plan,
             )
             result = typed(calibrate.result(log), Calibrated)
-            return Found(DONE, "", plan.duration_s / 60.0, figures(result))
-        except SettingsError as error:  # a machine that cannot be
-            return Found(CANNOT_BE, str(error))
+            return CaseResult(DONE, "", plan.duration_s / 60.0, figures(result))
+        except SettingsError as error:  # an impossible machine
+            return CaseResult(CANNOT_BE, str(error))
         except HilcellError as error:
-            return Found(FAILED, str(error))
-        except Exception as error:  # noqa: BLE001 - a defect spoils its own case only
-            return Found(FAILED, f"a defect, please report it: {type(error).__name__}: {error}")
+            return CaseResult(FAILED, str(error))
+        except Exception as error:  # noqa: BLE001 - a defect affects this case only
+            return CaseResult(
+                FAILED, f"a defect, please report it: {type(error).__name__}: {error}"
+            )
 
 
 def versions() -> dict[str, str]:
-    """Return what the digits of a result depend on."""
+    """Return the versions on which the digits of a result depend."""
     return {
         "hilcell": __version__,
         "python": ".".join(platform.python_version_tuple()[:2]),
@@ -119,15 +128,8 @@ def versions() -> dict[str, str]:
     }
 
 
-def _stated(value: object) -> object:
-    """Return a value without what is not stated: null in JSON, a missing key in a cell."""
-    if isinstance(value, dict):
-        return {key: _stated(each) for key, each in value.items() if each is not None}
-    return [_stated(each) for each in value] if isinstance(value, list) else value
-
-
 class _Validated:
-    """The validation of a run's result: at the grid's station, and at all others together."""
+    """The validation of a run: at the grid's station, and at all others together."""
 
     def __init__(self, result: Calibrated) -> None:
         self.result = result
@@ -141,7 +143,7 @@ class _Validated:
         return sum(place.points * of(place) for place in self.places) / self.targets
 
     def by_idw(self) -> float | None:
-        """Return the mean error by the paper's method; None of a quick plan, which sends none."""
+        """Return the mean error by the paper's method; None for a quick plan, which omits it."""
         sent = [(place.points, place.idw) for place in self.places]
         means = [points * errors.mean for points, errors in sent if errors is not None]
         return sum(means) / self.targets if len(means) == len(sent) else None
@@ -170,7 +172,7 @@ RESULTS: Mapping[str, tuple[str, Callable[[_Validated], float | None]]] = {
         lambda r: r.mean(lambda p: _bounds(p).coverage),
     ),
     "floor_mm": (
-        "error that repeatability and tracker leave",
+        "error floor of repeatability and tracker",
         lambda r: r.result.repeatability.floor_mm,
     ),
     "rp_mm": ("repeatability RP as measured", lambda r: r.result.repeatability.rp_mm),
@@ -180,12 +182,12 @@ RESULTS: Mapping[str, tuple[str, Callable[[_Validated], float | None]]] = {
     ),
     "targets": ("targets validated", lambda r: r.targets),
     "points": ("points measured", lambda r: float(sum(r.result.points.values()))),
-    "suspicions": ("causes that the run suspects", lambda r: float(len(r.result.suspicions))),
+    "suspicions": ("suspected causes", lambda r: float(len(r.result.suspicions))),
 }
 
 
 def figures(result: Calibrated) -> dict[str, float]:
-    """Return the figures that a run has, by name."""
+    """Return the figures of a run, by name."""
     run = _Validated(result)
-    found = {name: value(run) for name, (_, value) in RESULTS.items()}
-    return {name: value for name, value in found.items() if value is not None}
+    values = {name: value(run) for name, (_, value) in RESULTS.items()}
+    return {name: value for name, value in values.items() if value is not None}

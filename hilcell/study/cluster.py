@@ -1,4 +1,4 @@
-"""Cases measured by workers of Dask: processes of this PC, or a cluster by its scheduler."""
+"""Dask workers that simulate cases: processes on this PC, or a cluster by its scheduler."""
 
 from __future__ import annotations
 
@@ -23,48 +23,48 @@ from distributed.security import Security
 from hilcell.decoding import typed
 from hilcell.errors import HilcellError
 from hilcell.run.signals import postponed
-from hilcell.study.case import FAILED, Found, measured, versions
+from hilcell.study.case import FAILED, CaseResult, calibrate_case, versions
 from hilcell.study.design import Case
 
 CONNECT_S = 5.0
-ANSWER_S = 15.0  # of a scheduler to its first question
-VERSIONS_S = 15.0  # of all workers to the question for their versions
-SCHEDULER_S = 60.0  # of a scheduler at work to any question
-WORKERS_S = 60.0  # without any worker
-LOOK_S = 5.0  # between two looks whether there are workers, and whether they answer
+ANSWER_S = 15.0  # first reply of a scheduler
+VERSIONS_S = 15.0  # reply of all workers with their versions
+SCHEDULER_S = 60.0  # any reply of a busy scheduler
+WORKERS_S = 60.0  # longest time without a worker
+POLL_S = 5.0  # period of checks that workers exist and answer
 SILENT_S = 15.0  # two to thirty heartbeats, by the number of workers
-RESTARTED_S = 60.0  # in which a worker of this PC that froze has been restarted
+RESTARTED_S = 60.0  # until a frozen worker on this PC is restarted
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
     "distributed.comm.retry.count": 0,
     "distributed.admin.log-length": 100,
     "distributed.scheduler.allowed-failures": 1,  # a second worker tries
-    "distributed.scheduler.worker-ttl": f"{RESTARTED_S / 2:g}s",  # Dask looks as often
+    "distributed.scheduler.worker-ttl": f"{RESTARTED_S / 2:g}s",  # also Dask's polling period
 }
 DROPPED = "after 5 to 10 minutes, or once to twice the scheduler's worker-ttl"
 Say = Callable[[str], object]  # takes a message for the user
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
 
 
-class Cluster(HilcellError):
-    """The scheduler or its workers cannot be used, or are gone."""
+class ClusterError(HilcellError):
+    """The scheduler or its workers cannot be used, or were lost."""
 
     code = "HC-D01"
 
 
 @dataclass(slots=True)
 class Heartbeat:
-    """The last of a worker: by the scheduler's clock, and since when it is known here."""
+    """A worker's last heartbeat by the scheduler's clock, and since when it is the last."""
 
     scheduler_s: float
     since_s: float
-    silent: bool = False  # the user knows
+    silent: bool = False  # reported
 
 
 class Workers:
-    """Workers that all have this hilcell's versions.
+    """Workers with the versions of this PC.
 
-    ``say`` takes a message on each that does not answer; ``dropped`` says when Dask drops it.
+    ``say`` receives a message about each silent worker, ``dropped`` tells when Dask drops it.
     """
 
     def __init__(self, client: Client, name: str, say: Say, dropped: str) -> None:
@@ -72,40 +72,39 @@ class Workers:
         self._say, self._dropped = say, dropped
         self._token = secrets.token_hex(4)
         self._versions = versions()
-        self._looked_s = self._seen_s = time.monotonic()  # since when there may be no worker
+        self._polled_s = self._alive_s = time.monotonic()  # since when there may be no worker
         self._heartbeats: dict[str, Heartbeat] = {}
 
-    def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
-        """Yield cases as they are measured; they come with their cells, a little ahead of workers.
+    def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, CaseResult]]:
+        """Yield the results of cases with their cells, submitted shortly before they are needed.
 
-        A case whose worker died each time may have been beside the one that killed it: in the end
-        it is measured again, alone. Raises `Cluster` where the scheduler or all workers are gone,
-        or a worker has other versions.
+        A case whose worker was killed each time may not be the cause: it is repeated alone at the
+        end. Raises `ClusterError` if the scheduler or all workers are lost, or versions differ.
         """
         killed: list[tuple[Case, bytes]] = []
-        ahead = max(64, 4 * len(self._workers()))  # handed over before they are needed
+        ahead = max(64, 4 * len(self._workers()))
         for case, cell, found in self._measured(cases, ahead, "case"):
             if isinstance(found, KilledWorker):
                 killed.append((case, cell))
             else:
                 yield case, found
-        why = "its worker was killed each time, alone at last; the last one was"
+        why = "its worker was killed each time, also alone; the last one was"
         for case, _, found in self._measured(killed, 1, "alone"):
             if isinstance(found, KilledWorker):
-                yield case, Found(FAILED, f"{why} {found.last_worker.address}")
+                yield case, CaseResult(FAILED, f"{why} {found.last_worker.address}")
             else:
                 yield case, found
 
     def _measured(
         self, cases: Iterable[tuple[Case, bytes]], ahead: int, how: str
-    ) -> Iterator[tuple[Case, bytes, Found | KilledWorker]]:
+    ) -> Iterator[tuple[Case, bytes, CaseResult | KilledWorker]]:
         waiting, running = iter(cases), as_completed(loop=self._client.loop)
-        asked: dict[str, tuple[Case, bytes]] = {}
+        submitted: dict[str, tuple[Case, bytes]] = {}
         with self._lost_is_an_error():
             while True:
-                for case, cell in itertools.islice(waiting, ahead - len(asked)):
+                for case, cell in itertools.islice(waiting, ahead - len(submitted)):
                     future = self._client.submit(
-                        measured,
+                        calibrate_case,
                         cell,
                         case.machine,
                         case.seed,
@@ -113,30 +112,30 @@ class Workers:
                         key=f"{how}-{case.number}-{self._token}",
                         priority=-case.number,
                     )
-                    asked[future.key] = case, cell
+                    submitted[future.key] = case, cell
                     running.add(future)
-                if not asked:
+                if not submitted:
                     return
-                self._look()
+                self._poll()
                 while not running.has_ready():
                     time.sleep(0.02)
-                    self._look()
+                    self._poll()
                 future = next(running)
-                yield *asked.pop(future.key), self._found(future)
+                yield *submitted.pop(future.key), self._checked(future)
                 future.release()
 
-    def _look(self) -> None:
-        """Now and then raise `Cluster` where there are no workers, and name those that froze."""
+    def _poll(self) -> None:
+        """Raise `ClusterError` without workers, and report silent ones; once in `POLL_S`."""
         now_s = time.monotonic()
-        if not now_s - self._looked_s >= LOOK_S:
+        if not now_s - self._polled_s >= POLL_S:
             return
-        self._looked_s = now_s
-        found = self._workers()
-        if found:
-            self._seen_s = now_s
-        if not now_s - self._seen_s < WORKERS_S:
-            raise Cluster(f"{self._name} has had no worker for {WORKERS_S:g} s")
-        for address, scheduler_s in found.items():
+        self._polled_s = now_s
+        workers = self._workers()
+        if workers:
+            self._alive_s = now_s
+        if not now_s - self._alive_s < WORKERS_S:
+            raise ClusterError(f"{self._name} has had no worker for {WORKERS_S:g} s")
+        for address, scheduler_s in workers.items():
             last = self._heartbeats.get(address)
             if last is None or last.scheduler_s != scheduler_s:
                 self._heartbeats[address] = Heartbeat(scheduler_s, now_s)
@@ -144,72 +143,72 @@ class Workers:
                 last.silent = True
                 self._say(
                     f"{self._name}: worker {address} has not answered for {SILENT_S:g} s; if it "
-                    f"stays silent, its cases are measured by another, {self._dropped}"
+                    f"stays silent, another repeats its cases, {self._dropped}"
                 )
 
     def _workers(self) -> Mapping[str, float]:
-        """Return by address when, by its clock, the scheduler heard of each worker."""
+        """Return the last heartbeat of each worker, by address, by the scheduler's clock."""
         with self._lost_is_an_error():
             return self._last_heartbeats()
 
-    def _found(self, future: Future[Found]) -> Found | KilledWorker:
+    def _checked(self, future: Future[CaseResult]) -> CaseResult | KilledWorker:
         try:
-            found = self._result(future)
+            result = self._result(future)
         except KilledWorker as error:
             return error
         except LOST:
             raise
-        except Exception as error:  # a worker that joined without hilcell, or with an older one
-            raise Cluster(
-                f"{self._name}: a worker cannot measure: {type(error).__name__}: {error}"
+        except Exception as error:  # a new worker without hilcell, or with an older one
+            raise ClusterError(
+                f"{self._name}: a worker failed: {type(error).__name__}: {error}"
             ) from error
-        if found.versions:
+        if result.versions:
             self.check_versions()
-            raise Cluster(f"{self._name}: a worker had {self._differences(found.versions)}")
-        return found
+            raise ClusterError(f"{self._name}: a worker had {self._differences(result.versions)}")
+        return result
 
-    def _result(self, future: Future[Found]) -> Found:
-        """Return what a worker found; it may have frozen before it sent that."""
+    def _result(self, future: Future[CaseResult]) -> CaseResult:
+        """Return a worker's result; the worker may freeze before it is transferred."""
         while True:
             with suppress(TimeoutError):
-                found: Found = future.result(timeout=LOOK_S)
-                return found
-            self._look()
+                result: CaseResult = future.result(timeout=POLL_S)
+                return result
+            self._poll()
 
     def _last_heartbeats(self) -> Mapping[str, float]:
-        # `Client.nthreads` would wait for ever.
-        found = self._client.sync(self._client.scheduler.identity, callback_timeout=SCHEDULER_S)
-        return {each: typed(last["last_seen"], float) for each, last in found["workers"].items()}
+        # `Client.nthreads` would wait forever.
+        status = self._client.sync(self._client.scheduler.identity, callback_timeout=SCHEDULER_S)
+        return {each: typed(last["last_seen"], float) for each, last in status["workers"].items()}
 
     def check_versions(self) -> None:
-        """Raise `Cluster` where a worker has other versions, several threads, or is silent."""
+        """Raise `ClusterError` if a worker has other versions, several threads, or is silent."""
         client, name = self._client, self._name
         before = self._last_heartbeats()
         try:
-            found: dict[str, dict[str, str] | Exception] = client.run(
+            replies: dict[str, dict[str, str] | Exception] = client.run(
                 versions, on_error="return", callback_timeout=VERSIONS_S
             )
         except TimeoutError as error:
             after = self._last_heartbeats()
             silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]
-            raise Cluster(
+            raise ClusterError(
                 f"{name}: worker {', '.join(silent) or 'unknown'} does not answer; end it, or wait "
                 f"until Dask drops it, {DROPPED}"
             ) from error
         except LOST as error:
-            raise Cluster(f"{name} is gone: {error}") from error
+            raise ClusterError(f"{name} was lost: {error}") from error
         problems = []
-        for address, there in sorted(found.items()):
-            if isinstance(there, Exception):
-                problems.append(f"{address}: hilcell cannot be used there: {there}")
-            elif there != self._versions:
-                problems.append(f"{address}: {self._differences(there)}")
+        for address, reply in sorted(replies.items()):
+            if isinstance(reply, Exception):
+                problems.append(f"{address}: hilcell cannot be used there: {reply}")
+            elif reply != self._versions:
+                problems.append(f"{address}: {self._differences(reply)}")
         many = {address: n for address, n in client.nthreads().items() if n > 1}
         problems += [
             f"{address}: {n} threads, expected --nthreads 1" for address, n in many.items()
         ]
         if problems:
-            raise Cluster(f"{name}: workers differ: {'; '.join(problems)}")
+            raise ClusterError(f"{name}: workers differ: {'; '.join(problems)}")
 
     @staticmethod
     def _differences(there: Mapping[str, str]) -> str:
@@ -225,7 +224,7 @@ class Workers:
         try:
             yield
         except LOST as error:
-            raise Cluster(f"{self._name} is gone") from error
+            raise ClusterError(f"{self._name} was lost") from error
 
 
 @contextmanager
@@ -234,10 +233,10 @@ def local_workers(count: int, say: Say) -> Iterator[Workers]:
     environment = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
     with _quiet(), _environment(environment), ExitStack() as stack:
         try:
-            get_context("spawn").Lock()  # they share some: without /dev/shm there is none
-            # Ctrl-C reaches all processes of a terminal; a cluster that is half started would stay.
+            get_context("spawn").Lock()  # fails without /dev/shm, as the workers would
+            # Ctrl-C reaches all processes of a terminal, and would leave a half-started cluster.
             with postponed(signal.SIGTERM, signal.SIGHUP), ExitStack() as undo:
-                # Processes that are started meanwhile ignore it for good.
+                # Child processes inherit the ignored signal.
                 before = signal.signal(signal.SIGINT, signal.SIG_IGN)
                 undo.callback(signal.signal, signal.SIGINT, before)
                 cluster = stack.enter_context(
@@ -251,33 +250,33 @@ def local_workers(count: int, say: Say) -> Iterator[Workers]:
                     )
                 )
         except (OSError, RuntimeError) as error:
-            raise Cluster(
-                f"this PC starts no workers: {getattr(error, 'strerror', None) or error}; is there "
-                "a /dev/shm, and memory?"
+            raise ClusterError(
+                f"cannot start workers: {getattr(error, 'strerror', None) or error}; check "
+                "/dev/shm and free memory"
             ) from error
         client = stack.enter_context(Client(cluster))
         yield Workers(client, "the local cluster", say, f"within {RESTARTED_S:g} s")
 
 
 @contextmanager
-def workers_of(scheduler: str, say: Say) -> Iterator[Workers]:
-    """Use the workers of a scheduler; raises `Cluster` where they cannot be used."""
+def scheduler_workers(scheduler: str, say: Say) -> Iterator[Workers]:
+    """Use the workers of a scheduler; raises `ClusterError`."""
     name = f"scheduler {scheduler}"
     with _quiet(), ExitStack() as stack:
         try:
-            asyncio.run(asyncio.wait_for(_asked(scheduler), ANSWER_S))
+            asyncio.run(asyncio.wait_for(_read_identity(scheduler), ANSWER_S))
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-        except Exception as error:  # whatever listens there may answer anything
-            reason = str(error).partition("\n")[0] or f"nothing came for {ANSWER_S:g} s"
-            raise Cluster(
-                f"{name} does not answer: {reason}; start it with `dask scheduler`, or leave "
-                "--scheduler out"
+        except Exception as error:  # another server may listen there
+            reason = str(error).partition("\n")[0] or f"no reply in {ANSWER_S:g} s"
+            raise ClusterError(
+                f"{name} does not answer: {reason}; start it with `dask scheduler`, or omit "
+                "--scheduler"
             ) from error
         stack.callback(_close, client)
         try:
             client.wait_for_workers(1, timeout=WORKERS_S)
         except TimeoutError:
-            raise Cluster(
+            raise ClusterError(
                 f"{name} has no worker after {WORKERS_S:g} s; start one with "
                 f"`dask worker {scheduler} --nthreads 1`"
             ) from None
@@ -286,19 +285,19 @@ def workers_of(scheduler: str, say: Say) -> Iterator[Workers]:
         yield workers
 
 
-async def _asked(scheduler: str) -> None:
-    """Ask a scheduler who it is; a client that is refused would go on trying while it is closed."""
-    found = await connect(scheduler, timeout=CONNECT_S, **Security().get_connection_args("client"))
+async def _read_identity(scheduler: str) -> None:
+    """Read a scheduler's identity: unlike this, a refused `Client` retries while it is closed."""
+    comm = await connect(scheduler, timeout=CONNECT_S, **Security().get_connection_args("client"))
     try:
-        await found.write({"op": "identity", "reply": True})
-        await found.read()
+        await comm.write({"op": "identity", "reply": True})
+        await comm.read()
     finally:
-        found.abort()
+        comm.abort()
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's own log off the terminal: hilcell says what matters once."""
+    """Disable Dask's log: hilcell reports problems once."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -310,7 +309,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set variables that processes inherit which are started meanwhile."""
+    """Set variables for child processes."""
     before = {name: os.environ[name] for name in values if name in os.environ}
     os.environ.update(values)
     try:
@@ -324,4 +323,4 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 def _close(client: Client) -> None:
     with suppress(*LOST):
         client.close(timeout=2.0)
-    client.status = "closed"  # else Dask tries again when the object is deleted
+    client.status = "closed"  # else Dask retries when the object is deleted

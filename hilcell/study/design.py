@@ -1,4 +1,4 @@
-"""The cases of a study, numbered: a pure function of its file, the same list anywhere."""
+"""The numbered cases of a study, a pure function of its file."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hilcell.study.study_file import Optimum, Study
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A factor at a point: its value, its name in tables, what it costs.
+    """A factor's value at a point, its name in tables, and its cost.
 
-    ``share`` is the number of its level, or the place in its range from 0 to 1.
+    ``share`` is the number of its level, or the position in its range from 0 to 1.
     """
 
     factor: Factor
@@ -34,7 +34,7 @@ class Choice:
 
     @property
     def shown(self) -> Level:
-        """Return what a table keeps: a number, or the name of a level."""
+        """The value in a table: a number, or the name of a level."""
         if self.factor.is_number and isinstance(self.value, int | float):
             return self.value
         return self.word
@@ -62,23 +62,22 @@ class Point:
 
     @property
     def cost(self) -> float:
-        """Return the money that its choices cost."""
+        """Money for its choices."""
         return sum(each.cost for each in self.choices)
 
     @property
     def minutes(self) -> float:
-        """Return the minutes of people that its choices cost."""
+        """Working time of people for its choices."""
         return sum(each.minutes for each in self.choices)
 
     @property
     def words(self) -> str:
-        """Return what it is, in a line."""
         return ", ".join(f"{each.factor.name} {each.word}" for each in self.choices)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One calibration: a point, measured on one machine with one set of targets."""
+    """One calibration: a point, on one machine with one set of targets."""
 
     number: int
     point: Point
@@ -87,26 +86,23 @@ class Case:
 
 
 def points(study: Study) -> list[Point]:
-    """Return the points of the design.
-
-    Of an optimiser, which asks for others by their results, those that it begins with.
-    """
+    """Return the points of the design; for an optimiser, its first generation."""
     match study.design, study.optimise:
         case "optimise", Optimum() as wanted:
-            drawn = [placed(study, place) for place in places(study, generation(study, wanted))]
-            found = iter({shares_of(each): each for each in drawn}.values())
+            drawn = [choices_at(study, place) for place in places(study, generation(study, wanted))]
+            found = iter({point_key(each): each for each in drawn}.values())
         case "sobol", _:
-            found = (placed(study, place) for place in places(study, study.samples or 0))
+            found = (choices_at(study, place) for place in places(study, study.samples or 0))
         case _:
             ends = (each.span if each.is_range else range(len(each.ends)) for each in study.factor)
-            found = (placed(study, place) for place in itertools.product(*ends))
+            found = (choices_at(study, place) for place in itertools.product(*ends))
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
 
 
 def cases(study: Study) -> Iterator[Case]:
-    """Yield the cases of `points`: all points on the first machine before any on the next.
+    """Yield the cases of `points`: all points on one machine before the next machine.
 
-    Of an optimiser all machines at one point before any at the next: more points may follow.
+    For an optimiser, whose points are not known in advance: all machines at one point first.
     """
     found = points(study)
     if study.optimise is not None:
@@ -118,14 +114,14 @@ def cases(study: Study) -> Iterator[Case]:
 
 
 def cases_at(study: Study, point: Point) -> list[Case]:
-    """Return the cases of an optimiser's point: the same machines and seeds at all of them."""
+    """Return the cases of an optimiser's point: the same machines and seeds at each."""
     runs = itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1))
     first = 1 + (point.number - 1) * study.machines * study.seeds
     return [Case(first + n, point, *run) for n, run in enumerate(runs)]
 
 
 def chosen(study: Study, row: Row) -> Point:
-    """Return the point of a row of results; raises `ValueError` for a level that is none."""
+    """Return the point of a row of results; raises `ValueError` for an unknown level."""
     return Point(row.point, tuple(_found(each, row.levels[each.name]) for each in study.factor))
 
 
@@ -149,7 +145,7 @@ def _found(factor: Factor, shown: Level) -> Choice:
 def places(study: Study, count: int) -> list[list[float]]:
     """Return a Sobol sequence in values of ranges and numbers of levels.
 
-    It is not scrambled: its first point has every factor's first level.
+    Not scrambled: its first point has the first level of every factor.
     """
     from scipy.stats import qmc
 
@@ -163,16 +159,16 @@ def places(study: Study, count: int) -> list[list[float]]:
     ]
 
 
-def placed(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
+def choices_at(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
     """Return the choices at a place: values of ranges, numbers of levels."""
     return tuple(choice(*each) for each in zip(study.factor, place, strict=True))
 
 
 def generation(study: Study, wanted: Optimum) -> int:
-    """Return how many points an optimiser asks for at once."""
+    """Return the number of points of an optimiser's generation."""
     return min(wanted.trials, max(8, 4 * len(study.factor)))
 
 
-def shares_of(choices: Sequence[Choice]) -> tuple[float, ...]:
-    """Return what a point is known by: whole numbers and levels are rounded."""
+def point_key(choices: Sequence[Choice]) -> tuple[float, ...]:
+    """Return the identity of a point: whole numbers and levels are rounded."""
     return tuple(each.share for each in choices)

@@ -1,7 +1,7 @@
 """The folder of a study's results: the question (`study.json`), and rows as Parquet.
 
-Rows appear in whole files, a batch each (`cases/part-*.parquet`); at the end of a study they are
-one file (`cases/all.parquet`). A row that is in a file is finished for good.
+Each batch of rows is a file (`cases/part-*.parquet`), written completely or not at all; at the end
+they are merged (`cases/all.parquet`). A row in a file is final.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
-from hilcell.study.case import DONE, STATES, Found, Row, versions
+from hilcell.study.case import DONE, STATES, CaseResult, Row, versions
 from hilcell.study.design import Case, chosen
 from hilcell.study.study_file import Study
 
-ASKED = "study.json"
+QUESTION = "study.json"
 CASES = "cases"
-OF_STUDY = b"hilcell.study"  # a file's metadata: the digest of the question that its rows answer
+QUESTION_KEY = (
+    b"hilcell.study"  # a file's metadata: the digest of the question that its rows answer
+)
 
 
 class OtherStudy(HilcellError):
@@ -40,8 +42,8 @@ class OtherStudy(HilcellError):
     code = "HC-D02"
 
 
-class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The question whose answers a folder holds."""
+class Question(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The study, cell and versions to which the results of a folder belong."""
 
     study: dict[str, object]
     cell_sha256: str
@@ -49,12 +51,12 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def digest(self) -> bytes:
-        """Return what rows are known by as answers to this question."""
+        """The digest by which a file's rows refer to this question."""
         content = msgspec.json.encode(self, order="deterministic")
         return hashlib.sha256(content).hexdigest().encode()
 
-    def differences(self, other: Asked) -> Iterator[str]:
-        """Yield in words what another question differs in."""
+    def differences(self, other: Question) -> Iterator[str]:
+        """Yield the differences to another question, as text."""
         if self.study != other.study:
             keys = self.study.keys() | other.study.keys()
             yield ", ".join(
@@ -68,11 +70,11 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
                 yield f"{name} (there {ours}, here {theirs})"
 
 
-def asked(study: Study) -> Asked:
+def asked(study: Study) -> Question:
     text = read_source(study.cell)
     plain = {key: each for key, each in msgspec.to_builtins(study).items() if key != "cell"}
-    # A path may be another one on another day: the cell's text counts.
-    return Asked(
+    # The path of the cell may change: its text counts.
+    return Question(
         study=plain | {"cell": Path(study.cell).name},
         cell_sha256=hashlib.sha256(text.encode()).hexdigest(),
         versions=versions(),
@@ -80,16 +82,16 @@ def asked(study: Study) -> Asked:
 
 
 class Results:
-    """The rows of one study in one folder. A writer holds the folder's lock."""
+    """The rows of one study in one folder; a writer locks the folder."""
 
-    def __init__(self, folder: Path, study: Study, question: Asked | None = None) -> None:
+    def __init__(self, folder: Path, study: Study, question: Question | None = None) -> None:
         self.folder, self.study = folder, study
         self._question = question or asked(study)
-        self._schema = schema(study).with_metadata({OF_STUDY: self._question.digest})
+        self._schema = schema(study).with_metadata({QUESTION_KEY: self._question.digest})
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
+        """Lock the folder for this study; raises `OtherStudy` if it has another's results."""
         self._check_place()
         lock = self.folder / ".study.lock"
         made = self._make(self.folder / CASES)
@@ -99,11 +101,14 @@ class Results:
                 try:
                     yield
                 finally:
-                    if not any((self.folder / CASES).iterdir()) and not self._asked.exists():
+                    if (
+                        not any((self.folder / CASES).iterdir())
+                        and not self._question_file.exists()
+                    ):
                         self._remove(made, lock)
         except CellLocked:
             raise CellLocked(
-                f"results {self.folder} are written by another `hilcell study`; wait for its end"
+                f"results {self.folder} are being written by another `hilcell study`"
             ) from None
         except StorageError as error:
             if made:
@@ -111,10 +116,12 @@ class Results:
             raise self._unusable(self.folder, error.__cause__) from error
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep rows; they are durable when this returns."""
+        """Store rows durably."""
         if rows:
-            if not self._asked.exists():
-                write_whole(self._asked, msgspec.json.format(msgspec.json.encode(self._question)))
+            if not self._question_file.exists():
+                write_whole(
+                    self._question_file, msgspec.json.format(msgspec.json.encode(self._question))
+                )
             first = min(row.case for row in rows)
             flat = [msgspec.structs.asdict(row) | row.levels | row.figures for row in rows]
             self._write(pa.Table.from_pylist(flat, self._schema), f"part-{first:07d}.parquet")
@@ -122,21 +129,21 @@ class Results:
     def table(self) -> pa.Table:
         """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
         tables = [self._read(path) for path in self._parts()]
-        whole = pa.concat_tables([*tables, self._schema.empty_table()])
-        kept: dict[int, int] = {}
-        for row, case in enumerate(whole["case"].to_pylist()):
-            kept.setdefault(case, row)
-        return whole.take(pa.array([kept[case] for case in sorted(kept)], pa.int64()))
+        every = pa.concat_tables([*tables, self._schema.empty_table()])
+        first: dict[int, int] = {}
+        for row, case in enumerate(every["case"].to_pylist()):
+            first.setdefault(case, row)
+        return every.take(pa.array([first[case] for case in sorted(first)], pa.int64()))
 
     def rows(self) -> list[Row]:
         return [self._row(each) for each in self.table().to_pylist()]
 
     def finished(self) -> set[int]:
-        """Return the numbers of the cases that are kept."""
+        """Return the numbers of the stored cases."""
         return set(self.table()["case"].to_pylist())
 
     def merge(self) -> None:
-        """Make one file of all; a row in two files, where this is interrupted, counts once."""
+        """Merge all files; rows in two files, after an interruption, count once."""
         parts = [path for path in self._parts() if path.name != "all.parquet"]
         if parts:
             self._write(self.table(), "all.parquet")
@@ -144,31 +151,30 @@ class Results:
                 path.unlink()
 
     def files(self) -> list[Path]:
-        """Return what the results are made of."""
-        return [self._asked, *self._parts()]
+        return [self._question_file, *self._parts()]
 
     @property
-    def _asked(self) -> Path:
-        return self.folder / ASKED
+    def _question_file(self) -> Path:
+        return self.folder / QUESTION
 
     def _check_question(self) -> None:
-        """Raise `OtherStudy` where the folder has results of another question, or of none."""
-        if not self._asked.exists():
+        """Raise `OtherStudy` if the folder has results of another question, or of none."""
+        if not self._question_file.exists():
             if any((self.folder / CASES).iterdir()):
-                raise OtherStudy(f"{self.folder} has results, and no {ASKED}; name another")
-        elif differ := list(_asked_in(self.folder).differences(self._question)):
+                raise OtherStudy(f"{self.folder} has results but no {QUESTION}; use another folder")
+        elif differ := list(_read_question(self.folder).differences(self._question)):
             raise OtherStudy(
-                f"{self.folder} has results of another study: {'; '.join(differ)} differ; name "
-                "another folder with -o, or delete this one"
+                f"{self.folder} has results of another study: {'; '.join(differ)} differ; use "
+                "another folder (-o), or delete this one"
             )
 
     def _check_place(self) -> None:
-        """Refuse a folder within other results: their files would be taken for one another's."""
+        """Refuse a folder within other results, whose files would be mixed up."""
         for outer in self.folder.absolute().resolve().parents:
-            if (outer / ASKED).is_file() and (outer / CASES).is_dir():
+            if (outer / QUESTION).is_file() and (outer / CASES).is_dir():
                 raise OtherStudy(
-                    f"{self.folder} lies within the results of a study, {outer}; name another "
-                    "folder with -o"
+                    f"{self.folder} is within the results of a study, {outer}; use another folder "
+                    "(-o)"
                 )
 
     def _parts(self) -> list[Path]:
@@ -187,43 +193,45 @@ class Results:
                 os.close(number)
 
     def _row(self, flat: Mapping[str, object]) -> Row:
-        """Return the row of such columns; raises `msgspec.ValidationError` where one is no row."""
+        """Return the row of these columns; raises `msgspec.ValidationError`."""
         levels = {factor.name: flat[factor.name] for factor in self.study.factor}
-        figures = {name: flat[name] for name in figures_of(self.study)}
+        figures = {name: flat[name] for name in figure_names(self.study)}
         return typed({**flat, "levels": levels, "figures": figures}, Row)
 
     def _read(self, path: Path) -> pa.Table:
         try:
             if not path.is_file():
-                raise pa.ArrowInvalid("it is no file")
-            with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
+                raise pa.ArrowInvalid("it is not a file")
+            with path.open("rb") as file:  # pyarrow would interpret paths such as `s3:` and `~`
                 parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
                 found = parquet.read(use_threads=False)  # its threads may abort an exit
-            if (found.schema.metadata or {}).get(OF_STUDY) != self._schema.metadata[OF_STUDY]:
-                question = path.parent.with_name(ASKED)
+            if (found.schema.metadata or {}).get(QUESTION_KEY) != self._schema.metadata[
+                QUESTION_KEY
+            ]:
+                question = path.parent.with_name(QUESTION)
                 raise OtherStudy(f"{path} has rows of another study than {question}; move it away")
             if found.schema != self._schema:
-                raise pa.ArrowInvalid("its columns are not the study's")
+                raise pa.ArrowInvalid("its columns differ from the study's")
             for row in found.to_pylist():
                 self._check_row(self._row(row))
         except msgspec.ValidationError as error:
-            raise self._damaged(path, f"a row is no case of the study: {error}") from error
+            raise self._damaged(path, f"a row is not a case of the study: {error}") from error
         except (pa.ArrowException, OSError) as error:
             raise self._damaged(path, str(error).splitlines()[0]) from error
         return found
 
     @staticmethod
     def _damaged(path: Path, reason: str) -> OtherStudy:
-        return OtherStudy(f"{path} is damaged: {reason}; delete it, its cases are measured again")
+        return OtherStudy(f"{path} is damaged: {reason}; delete it to repeat its cases")
 
     def _check_row(self, row: Row) -> None:
-        """Raise `ArrowInvalid` for a row that no study has written."""
+        """Raise `ArrowInvalid` for an impossible row."""
         study, number, figures = self.study, row.case, row.figures
         used = [row.minutes, *(figures[name] for name in (study.accuracy, "covered", "targets"))]
         if not (1 <= number <= study.most_cases and row.state in STATES):
-            raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row.state!r}")
+            raise pa.ArrowInvalid(f"a row is not a case of the study: {number}, {row.state!r}")
         if row.state == DONE and not all(each is not None and math.isfinite(each) for each in used):
-            raise pa.ArrowInvalid(f"case {number} was done, and has no figures")
+            raise pa.ArrowInvalid(f"case {number} is done but has no figures")
         try:
             chosen(study, row)
         except ValueError:
@@ -231,9 +239,9 @@ class Results:
 
     @classmethod
     def _make(cls, folder: Path) -> list[Path]:
-        """Make the folder of the rows; return what was not there, the outermost first.
+        """Create the folder of the rows; return the new folders, the outermost first.
 
-        Raises `NotWritten` where nothing can be written.
+        Raises `NotWritten`.
         """
         made = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
         try:
@@ -244,26 +252,19 @@ class Results:
         for each in (folder.parent, folder):
             if not os.access(each, os.W_OK | os.X_OK):
                 cls._remove(made)
-                raise NotWritten(
-                    f"{each}: nothing can be written there; name another folder with -o"
-                )
+                raise NotWritten(f"{each} is not writable; use another folder (-o)")
         return made
 
     @staticmethod
     def _unusable(folder: Path, error: BaseException | None) -> NotWritten:
-        """Return the error for a folder of results in which the system writes nothing."""
         number = error.errno if isinstance(error, OSError) else None
         reason = error.strerror if isinstance(error, OSError) else error
-        full = number in STORAGE
-        room = "free space, or " if full else ""
-        failed = DiskFailed if full else NotWritten
-        return failed(
-            f"results folder {folder} cannot be used: {reason}; {room}name another folder with -o"
-        )
+        failed = DiskFailed if number in STORAGE else NotWritten
+        return failed(f"folder of results {folder} cannot be used: {reason}; use another (-o)")
 
     @staticmethod
     def _remove(made: Sequence[Path], *files: Path) -> None:
-        """Remove files, and the folders that were made, where nothing else was kept in them."""
+        """Remove files, and new folders that are empty."""
         for file in files:
             with suppress(OSError):
                 file.unlink()
@@ -273,9 +274,9 @@ class Results:
 
 
 def open_results(folder: Path) -> Results:
-    """Return the results of a folder, to read; raises `OtherStudy` where there are none."""
-    found = _asked_in(folder)
-    return Results(folder, convert(found.study, Study, str(folder / ASKED)), found)
+    """Return the results of a folder for reading; raises `OtherStudy`."""
+    question = _read_question(folder)
+    return Results(folder, convert(question.study, Study, str(folder / QUESTION)), question)
 
 
 def schema(study: Study) -> pa.Schema:
@@ -283,7 +284,7 @@ def schema(study: Study) -> pa.Schema:
     factors = [
         (factor.name, pa.float64() if factor.is_number else pa.string()) for factor in study.factor
     ]
-    figures = [(name, pa.float64()) for name in figures_of(study)]
+    figures = [(name, pa.float64()) for name in figure_names(study)]
     return pa.schema([
         ("case", pa.int64()), ("point", pa.int64()), ("machine", pa.int64()), ("seed", pa.int64()),
         *factors,
@@ -292,34 +293,33 @@ def schema(study: Study) -> pa.Schema:
     ])  # fmt: skip
 
 
-def figures_of(study: Study) -> list[str]:
-    """Return the results that are kept: those wanted, and those that a report is made of."""
+def figure_names(study: Study) -> list[str]:
+    """Return the stored figures: those of the study file, and those that a report needs."""
     return list(dict.fromkeys([*study.results, study.accuracy, "covered", "targets"]))
 
 
-def row_of(case: Case, found: Found, study: Study) -> Row:
-    """Return the row of a case, of what a worker measured."""
-    point, minutes = case.point, found.minutes
+def case_row(case: Case, result: CaseResult, study: Study) -> Row:
+    point, minutes = case.point, result.minutes
     return Row(
         case=case.number,
         point=point.number,
         machine=case.machine,
         seed=case.seed,
         levels={each.factor.name: each.shown for each in point.choices},
-        state=found.state,
-        reason=found.reason,
+        state=result.state,
+        reason=result.reason,
         minutes=None if minutes is None else minutes + point.minutes,
         cost=point.cost,
-        figures={name: found.figures.get(name) for name in figures_of(study)},
+        figures={name: result.figures.get(name) for name in figure_names(study)},
     )
 
 
-def _asked_in(folder: Path) -> Asked:
-    path = folder / ASKED
+def _read_question(folder: Path) -> Question:
+    path = folder / QUESTION
     try:
-        return decoded(read_text(path), Asked)
+        return decoded(read_text(path), Question)
     except OSError as error:
         reason = f"{path} cannot be read: {error.strerror}"
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         reason = f"{path} is damaged: {error}"
-    raise OtherStudy(f"{folder} is no folder of results: {reason}")
+    raise OtherStudy(f"{folder} is not a folder of results: {reason}")

@@ -1,4 +1,4 @@
-"""A study performed: cases that are not kept yet go to the workers, rows are kept as they come."""
+"""Execution of a study: workers simulate the missing cases, rows are stored as they come."""
 
 from __future__ import annotations
 
@@ -13,43 +13,53 @@ import numpy as np
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array
 from hilcell.study.analysis import designs, value
-from hilcell.study.case import CANNOT_BE, DONE, Found, Row, packed
-from hilcell.study.design import Case, Point, cases, cases_at, generation, placed, places, shares_of
-from hilcell.study.results import Results, row_of
-from hilcell.study.study_file import Optimum, Study, cell_of
+from hilcell.study.case import CANNOT_BE, DONE, CaseResult, Row, encode_cell
+from hilcell.study.design import (
+    Case,
+    Point,
+    cases,
+    cases_at,
+    choices_at,
+    generation,
+    places,
+    point_key,
+)
+from hilcell.study.results import Results, case_row
+from hilcell.study.study_file import Optimum, Study, study_cell
 
 if TYPE_CHECKING:
     from hilcell.study.cluster import Workers
 
 
-# Every point is measured on the same machines with the same targets, so differences between
-# points are not those between draws, and the same point is never measured twice. A generation is
-# asked for as a whole before the next is thought of: the search is the same with one worker or
-# many, and one that goes on takes the path again through the points that are kept.
+# Every point is simulated on the same machines with the same targets, so points do not differ by
+# their draws, and no point is simulated twice. A generation is evaluated as a whole, so the search
+# does not depend on the number of workers, and a resumed one repeats its path through the stored
+# points.
 
 Measure = Callable[[Sequence[Point]], Mapping[int, float]]
 
 
-class _SpentError(Exception):
+class _TrialsUsed(Exception):
     """All trials are used."""
 
 
 def search(study: Study, wanted: Optimum, measure: Measure) -> None:
-    """Ask ``measure`` for the values of points, by number, until the search ends."""
+    """Minimise the values that ``measure`` returns for points, by number."""
     from scipy.optimize import Bounds, differential_evolution
 
     known: dict[tuple[float, ...], float] = {}
 
-    def values(found: Array) -> Array:
-        asked = {shares_of(each): each for place in found.T for each in [placed(study, place)]}
-        fresh = [shares for shares in asked if shares not in known]
-        room = fresh[: wanted.trials - len(known)]
-        points = [Point(n, asked[each]) for n, each in enumerate(room, start=len(known) + 1)]
+    def values(generation: Array) -> Array:
+        every = [choices_at(study, place) for place in generation.T]
+        by_key = {point_key(each): each for each in every}
+        new = [key for key in by_key if key not in known]
+        allowed = new[: wanted.trials - len(known)]
+        points = [Point(n, by_key[key]) for n, key in enumerate(allowed, start=len(known) + 1)]
         measured = measure(points) if points else {}
-        known.update(zip(room, (measured[each.number] for each in points), strict=True))
-        if len(room) < len(fresh):
-            raise _SpentError
-        return np.array([known[shares_of(placed(study, place))] for place in found.T])
+        known.update(zip(allowed, (measured[each.number] for each in points), strict=True))
+        if len(allowed) < len(new):
+            raise _TrialsUsed
+        return np.array([known[point_key(each)] for each in every])
 
     ends = [
         factor.span if factor.is_range else (0, len(factor.ends) - 1) for factor in study.factor
@@ -63,21 +73,21 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
             init=np.array(places(study, generation(study, wanted))),
             rng=wanted.seed,
             maxiter=wanted.trials,
-            tol=0.0,  # a share of the mean: points that are all too long would agree
-            atol=1e-4,  # mm, the standard deviation of points that agree
+            tol=0.0,  # relative to the mean, which too long points make large
+            atol=1e-4,  # mm, standard deviation of a converged generation
             polish=False,
             vectorized=True,
             updating="deferred",
         )
-    except _SpentError:
+    except _TrialsUsed:
         return
 
 
-NEVER = 1e9  # the value of a point that cannot be, or that failed on a machine
+IMPOSSIBLE = 1e9  # the value of a point that cannot be planned, or failed on a machine
 
 
 class Batch:
-    """Rows that wait for their file, no longer than a second while others come."""
+    """Rows to be stored together: 64, or those of a second."""
 
     def __init__(self, results: Results) -> None:
         self._results = results
@@ -87,41 +97,45 @@ class Batch:
     def add(self, row: Row) -> None:
         self._rows.append(row)
         if len(self._rows) >= 64 or time.monotonic() - self._since_s >= 1.0:
-            self.keep()
+            self.store()
 
-    def keep(self) -> None:
+    def store(self) -> None:
         rows, self._rows = self._rows, []
         self._results.add(rows)
         self._since_s = time.monotonic()
 
 
-def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) -> Counter[str]:
-    """Measure every case that is not kept yet; return how many ended in which state.
+def run_study(
+    results: Results, workers: Workers, on_progress: Callable[[Row], object]
+) -> Counter[str]:
+    """Simulate all missing cases; return how many ended in each state.
 
-    ``heard`` takes each row. Rows that came before an interruption are kept.
+    ``on_progress`` receives each row. Rows before an interruption are stored.
     """
-    study, kept = results.study, results.finished()
+    study, finished = results.study, results.finished()
     counts: Counter[str] = Counter()
     with ExitStack() as stack:
         batch = Batch(results)
-        stack.callback(batch.keep)
+        stack.callback(batch.store)
 
-        def measure(asked: Iterable[Case]) -> Iterator[Row]:
-            """Yield the rows of cases that are not kept."""
+        def measure(requested: Iterable[Case]) -> Iterator[Row]:
+            """Yield the rows of missing cases."""
 
-            def keep(case: Case, found: Found) -> Row:
-                row = row_of(case, found, study)
+            def store(case: Case, result: CaseResult) -> Row:
+                row = case_row(case, result, study)
                 batch.add(row)
                 counts[row.state] += 1
-                heard(row)
+                on_progress(row)
                 return row
 
-            never: list[Row] = []
-            waiting = (case for case in asked if case.number not in kept)
-            able = _able(study, waiting, lambda case, found: never.append(keep(case, found)))
-            for case, found in workers.measure(able):
-                yield keep(case, found)
-            yield from never
+            impossible: list[Row] = []
+            missing = (case for case in requested if case.number not in finished)
+            valid = _with_cells(
+                study, missing, lambda case, result: impossible.append(store(case, result))
+            )
+            for case, result in workers.measure(valid):
+                yield store(case, result)
+            yield from impossible
 
         if study.optimise is None:
             for _ in measure(cases(study)):
@@ -135,21 +149,21 @@ def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) 
 def _values(
     results: Results, wanted: Optimum, measure: Callable[[Iterable[Case]], Iterator[Row]]
 ) -> Measure:
-    """Return how an optimiser gets the values of points: of rows that are kept, or measured."""
+    """Return the objective of an optimiser, from stored rows and ``measure``."""
     study = results.study
-    kept: dict[int, list[Row]] = defaultdict(list)
+    stored: dict[int, list[Row]] = defaultdict(list)
     for row in results.rows():
-        kept[row.point].append(row)
+        stored[row.point].append(row)
 
-    def values(asked: Sequence[Point]) -> dict[int, float]:
-        rows = {point.number: kept[point.number] for point in asked}
-        for row in measure(case for point in asked for case in cases_at(study, point)):
+    def values(points: Sequence[Point]) -> dict[int, float]:
+        rows = {point.number: stored[point.number] for point in points}
+        for row in measure(case for point in points for case in cases_at(study, point)):
             rows[row.point].append(row)
-        return {number: value_of(own) for number, own in rows.items()}
+        return {number: point_value(own) for number, own in rows.items()}
 
-    def value_of(rows: Sequence[Row]) -> float:
+    def point_value(rows: Sequence[Row]) -> float:
         if not all(row.state == DONE for row in rows):
-            return NEVER
+            return IMPOSSIBLE
         in_order = sorted(rows, key=lambda row: row.case)  # digits of a mean depend on it
         (design,) = designs(study, in_order)
         return value(wanted, design)
@@ -157,17 +171,17 @@ def _values(
     return values
 
 
-def _able(
-    study: Study, waiting: Iterable[Case], keep: Callable[[Case, Found], None]
+def _with_cells(
+    study: Study, cases: Iterable[Case], refuse: Callable[[Case, CaseResult], None]
 ) -> Iterator[tuple[Case, bytes]]:
-    """Yield cases with their cells as they are asked for; keep those whose cell cannot be."""
-    cells: dict[int, bytes] = {}  # of the last points: machines share them
-    for case in waiting:
+    """Yield cases with their cells, lazily; ``refuse`` receives those with an invalid cell."""
+    cells: dict[int, bytes] = {}  # of the last points, shared by their machines
+    for case in cases:
         number = case.point.number
         try:
-            cell = cells.get(number) or packed(cell_of(study, case.point.values))
+            cell = cells.get(number) or encode_cell(study_cell(study, case.point.values))
         except SettingsError as error:
-            keep(case, Found(CANNOT_BE, str(error)))
+            refuse(case, CaseResult(CANNOT_BE, str(error)))
         else:
             cells[number] = cell
             if len(cells) > 4096:  # of 6 kB each

@@ -32,13 +32,13 @@ from hilcell.study.case import IDW, RESULTS
 from hilcell.study.factor import Factor, is_stated
 
 
-def toml_value(value: object) -> str:
+def toml_text(value: object) -> str:
     """Return a value that TOML or JSON has read, as TOML in one line."""
     if isinstance(value, Mapping):
-        inner = (f"{_quoted(str(key))} = {toml_value(each)}" for key, each in value.items())
+        inner = (f"{_quoted(str(key))} = {toml_text(each)}" for key, each in value.items())
         return f"{{ {', '.join(inner)} }}"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(toml_value, value))}]"
+        return f"[{', '.join(map(toml_text, value))}]"
     if isinstance(value, float):
         return repr(value)  # "inf" and "nan" too, which the cell refuses
     if isinstance(value, date | time):
@@ -202,13 +202,13 @@ def _place(cell: str, folder: Path) -> str:
     return cell if cell in built_in_cells() else str(folder / cell)
 
 
-def cell_of(study: Study, values: Mapping[str, object]) -> Cell:
+def study_cell(study: Study, values: Mapping[str, object]) -> Cell:
     """Return the base cell with these settings; raises `SettingsError`."""
     return _cell(study.cell, {**study.settings, **values})
 
 
 def _cell(where: str, settings: Mapping[str, object]) -> Cell:
-    return load_cell(where, {key: toml_value(value) for key, value in settings.items()})
+    return load_cell(where, {key: toml_text(value) for key, value in settings.items()})
 
 
 class _AgainstCell:

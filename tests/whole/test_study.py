@@ -22,12 +22,12 @@ import pytest
 import hilcell.__main__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
-from hilcell.study.case import Found, measured, packed, versions
-from hilcell.study.cluster import Cluster
+from hilcell.study.case import CaseResult, calibrate_case, encode_cell, versions
+from hilcell.study.cluster import ClusterError
 from hilcell.study.design import Case, cases
-from hilcell.study.results import Results, row_of
-from hilcell.study.runner import perform
-from hilcell.study.study_file import cell_of, read_study
+from hilcell.study.results import Results, case_row
+from hilcell.study.runner import run_study
+from hilcell.study.study_file import read_study, study_cell
 from tests.hilcell.cell.packages import install
 from tests.hilcell.study.studies import study, written
 from tests.whole.bench import HILCELL, command
@@ -42,13 +42,15 @@ def measured_here(path: Path, folder: Path) -> pa.Table:
     """Return the rows of a study that this process measures by itself."""
 
     class Here:
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+        def measure(
+            self, waiting: Iterable[tuple[Case, bytes]]
+        ) -> Iterator[tuple[Case, CaseResult]]:
             for case, cell in waiting:
-                yield case, measured(cell, case.machine, case.seed, versions())
+                yield case, calibrate_case(cell, case.machine, case.seed, versions())
 
     results = Results(folder, read_study(path))
     with results.held():
-        perform(results, Here(), lambda _: None)  # type: ignore[arg-type]  # workers of Dask
+        run_study(results, Here(), lambda _: None)  # type: ignore[arg-type]  # workers of Dask
     return table(folder)
 
 
@@ -125,22 +127,24 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
     """As a restart of the PC while workers start: cases of an earlier session are kept."""
 
     class Ends:
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+        def measure(
+            self, waiting: Iterable[tuple[Case, bytes]]
+        ) -> Iterator[tuple[Case, CaseResult]]:
             if not lost:
                 signal.raise_signal(signal.SIGTERM)
             yield from [(case, found) for case, _ in list(waiting)[:kept]]
-            raise Cluster("scheduler tcp://nowhere is gone")
+            raise ClusterError("scheduler tcp://nowhere is gone")
 
     path = written(tmp_path, READINGS)
     asked = read_study(path)
-    found = Found("done", "", 9.0, {"mean_mm": 0.1, "covered": 1.0, "targets": 8.0})
+    found = CaseResult("done", "", 9.0, {"mean_mm": 0.1, "covered": 1.0, "targets": 8.0})
     results = Results(tmp_path / "r", asked)
     with results.held():
-        results.add([row_of(case, found, asked) for case in list(cases(asked))[:kept]])
+        results.add([case_row(case, found, asked) for case in list(cases(asked))[:kept]])
     monkeypatch.setattr("hilcell.commands.study._workers", lambda _: nullcontext(Ends()))
     done = command("study", path, "-o", tmp_path / "r")
     assert done.returncode == (code if kept or not lost else 2)
-    assert ("goes on" in done.stderr.splitlines()[-1]) is bool(kept)
+    assert ("continues" in done.stderr.splitlines()[-1]) is bool(kept)
 
 
 class Frozen(BaseException):
@@ -157,7 +161,7 @@ def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
     A worker freezes in the middle of a study, where it may hold rows that nobody has read, and
     before one. The other may be late as well on a busy PC: what is said of it does not matter.
     """
-    monkeypatch.setattr(cluster, "LOOK_S", 0.1)
+    monkeypatch.setattr(cluster, "POLL_S", 0.1)
     monkeypatch.setattr(cluster, "SILENT_S", 2.0)
     with (
         scheduler() as (address, asked),
@@ -171,30 +175,30 @@ def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
             if at in words:
                 raise Frozen
 
-        with cluster.workers_of(address, said) as workers:
+        with cluster.scheduler_workers(address, said) as workers:
             rows = _begun(workers, tmp_path)
             frozen.process.send_signal(signal.SIGSTOP)
             with pytest.raises(Frozen):
                 list(rows)
         patch.setattr(cluster, "VERSIONS_S", 1.0)
-        with pytest.raises(Cluster, match=at), cluster.workers_of(address, print):
+        with pytest.raises(ClusterError, match=at), cluster.scheduler_workers(address, print):
             raise AssertionError("it can be used")
         patch.undo()
         frozen.kill()
-        with cluster.workers_of(address, print) as workers:
+        with cluster.scheduler_workers(address, print) as workers:
             rows = _begun(workers, tmp_path)
             last.kill()
             patch.setattr(cluster, "WORKERS_S", 0.5)
-            with pytest.raises(Cluster, match=r"no worker for 0\.5 s"):
+            with pytest.raises(ClusterError, match=r"no worker for 0\.5 s"):
                 list(rows)
             asked.process.send_signal(signal.SIGSTOP)
             patch.setattr(cluster, "SCHEDULER_S", 0.5)
-            with pytest.raises(Cluster, match=address):
+            with pytest.raises(ClusterError, match=address):
                 list(workers.measure(iter(())))
             asked.process.send_signal(signal.SIGCONT)
 
 
-def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Found]]:
+def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, CaseResult]]:
     """Begin a long study; return its rows after the first."""
     rows = workers.measure(_many(folder))
     assert next(rows)[1].state == "done"
@@ -204,7 +208,7 @@ def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Found
 def _many(folder: Path) -> Iterator[tuple[Case, bytes]]:
     """Return the cases of a long study."""
     asked = study(folder, READINGS, "machines = 99")
-    return ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
+    return ((case, encode_cell(study_cell(asked, case.point.values))) for case in cases(asked))
 
 
 @pytest.mark.nightly
@@ -214,11 +218,11 @@ def test_a_worker_of_this_pc_that_froze_is_restarted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Dask takes no shorter time than ten heartbeats, 5 s; no case is lost."""
-    monkeypatch.setattr(cluster, "LOOK_S", 0.1)
+    monkeypatch.setattr(cluster, "POLL_S", 0.1)
     monkeypatch.setattr(cluster, "SILENT_S", 2.0)
     monkeypatch.setitem(cluster.SETTINGS, "distributed.scheduler.worker-ttl", "2s")
     asked = study(tmp_path, READINGS, "machines = 2")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
+    waiting = ((case, encode_cell(study_cell(asked, case.point.values))) for case in cases(asked))
     said = list[str]()
     with cluster.local_workers(1, said.append) as workers:
         rows = workers.measure(waiting)
@@ -237,14 +241,16 @@ def test_a_worker_of_this_pc_that_froze_is_restarted(
 def test_a_killed_worker_loses_no_case(tmp_path: Path) -> None:
     """Its case is measured by the other worker, with the same digits."""
     asked = study(tmp_path, READINGS, "machines = 3")
-    found: dict[int, Found] = {}
+    found: dict[int, CaseResult] = {}
     with (
         scheduler() as (address, _),
         worker(address),
         worker(address) as doomed,
-        cluster.workers_of(address, print) as workers,
+        cluster.scheduler_workers(address, print) as workers,
     ):
-        waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
+        waiting = (
+            (case, encode_cell(study_cell(asked, case.point.values))) for case in cases(asked)
+        )
         for case, row in workers.measure(waiting):
             found[case.number] = row
             doomed.kill()
@@ -263,12 +269,12 @@ def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     waiting = _many(tmp_path)
     with ExitStack() as stack:
         address = stack.enter_context(scheduler_here())
-        with cluster.workers_of(address, print) as workers:
+        with cluster.scheduler_workers(address, print) as workers:
             ((_, first),) = workers.measure(itertools.islice(waiting, 1))
             assert first.state == "done"
             site = str(tmp_path / "site")
             stack.enter_context(worker(address, "--nthreads", "2", PYTHONPATH=site))
-            with pytest.raises(Cluster, match=r"0\.0\.9"):
+            with pytest.raises(ClusterError, match=r"0\.0\.9"):
                 assert {row.state for _, row in workers.measure(waiting)} == {"done"}
         done = command(
             "study", tmp_path / "study.toml", "-o", tmp_path / "r", "--scheduler", address

@@ -15,7 +15,7 @@ from hilcell.decoding import Json, typed
 from hilcell.ports import Array
 from hilcell.study.analysis import Additive, Answers, answers
 from hilcell.study.case import Row
-from hilcell.study.design import Case, Point, placed, points
+from hilcell.study.design import Case, Point, choices_at, points
 from hilcell.study.html import page
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
@@ -139,7 +139,7 @@ def test_factors_in_two_pairs_are_two_groups(tmp_path: Path) -> None:
     """Readings go with pitch, x goes with r; the pairs themselves are crossed."""
     asked = study(tmp_path, READINGS + RANGE + PITCH + SPAN, FOUR)
     some = [
-        Point(n, placed(asked, [a, 1800.0 + 100.0 * b, a, 5.0 + b]))
+        Point(n, choices_at(asked, [a, 1800.0 + 100.0 * b, a, 5.0 + b]))
         for n, (a, b) in enumerate([(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)], start=1)
     ]
     assert Additive(asked.factor, some).inseparable() == [[0, 2], [1, 3]]

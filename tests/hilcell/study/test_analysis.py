@@ -15,10 +15,10 @@ from scipy.stats import t as student
 
 from hilcell.decoding import Json
 from hilcell.study.analysis import Interval, Share, answers, on_front
-from hilcell.study.case import Found, Row
+from hilcell.study.case import CaseResult, Row
 from hilcell.study.design import Case, cases
 from hilcell.study.html import page
-from hilcell.study.results import row_of
+from hilcell.study.results import case_row
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary, percent, with_half
 from tests.hilcell.study.studies import TWO_FACTORS, study
@@ -30,9 +30,9 @@ FOUR = "machines = 4"
 def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
     """Return rows of a study whose errors are known."""
     return [
-        row_of(
+        case_row(
             case,
-            Found(
+            CaseResult(
                 "done",
                 "",
                 20.0 + case.point.number,

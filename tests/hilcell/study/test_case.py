@@ -14,8 +14,8 @@ from hilcell.ports import NoReading
 from hilcell.run.in_process import run_in_process
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
-from hilcell.study.case import RESULTS, figures, measured, packed, versions
-from hilcell.study.study_file import Study, cell_of
+from hilcell.study.case import RESULTS, calibrate_case, encode_cell, figures, versions
+from hilcell.study.study_file import Study, study_cell
 from tests.hilcell.study.studies import study
 from tests.whole.golden import GoldenRuns
 
@@ -28,8 +28,8 @@ def asked(tmp_path: Path) -> Study:
 
 
 def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) -> None:
-    cell = cell_of(asked, {"layout.nest_samples": 3})
-    row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
+    cell = study_cell(asked, {"layout.nest_samples": 3})
+    row = calibrate_case(encode_cell(cell), 2, 1, versions())  # machine 2, targets 1
     log = run_in_process(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
     result = typed(CALIBRATE.result(log), Calibrated)
     assert row.figures == figures(result)
@@ -51,7 +51,7 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
 
 def test_a_quick_plan_has_every_figure_but_that_of_the_papers_method(asked: Study) -> None:
     """It sends no targets by it."""
-    row = measured(packed(cell_of(asked, {"plan.quick": True})), 2, 1, versions())
+    row = calibrate_case(encode_cell(study_cell(asked, {"plan.quick": True})), 2, 1, versions())
     assert (row.state, row.reason) == ("done", "")
     assert set(RESULTS) - row.figures.keys() == {"idw_mm"}
     assert 0.02 < row.figures["mean_mm"] < row.figures["max_mm"] < 0.4
@@ -72,9 +72,13 @@ def test_figures_of_a_result(golden: GoldenRuns) -> None:
 
 
 def test_a_cell_that_cannot_be_planned(asked: Study) -> None:
-    row = measured(packed(cell_of(asked, {"grid.centre.x_mm": 3850.0})), 1, 1, versions())
+    row = calibrate_case(
+        encode_cell(study_cell(asked, {"grid.centre.x_mm": 3850.0})), 1, 1, versions()
+    )
     assert (row.state, row.figures) == ("cannot be", {})
-    row = measured(packed(cell_of(asked, {"simulation.machine": "papr"})), 1, 1, versions())
+    row = calibrate_case(
+        encode_cell(study_cell(asked, {"simulation.machine": "papr"})), 1, 1, versions()
+    )
     assert row.state == "cannot be"
     assert "papr" in row.reason
 
@@ -93,12 +97,12 @@ def test_a_run_that_ends_early(
         raise error
 
     monkeypatch.setattr(case, "run_in_process", broken)
-    row = measured(packed(cell_of(asked, {})), 1, 1, versions())
+    row = calibrate_case(encode_cell(study_cell(asked, {})), 1, 1, versions())
     assert row.state == "failed"
     assert words in row.reason
     assert not row.figures
 
 
 def test_another_version_measures_nothing(asked: Study) -> None:
-    row = measured(packed(cell_of(asked, {})), 1, 1, versions() | {"numpy": "1.0"})
+    row = calibrate_case(encode_cell(study_cell(asked, {})), 1, 1, versions() | {"numpy": "1.0"})
     assert (row.versions, row.figures) == (versions(), {})

@@ -15,11 +15,11 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.run.cell_lock import CellLocked
-from hilcell.study.case import Found, unpacked
-from hilcell.study.cluster import Cluster
+from hilcell.study.case import CaseResult, decode_cell
+from hilcell.study.cluster import ClusterError
 from hilcell.study.design import Case, cases
-from hilcell.study.results import OtherStudy, Results, open_results, row_of
-from hilcell.study.runner import perform
+from hilcell.study.results import OtherStudy, Results, case_row, open_results
+from hilcell.study.runner import run_study
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.whole.bench import command
@@ -33,23 +33,23 @@ class Bench:
     def __init__(self, most: int = 10**9) -> None:
         self.most, self.measured = most, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, CaseResult]]:
         for case, cell in waiting:
             if len(self.measured) == self.most:
-                raise Cluster("scheduler tcp://nowhere is gone")
-            assert unpacked(cell).name == "paper"
+                raise ClusterError("scheduler tcp://nowhere is gone")
+            assert decode_cell(cell).name == "paper"
             self.measured.append(case.number)
             yield case, found(case)
 
 
-def found(case: Case) -> Found:
+def found(case: Case) -> CaseResult:
     figures = {"mean_mm": case.number / 1000.0, "covered": 0.95, "targets": 50.0}
-    return Found("done", "", 10.0, figures)
+    return CaseResult("done", "", 10.0, figures)
 
 
 def performed(results: Results, bench: Any) -> dict[str, int]:
     with results.held():
-        return dict(perform(results, bench, lambda _: None))
+        return dict(run_study(results, bench, lambda _: None))
 
 
 def test_a_study_is_kept_in_one_file(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_folder_may_have_any_name(
 
 def test_a_study_goes_on_with_the_cases_that_are_left(tmp_path: Path) -> None:
     results, asked = Results(tmp_path / "r", study(tmp_path)), study(tmp_path)
-    with pytest.raises(Cluster):
+    with pytest.raises(ClusterError):
         performed(results, Bench(most=3))
     assert results.finished() == {1, 2, 3}
     bench = Bench()
@@ -117,7 +117,7 @@ def test_a_row_in_two_files_counts_once(tmp_path: Path) -> None:
     asked = study(tmp_path)
     results = Results(tmp_path / "r", asked)
     with results.held():
-        rows = [row_of(case, found(case), asked) for case in cases(asked)]
+        rows = [case_row(case, found(case), asked) for case in cases(asked)]
         results.add(rows[:3])
         part = next((tmp_path / "r/cases").iterdir())
         kept = part.read_bytes()

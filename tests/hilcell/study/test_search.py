@@ -12,12 +12,12 @@ from msgspec.structs import replace
 
 from hilcell.cell.file import Cell
 from hilcell.study.analysis import answers
-from hilcell.study.case import Found, unpacked
-from hilcell.study.cluster import Cluster
+from hilcell.study.case import CaseResult, decode_cell
+from hilcell.study.cluster import ClusterError
 from hilcell.study.design import Case, cases
 from hilcell.study.html import page
 from hilcell.study.results import Results, open_results
-from hilcell.study.runner import perform
+from hilcell.study.runner import run_study
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
 from tests.hilcell.study.studies import study
@@ -32,7 +32,7 @@ LIMITED = HEAD.replace("mm_per_minute = 0.001", "most_minutes = 25.0")
 @cache
 def cell_in(content: bytes) -> Cell:
     """Return the cell of a case; searches of one study ask for the same ones."""
-    return unpacked(content)
+    return decode_cell(content)
 
 
 class Bench:
@@ -41,27 +41,27 @@ class Bench:
     def __init__(self, most: int = 10**9, *, backwards: bool = False) -> None:
         self.most, self.backwards, self.measured = most, backwards, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, CaseResult]]:
         batch = list(waiting)
         for case, cell in reversed(batch) if self.backwards else batch:
             if len(self.measured) == self.most:
-                raise Cluster("scheduler tcp://nowhere is gone")
+                raise ClusterError("scheduler tcp://nowhere is gone")
             self.measured.append(case.number)
             yield case, truth(case, cell_in(cell))
 
 
-def truth(case: Case, cell: Cell) -> Found:
+def truth(case: Case, cell: Cell) -> CaseResult:
     readings, x_mm = cell.layout.nest_samples, cell.grid.centre.x_mm
     error_mm = 0.1 + ((x_mm - 1870.0) / 100.0) ** 2 + 0.04 / readings + 0.01 * case.machine
     error_mm -= 0.05 * cell.sweeps.enabled
     minutes = 10.0 + 4.0 * readings
     figures = {"mean_mm": error_mm, "covered": 0.95, "targets": 50.0}
-    return Found("done", "", minutes, figures)
+    return CaseResult("done", "", minutes, figures)
 
 
 def performed(results: Results, bench: Any) -> dict[str, int]:
     with results.held():
-        return dict(perform(results, bench, lambda _: None))
+        return dict(run_study(results, bench, lambda _: None))
 
 
 def best(asked: Study, results: Results) -> dict[str, object]:
@@ -115,7 +115,9 @@ def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
     """All of them are too long, which is no agreement: the search goes on to shorter ones."""
 
     class Slow(Bench):
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+        def measure(
+            self, waiting: Iterable[tuple[Case, bytes]]
+        ) -> Iterator[tuple[Case, CaseResult]]:
             for case, cell in waiting:
                 minutes = 10.0 + abs(cell_in(cell).grid.centre.x_mm - 1859.3)
                 yield case, replace(truth(case, cell_in(cell)), minutes=minutes)
@@ -158,7 +160,7 @@ def test_the_order_of_answers_does_not_matter(tmp_path: Path, whole: Results) ->
 def test_it_goes_on_where_it_was_stopped(tmp_path: Path, whole: Results) -> None:
     asked = study(tmp_path, FACTORS, HEAD)
     results = Results(tmp_path / "r", asked)
-    with pytest.raises(Cluster):
+    with pytest.raises(ClusterError):
         performed(results, Bench(most=41))
     rest = Bench()
     performed(Results(tmp_path / "r", asked), rest)
@@ -171,11 +173,13 @@ def test_it_goes_on_where_it_was_stopped(tmp_path: Path, whole: Results) -> None
 
 def test_a_point_that_cannot_be_is_not_the_best(tmp_path: Path) -> None:
     class Picky(Bench):
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
+        def measure(
+            self, waiting: Iterable[tuple[Case, bytes]]
+        ) -> Iterator[tuple[Case, CaseResult]]:
             for case, content in waiting:
                 cell = cell_in(content)
                 good = cell.grid.centre.x_mm < 1850.0 or case.machine == 1
-                failed = Found("failed", "the beam broke")
+                failed = CaseResult("failed", "the beam broke")
                 yield case, truth(case, cell) if good else failed
 
     asked = study(tmp_path, FACTORS, HEAD)

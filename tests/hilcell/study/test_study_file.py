@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.study.design import points
 from hilcell.study.factor import Factor, is_stated
-from hilcell.study.study_file import cell_of, read_study, toml_value
+from hilcell.study.study_file import read_study, study_cell, toml_text
 from tests.hilcell.study.studies import study, written
 
 EXAMPLES = sorted(Path("docs/examples").glob("study-*.toml"))
@@ -25,7 +25,7 @@ EXAMPLES = sorted(Path("docs/examples").glob("study-*.toml"))
 def factor(**keys: object) -> str:
     given = {"name": "f", "setting": "layout.nest_samples"} | keys
     return "\n[[factor]]\n" + "\n".join(
-        f"{key} = {toml_value(each) if isinstance(each, list) else json.dumps(each)}"
+        f"{key} = {toml_text(each) if isinstance(each, list) else json.dumps(each)}"
         for key, each in given.items()
     )
 
@@ -61,7 +61,7 @@ def test_the_shipped_examples_are_sound(path: Path) -> None:
     asked = read_study(path)
     assert asked.name == path.stem
     for point in points(asked):
-        assert cell_of(asked, point.values).name == "paper"
+        assert study_cell(asked, point.values).name == "paper"
 
 
 def test_there_are_three_examples() -> None:
@@ -69,7 +69,7 @@ def test_there_are_three_examples() -> None:
 
 
 def test_settings_reach_the_cell(tmp_path: Path) -> None:
-    cell = cell_of(study(tmp_path), {"layout.nest_samples": 5, "grid.pitch_mm": 300.0})
+    cell = study_cell(study(tmp_path), {"layout.nest_samples": 5, "grid.pitch_mm": 300.0})
     assert (cell.layout.nest_samples, cell.grid.pitch_mm) == (5, 300.0)
     assert cell.validation.others == 8  # of [settings]
 
@@ -322,7 +322,7 @@ VALUES = st.recursive(
 
 @given(VALUES)
 def test_values_are_written_as_toml_reads_them(value: object) -> None:
-    assert tomllib.loads(f"value = {toml_value(value)}")["value"] == value
+    assert tomllib.loads(f"value = {toml_text(value)}")["value"] == value
 
 
 def test_a_machine_of_another_robot_is_a_finding(tmp_path: Path) -> None:
@@ -343,7 +343,7 @@ levels = [
 
 def test_a_level_may_be_several_settings(tmp_path: Path) -> None:
     asked = study(tmp_path, STRIP)
-    with_strip, without = (cell_of(asked, point.values) for point in points(asked))
+    with_strip, without = (study_cell(asked, point.values) for point in points(asked))
     assert with_strip.rail.strip_tolerance_mm == 0.01
     assert without.rail.strip_tolerance_mm == 0.2
     assert without.simulation is not None
