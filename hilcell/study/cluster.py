@@ -251,8 +251,8 @@ def local_workers(count: int, say: Say) -> Iterator[Workers]:
                 )
         except (OSError, RuntimeError) as error:
             raise ClusterError(
-                f"cannot start workers: {getattr(error, 'strerror', None) or error}; check "
-                "/dev/shm and free memory"
+                f"cannot start workers: {getattr(error, 'strerror', None) or error}; check shared "
+                "memory (/dev/shm) and free memory"
             ) from error
         client = stack.enter_context(Client(cluster))
         yield Workers(client, "the local cluster", say, f"within {RESTARTED_S:g} s")
