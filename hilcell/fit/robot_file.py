@@ -31,7 +31,7 @@ Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot's nominal kinematics, from whatever file.
+    """A robot's nominal kinematics.
 
     ``arm`` has its tool point on the flange behind the sixth row, ``base`` (4, 4) is its
     base in the robot's root frame, ``tool`` (4, 4) on the flange the frame that targets are meant
@@ -105,7 +105,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Measurements:
     """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame.
 
-    ``source`` names them in messages: a file, and ``lines`` (N) are the rows' in it.
+    Messages name the rows by ``source``, a file, and by their ``lines`` (N) in it.
     """
 
     pose: list[str]
