@@ -27,7 +27,7 @@ from drivers.device_errors import STRIP
 from drivers.supervision import Deadline, on_failure
 from drivers.wires import TextLines, open_link
 from hilcell.cell.settings import refuse
-from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, says_simulated
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, is_simulated_name
 from hilcell.sanitize import clean
 from hilcell.wire.channel import parse_channel
 
@@ -140,7 +140,7 @@ class SerialStrip:
                 expected=f"{self._options.serial}",
                 serial=serial,
             )
-        simulated = says_simulated(model)
+        simulated = is_simulated_name(model)
         return Identity(STRIP.name, model, serial, address, simulated, "strip", "", firmware)
 
     def _ask(self, command: str, form: str = ".*") -> str:

@@ -17,7 +17,7 @@ from hilcell.ports import (
     DeviceRefused,
     Identity,
     NoReading,
-    says_simulated,
+    is_simulated_name,
 )
 
 OUTLIER_FACTOR = (
@@ -37,7 +37,7 @@ def check_serial(serial: str, expected: str) -> None:
 
 def leica_identity(name: str, besides: str, serial: str, address: str, firmware: str) -> Identity:
     """Return the identity of a tracker by its name, which may bear the maker's already."""
-    maker, simulated = "Leica", says_simulated(name)
+    maker, simulated = "Leica", is_simulated_name(name)
     model = name if name.casefold().startswith("leica") else f"{maker} {name}".strip()
     model += besides
     return Identity(TRACKER.name, model, serial, address, simulated, "tracker", maker, firmware)

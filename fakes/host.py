@@ -36,7 +36,7 @@ from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.decoding import decoded
-from hilcell.errors import HilcellError, with_place
+from hilcell.errors import HilcellError, with_location
 
 STDIN = 0
 Values = dict[str, Any]
@@ -186,7 +186,7 @@ class Host:
         except HilcellError:
             raise
         except Exception as error:  # a package may raise anything
-            raise HilcellError(f"simulated {table}: {with_place(error)}") from error
+            raise HilcellError(f"simulated {table}: {with_location(error)}") from error
         if lacking:
             what = f"{type(device).__name__} has no {', '.join(lacking)}"
             raise HilcellError(f"simulated {table}: {what}; see fakes.site.SimulatedDevice")
@@ -226,7 +226,7 @@ def _report(failed: threading.ExceptHookArgs) -> None:
     """Say which error ended a thread of a simulated device: its client sees a closed wire."""
     error = failed.exc_value or failed.exc_type()
     name = failed.thread.name if failed.thread else "a thread"
-    print(f"simulated cell: {name}: {with_place(error)}", file=sys.stderr)
+    print(f"simulated cell: {name}: {with_location(error)}", file=sys.stderr)
 
 
 if __name__ == "__main__":

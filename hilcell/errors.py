@@ -23,17 +23,17 @@ EXIT_ABORTED, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE = 4, 5, 6, 7
 DONE = (EXIT_OK, EXIT_OUT_OF_TOLERANCE)  # the run came to its end
 RESUMABLE = (EXIT_FAULT, EXIT_ABORTED, EXIT_INTERNAL, EXIT_STORAGE)
 
-MOST_LISTED = 10
+MAX_LISTED = 10
 
 
-def bounded(lines: Iterable[str], count: int | None = None, most: int = MOST_LISTED) -> list[str]:
+def bounded(lines: Iterable[str], count: int | None = None, most: int = MAX_LISTED) -> list[str]:
     """Return the first lines of a list, and how many more there are of ``count``, or of its own."""
     found = list(lines)
     more = (len(found) if count is None else count) - most
     return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
-def indented(lines: Iterable[str], count: int | None = None, most: int = MOST_LISTED) -> str:
+def indented(lines: Iterable[str], count: int | None = None, most: int = MAX_LISTED) -> str:
     """Return what `bounded` does as text, each line indented below the words before it."""
     return "\n".join(f"  {each}" for each in bounded(lines, count, most))
 
@@ -43,7 +43,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def with_place(error: BaseException) -> str:
+def with_location(error: BaseException) -> str:
     """Return it in one line, with the file and the line that raised it."""
     steps = [step for step in extract_tb(error.__traceback__) if step.filename[:1] != "<"]
     at = steps[-1:]
@@ -69,7 +69,7 @@ class HilcellError(Exception):
         return {"code": self.code, "found": str(self)}
 
 
-class StoreAway(HilcellError):
+class StoreUnavailable(HilcellError):
     """A store that is not this PC's cannot be used now; the same command may do it later."""
 
     exit_code = EXIT_STORAGE

@@ -13,7 +13,7 @@ class Identity(msgspec.Struct, frozen=True):
 
     ``device`` is the port by which it was reached: drive and strip are both at "Rail". ``kind`` is
     robot, tracker, drive or strip; without one it is that of the device. A device that does not
-    say something has "". ``simulated`` is its own statement: see `hilcell.ports.says_simulated`.
+    say something has "". ``simulated`` is its own statement: see `hilcell.ports.is_simulated_name`.
     """
 
     device: str = ""

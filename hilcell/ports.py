@@ -31,17 +31,46 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
-    "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample", "LinkStatistics",
-    "NoReading", "Rail", "RailReading", "RecordingEnded", "RepeatsRun", "RidesOnRobot", "Robot",
-    "RobotReading", "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost",
-    "Sweep", "Sweeps", "Tracker", "TrackerReading", "Training", "TwoFaces", "says_simulated",
+    "Air",
+    "Array",
+    "AxisReading",
+    "Clock",
+    "DeviceError",
+    "DeviceRefused",
+    "Exercise",
+    "ExternalAxis",
+    "HilcellError",
+    "Identity",
+    "InProcessCell",
+    "JointSample",
+    "LinkStatistics",
+    "NoReading",
+    "Rail",
+    "RailReading",
+    "RecordingEnded",
+    "RepeatsRun",
+    "Robot",
+    "RobotDrivenRail",
+    "RobotReading",
+    "SimulatedCell",
+    "Stopped",
+    "Stream",
+    "StreamBlock",
+    "Streams",
+    "StripLost",
+    "Sweep",
+    "Sweeps",
+    "Tracker",
+    "TrackerReading",
+    "Training",
+    "TwoFaces",
+    "is_simulated_name",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 
-def says_simulated(name: str) -> bool:
+def is_simulated_name(name: str) -> bool:
     """Whether a device's own name says that it is no machine: it has the word "simulated"."""
     return "simulated" in name.casefold()
 
@@ -362,10 +391,10 @@ class ExternalAxis(Protocol):
 
 
 @runtime_checkable
-class RidesOnRobot(Protocol):
+class RobotDrivenRail(Protocol):
     """A rail whose drive is its robot's external axis; the robot is opened before it."""
 
-    def ride(self, robot: ExternalAxis) -> None:
+    def attach_robot(self, robot: ExternalAxis) -> None:
         """Take the robot, once, before ``connect``."""
 
 

@@ -22,7 +22,7 @@ from drivers.canopen.motion_guard import Limits
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported, open_channel
 from drivers.canopen.slcan_bus import has_long_stamp
 from drivers.device_errors import RAIL
-from hilcell.ports import DeviceError, Identity, says_simulated
+from hilcell.ports import DeviceError, Identity, is_simulated_name
 from hilcell.sanitize import clean
 
 FIND_S = 5.0
@@ -244,7 +244,7 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
         model,
         str(serial),
         where,
-        says_simulated(name),
+        is_simulated_name(name),
         expected.name,
         f"vendor 0x{vendor:X}",
         firmware,

@@ -29,7 +29,7 @@ from hilcell.ports import Clock, DeviceError, ExternalAxis, Identity, LinkStatis
 
 
 class KukaE1Rail:
-    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.RidesOnRobot`."""
+    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.RobotDrivenRail`."""
 
     CYCLE_S = 0.012  # of the controller: within one the place does not change
 
@@ -74,7 +74,7 @@ class KukaE1Rail:
         self._before: tuple[float, float] | None = None  # place, and the cell's time
         self._ended_s: float | None = None
 
-    def ride(self, robot: ExternalAxis) -> None:
+    def attach_robot(self, robot: ExternalAxis) -> None:
         self._robot = robot
 
     # -- the port -----------------------------------------------------------------------------

@@ -62,7 +62,7 @@ from hilcell.ports import (
     JointSample,
     RobotReading,
     Stopped,
-    says_simulated,
+    is_simulated_name,
 )
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Host
@@ -290,7 +290,7 @@ class KukaRobot:
         model, serial = self.wire().text("$TRAFONAME[]"), self.wire().integer("$KR_SERIALNO")
         expected = self._options
         check_identity(model, expected.model, str(serial), str(expected.serial or ""))
-        simulated = says_simulated(model)
+        simulated = is_simulated_name(model)
         return Identity(
             ROBOT.name, model, str(serial), self.wire().address, simulated, "robot", "KUKA"
         )

@@ -42,7 +42,7 @@ from drivers.tracker_readings import (
 )
 from drivers.wires import TcpLink, TextLines
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading, says_simulated
+from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading, is_simulated_name
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Host, Port
 
@@ -201,7 +201,7 @@ class T2saTracker:
             self._set_up()
             self._compare(points)
         model = f"{clean(options.instrument)}, by SpatialAnalyzer"
-        serial, simulated = clean(options.plate), says_simulated(state)
+        serial, simulated = clean(options.plate), is_simulated_name(state)
         return [Identity(TRACKER.name, model, serial, link.address, simulated, "tracker")]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:

@@ -47,7 +47,7 @@ from hilcell.ports import (
     JointSample,
     RobotReading,
     Stopped,
-    says_simulated,
+    is_simulated_name,
 )
 from hilcell.wire.channel import Host, Port
 
@@ -189,7 +189,7 @@ class UrRtdeRobot:
             raise ROBOT.refused("HC-B69", "connect", found, expected=UrLink.POLYSCOPE)
         check_identity(model, options.model, serial, options.serial)
         address, maker = f"{options.host}:{options.rtde_port}", "Universal Robots"
-        simulated = says_simulated(model)
+        simulated = is_simulated_name(model)
         return Identity(ROBOT.name, model, serial, address, simulated, "robot", maker, software)
 
     def _check_remote(self) -> None:

@@ -24,7 +24,7 @@ from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import RecordingEnded, Stopped
-from hilcell.wire.channel import addressed, can_interfaces, wires_of
+from hilcell.wire.channel import can_interfaces, wire_places, with_addresses
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,
@@ -125,7 +125,7 @@ def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
     for table, options in stated.items():
         for channel in can_interfaces(options):
             yield f"{table}: {channel} is a CAN interface, of which no recording can be played"
-    for name in wires_of(stated):
+    for name in wire_places(stated):
         if name not in found:
             yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
 
@@ -207,7 +207,7 @@ class RecordedCell:
             each.start()
         anywhere = stand_ins(cell)
         recorded = {name.partition(".")[0] for name in channels}
-        self.options = addressed(stated_options(cell, anywhere, recorded), channels)
+        self.options = with_addresses(stated_options(cell, anywhere, recorded), channels)
 
     def _expect_end(
         self, paths: Mapping[str, Path], clock: Sequence[Piece], wires: Recorded

@@ -18,7 +18,7 @@ from hilcell.cell.addresses import places
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
 from hilcell.decoding import learn
-from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_place
+from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_location
 
 
 def misfits(kind: type, port: type) -> list[str]:
@@ -164,8 +164,8 @@ def abilities(cell: Cell) -> dict[str, bool]:
     }
 
 
-def rides_on_robot(cell: Cell) -> bool:
-    return issubclass(load_entry("rails", cell.rail.driver), ports.RidesOnRobot)
+def is_robot_driven(cell: Cell) -> bool:
+    return issubclass(load_entry("rails", cell.rail.driver), ports.RobotDrivenRail)
 
 
 def build_devices(
@@ -181,11 +181,11 @@ def build_devices(
             raise
         except Exception as error:
             name = getattr(cell, table).driver
-            problem = f"{table}.driver: {name!r} cannot be built: {with_place(error)}"
+            problem = f"{table}.driver: {name!r} cannot be built: {with_location(error)}"
             raise SettingsError(cell.name, [problem]) from error
-    rides = isinstance(built["rail"], ports.RidesOnRobot)
+    rides = isinstance(built["rail"], ports.RobotDrivenRail)
     if rides:
-        built["rail"].ride(built["robot"])
+        built["rail"].attach_robot(built["robot"])
     return Devices(**built, rail_rides=rides)
 
 
@@ -276,7 +276,7 @@ def check_options(cell: Cell) -> None:
             problems += [f"{key}: {line}" for line in error.problems]
     if not problems:
         robot = load_entry("robots", cell.robot.driver)
-        if rides_on_robot(cell) and not issubclass(robot, ports.ExternalAxis):
+        if is_robot_driven(cell) and not issubclass(robot, ports.ExternalAxis):
             problems.append(
                 f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot "
                 f"driver {cell.robot.driver!r} moves none; name another of both"

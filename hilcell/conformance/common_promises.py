@@ -23,16 +23,16 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
-from hilcell.conformance.exercise import ACTS, Driver, Port
+from hilcell.conformance.exercise import USES, Driver, Port
 from hilcell.conformance.trial import (
-    LOOK_S,
+    POLL_S,
     Bench,
     Broken,
     NotApplicable,
     Promises,
-    Riding,
-    fails,
-    need,
+    RailWithRobot,
+    expect_error,
+    require,
 )
 from hilcell.decoding import Json, decoded
 from hilcell.errors import DeviceError, Stopped
@@ -40,9 +40,9 @@ from hilcell.ports import Identity
 from hilcell.sanitize import UNSAFE
 
 PROMISES = Promises()
-FAILING = Promises()  # of the wire, and stops: judged behind those of one port
+FAULT_PROMISES = Promises()  # of the wire, and stops: judged behind those of one port
 STOP_S = 0.02
-UNDER_WAY_S = 0.7
+MOVING_S = 0.7
 END_S = 10.0
 STANDS_S = 0.3
 # A device has seen by then that its client is gone; `travel` would have ended by then, too.
@@ -80,10 +80,10 @@ class Order(msgspec.Struct, frozen=True):
     path: list[str]
 
 
-def _killed_under_way(bench: Bench) -> None:
+def _killed_in_motion(bench: Bench) -> None:
     """Have a program of its own begin what takes seconds, and kill it, as by ``kill -9``."""
     (kind, options), *carrier = bench.settings()
-    slow = msgspec.structs.replace(options, **bench.acts.slowly())
+    slow = msgspec.structs.replace(options, **bench.use.slow_options())
     drivers = [
         (f"{each.__module__}:{each.__qualname__}", msgspec.to_builtins(stated))
         for each, stated in ((kind, slow), *carrier)
@@ -99,14 +99,14 @@ def _killed_under_way(bench: Bench) -> None:
     try:
         stdin.write(msgspec.json.encode(Order(cell, bench.port, drivers, sys.path)) + b"\n")
         stdin.flush()
-        while not select.select([stdout], [], [], LOOK_S)[0]:
+        while not select.select([stdout], [], [], POLL_S)[0]:
             bench.clock.outer()
         line = stdout.readline().decode().strip()
         if line != "connected":
             program.kill()
             said = program.communicate()[1].decode(errors="replace").strip()
             raise Broken(f"a program of its own could not use the device: {line} {said[-500:]}")
-        bench.rest(UNDER_WAY_S)
+        bench.sleep(MOVING_S)
     finally:
         program.kill()
         program.communicate()
@@ -115,15 +115,15 @@ def _killed_under_way(bench: Bench) -> None:
 @PROMISES.add("identity-same")
 def same_identity(bench: Bench) -> None:
     """Two connects give the same identity, with model and serial number."""
-    bench.present()
+    bench.require_device()
     found = []
     for _ in range(2):
         driver = bench.build()
         found.append(_assets(driver.connect()))
         driver.close()
-    need(found[0] == found[1], f"first {found[0]}, then {found[1]}")
+    require(found[0] == found[1], f"first {found[0]}, then {found[1]}")
     blank = [each for each in found[0] if not (each[1] and each[2])]
-    need(bool(found[0]) and not blank, f"no model or no serial number: {blank or 'nobody'}")
+    require(bool(found[0]) and not blank, f"no model or no serial number: {blank or 'nobody'}")
 
 
 def _assets(identities: list[Identity]) -> list[tuple[str, ...]]:
@@ -136,7 +136,7 @@ def _assets(identities: list[Identity]) -> list[tuple[str, ...]]:
 @PROMISES.add("identity-clean")
 def clean_identity(bench: Bench) -> None:
     """No control character of the device is in an identity or an error."""
-    bench.present()
+    bench.require_device()
     driver = bench.build()
     texts = [text for each in _assets(driver.connect()) for text in each]
     driver.close()
@@ -149,7 +149,7 @@ def clean_identity(bench: Bench) -> None:
     except DeviceError as error:
         texts.append(error.summary)
     unsafe = [text for text in texts if UNSAFE.search(text)]
-    need(not unsafe, f"control characters of the device in {unsafe}")
+    require(not unsafe, f"control characters of the device in {unsafe}")
 
 
 @PROMISES.add("identity-wrong")
@@ -164,7 +164,7 @@ def wrong_serial(bench: Bench) -> None:
             driver = bench.build(**changed)
         except ValueError:
             continue  # the options themselves refuse it, as one that means nothing here
-        fails(f"connect with {what}", driver.connect)
+        expect_error(f"connect with {what}", driver.connect)
 
 
 def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, object]]]:
@@ -186,7 +186,7 @@ def unreachable(bench: Bench) -> None:
     bench.wires.refuse()
     driver = bench.build()
     try:
-        fails("connect to nobody", driver.connect)
+        expect_error("connect to nobody", driver.connect)
         driver.close()
     finally:
         bench.wires.admit()
@@ -196,9 +196,9 @@ def unreachable(bench: Bench) -> None:
 @PROMISES.add("not-connected")
 def not_connected(bench: Bench) -> None:
     """A driver that is not connected raises a DeviceError."""
-    bench.present()
+    bench.require_device()
     driver = bench.build()
-    fails("before connect", lambda: bench.acts.ask(driver))
+    expect_error("before connect", lambda: bench.use.ask(driver))
 
 
 @PROMISES.add("connect-twice")
@@ -206,7 +206,7 @@ def connect_twice(bench: Bench) -> None:
     """A connected driver may be connected again."""
     driver = bench.connected()
     driver.connect()
-    bench.acts.ready(driver)
+    bench.use.ready(driver)
     bench.visit(driver, 1)
 
 
@@ -219,7 +219,7 @@ def close_twice(bench: Bench) -> None:
     driver.close()
     driver.close()
     driver.connect()
-    bench.acts.ask(driver)
+    bench.use.ask(driver)
 
 
 @PROMISES.add("stop-twice")
@@ -233,7 +233,7 @@ def stop_twice(bench: Bench) -> None:
     driver.close()
     driver.stop()
     driver.connect()
-    bench.acts.ready(driver)
+    bench.use.ready(driver)
     bench.visit(driver, 0)
 
 
@@ -241,12 +241,12 @@ def stop_twice(bench: Bench) -> None:
 def taken(bench: Bench) -> None:
     """A reading's time lies between the question and the answer."""
     driver = bench.connected()
-    for ask in (bench.acts.ask, lambda device: bench.acts.visit(device, 1), bench.acts.ask):
+    for ask in (bench.use.ask, lambda device: bench.use.visit(device, 1), bench.use.ask):
         asked_s = bench.clock.pc_s()
         taken_s = ask(driver).taken_s
         early_ms, late_ms = 1000 * (asked_s - taken_s), 1000 * (taken_s - bench.clock.pc_s())
-        need(early_ms <= 0, f"taken {early_ms:.1f} ms before the question")
-        need(late_ms <= 0, f"taken {late_ms:.1f} ms after the answer")
+        require(early_ms <= 0, f"taken {early_ms:.1f} ms before the question")
+        require(late_ms <= 0, f"taken {late_ms:.1f} ms after the answer")
 
 
 @PROMISES.add("no-number")
@@ -254,7 +254,7 @@ def no_number(bench: Bench) -> None:
     """A place that is NaN or infinite is refused with a DeviceError."""
     driver = bench.connected()
     for value in (math.nan, math.inf, -math.inf):
-        fails(f"a place that is {value}", partial(bench.acts.refused, driver, value))
+        expect_error(f"a place that is {value}", partial(bench.use.go_invalid, driver, value))
 
 
 @PROMISES.add("reads-back", real=True)
@@ -269,62 +269,62 @@ def reads_back(bench: Bench) -> None:
 def at_rest(bench: Bench) -> None:
     """A device that stands and dithers reads as still."""
     driver = bench.connected()
-    first = bench.acts.visit(driver, 1)
+    first = bench.use.visit(driver, 1)
     reads = 5
     for n in range(1, reads + 1):
-        reading = bench.acts.ask(driver)
-        need(reading.still, f"reading {n} of {reads} at rest says that it moves")
-        bench.rested(first, reading, f"reading {n} of {reads} at rest")
+        reading = bench.use.ask(driver)
+        require(reading.still, f"reading {n} of {reads} at rest says that it moves")
+        bench.require_same_place(first, reading, f"reading {n} of {reads} at rest")
 
 
 @PROMISES.add("ended", "rail", "robot", real=True)
 def ended(bench: Bench) -> None:
     """Readings state when the last motion ended, and were taken after it."""
-    bench.present()
+    bench.require_device()
     driver = bench.connected()
     began_s = bench.clock.pc_s()
-    reading = bench.acts.visit(driver, 1)
-    need(reading.ended_s is not None, "no end of the motion is stated")
-    need(began_s <= reading.ended_s, "the motion ended before it was asked for")
-    later = bench.acts.ask(driver)
-    need(later.ended_s == reading.ended_s, "the end of the motion changes at rest")
-    need(later.ended_s <= later.taken_s, "the reading was taken before the motion ended")
+    reading = bench.use.visit(driver, 1)
+    require(reading.ended_s is not None, "no end of the motion is stated")
+    require(began_s <= reading.ended_s, "the motion ended before it was asked for")
+    later = bench.use.ask(driver)
+    require(later.ended_s == reading.ended_s, "the end of the motion changes at rest")
+    require(later.ended_s <= later.taken_s, "the reading was taken before the motion ended")
 
 
-@FAILING.add("silent", waits=True)
+@FAULT_PROMISES.add("silent", waits=True)
 def silent(bench: Bench) -> None:
     """A device that answers no more is a DeviceError within 60 s."""
     driver = bench.connected()
-    bench.acts.ask(driver)
+    bench.use.ask(driver)
     bench.wires.set_mode("mute")
     began_s = time.monotonic()
-    fails("no answer comes", lambda: bench.acts.ask(driver))
+    expect_error("no answer comes", lambda: bench.use.ask(driver))
     took_s = time.monotonic() - began_s
-    need(took_s <= 60.0, f"noticed after {took_s:.0f} s, expected <= 60 s")
+    require(took_s <= 60.0, f"noticed after {took_s:.0f} s, expected <= 60 s")
 
 
-@FAILING.add("late", waits=True)
+@FAULT_PROMISES.add("late", waits=True)
 def late(bench: Bench) -> None:
     """A late answer never becomes the answer to the next question."""
     driver = bench.connected()
     bench.visit(driver, 0)
     bench.wires.set_mode("hold")
     with suppress(DeviceError):  # `silent` judges that
-        bench.acts.ask(driver)
+        bench.use.ask(driver)
     bench.wires.set_mode("behind")
     try:
-        reading = bench.acts.visit(driver, 1)
+        reading = bench.use.visit(driver, 1)
     except DeviceError:
         bench.wires.pass_all()
         driver.connect()
-        bench.acts.ready(driver)
-        reading = bench.acts.visit(driver, 1)
-    bench.near(reading, 1)
+        bench.use.ready(driver)
+        reading = bench.use.visit(driver, 1)
+    bench.require_at(reading, 1)
     # A tracker's first request, its measurement, is kept back by itself.
     for requests in (1,) if bench.port == "tracker" else (0, 1):
-        bench.tidy()
-        _late_on_the_way(bench, requests)
-    bench.tidy()
+        bench.reset()
+        _late_during_motion(bench, requests)
+    bench.reset()
     _answered_again(bench)
 
 
@@ -334,55 +334,55 @@ def _answered_again(bench: Bench) -> None:
     Only its number, where the protocol has one, tells it from the right one.
     """
     driver = bench.connected()
-    bench.acts.visit(driver, 0)
+    bench.use.visit(driver, 0)
     bench.wires.set_mode("keep")
-    bench.acts.ask(driver)
+    bench.use.ask(driver)
     bench.wires.pass_all()
-    question = partial(bench.acts.visit, driver, 1)
+    question = partial(bench.use.visit, driver, 1)
     if bench.port != "tracker":  # whose only question is a measurement
         question()
-        question = partial(bench.acts.ask, driver)
+        question = partial(bench.use.ask, driver)
     bench.wires.set_mode("again")
     try:
         reading = question()
     except DeviceError:
         return  # it refuses
-    bench.near(reading, 1)
+    bench.require_at(reading, 1)
 
 
-def _late_on_the_way(bench: Bench, requests: int) -> None:
+def _late_during_motion(bench: Bench, requests: int) -> None:
     """Do so with answers on the way to a place, after so many requests of the driver.
 
     The next question comes when all has ended, so an old answer does not happen to be right.
     """
     driver = bench.connected()
-    bench.acts.visit(driver, 0)
+    bench.use.visit(driver, 0)
     bench.wires.hold_after(requests)
     with suppress(DeviceError):
-        bench.acts.visit(driver, 1)
+        bench.use.visit(driver, 1)
     bench.clock.wait(30.0)  # a motion from place to place has ended
     bench.wires.set_mode("behind")
     try:
-        reading = bench.acts.ask(driver)
+        reading = bench.use.ask(driver)
     except DeviceError:
         return  # it refuses
-    bench.tidy()
+    bench.reset()
     other = bench.build()
     other.connect()
-    bench.rested(reading, bench.acts.ask(other), "an answer from before the question")
+    bench.require_same_place(reading, bench.use.ask(other), "an answer from before the question")
 
 
-@FAILING.add("slow")
+@FAULT_PROMISES.add("slow")
 def slow(bench: Bench) -> None:
     """Answers that come 50 ms late are as good as prompt ones."""
     driver = bench.connected()
     bench.wires.set_mode("slow", delay_s=0.05)
     bench.visit(driver, 0)
     bench.visit(driver, 1)
-    bench.acts.ask(driver)
+    bench.use.ask(driver)
 
 
-@FAILING.add("pieces")
+@FAULT_PROMISES.add("pieces")
 def pieces(bench: Bench) -> None:
     """Answers that come in pieces, or together, are as good as whole ones."""
     driver = bench.connected()
@@ -392,55 +392,57 @@ def pieces(bench: Bench) -> None:
         bench.visit(driver, 1)
 
 
-@FAILING.add("garbage", waits=True)
+@FAULT_PROMISES.add("garbage", waits=True)
 def garbage(bench: Bench) -> None:
     """Noise in place of an answer is a DeviceError."""
     driver = bench.connected()
     bench.wires.set_mode("garbage")
-    fails("noise comes", lambda: bench.acts.ask(driver))
+    expect_error("noise comes", lambda: bench.use.ask(driver))
 
 
-@FAILING.add("device-killed")
+@FAULT_PROMISES.add("device-killed")
 def device_killed(bench: Bench) -> None:
     """A device that was killed is a DeviceError; its successor connects."""
     driver = bench.connected()
     bench.replace_device()
-    fails("the device was killed", lambda: bench.acts.ask(driver))
+    expect_error("the device was killed", lambda: bench.use.ask(driver))
     driver.connect()
-    bench.acts.ready(driver)
+    bench.use.ready(driver)
     bench.visit(driver, 0)
 
 
-@FAILING.add("client-killed", paced=True, waits=True)
+@FAULT_PROMISES.add("client-killed", paced=True, waits=True)
 def client_killed(bench: Bench) -> None:
     """A killed program's motion or measurement ends; the next program connects."""
-    bench.present()
+    bench.require_device()
     ready = bench.connected()
-    bench.acts.visit(ready, 0)
+    bench.use.visit(ready, 0)
     ready.close()
-    _killed_under_way(bench)
-    bench.rest(GONE_S)
+    _killed_in_motion(bench)
+    bench.sleep(GONE_S)
     driver = bench.build()
     driver.connect()
-    one = bench.acts.ask(driver)
-    bench.rest(STANDS_S)
-    bench.rested(one, bench.acts.ask(driver), "it goes on without its client")
-    need(bench.acts.short(one), f"it went on to its target without its client, for {GONE_S:g} s")
-    bench.acts.ready(driver)
+    one = bench.use.ask(driver)
+    bench.sleep(STANDS_S)
+    bench.require_same_place(one, bench.use.ask(driver), "it goes on without its client")
+    require(
+        bench.use.before_end(one), f"it went on to its target without its client, for {GONE_S:g} s"
+    )
+    bench.use.ready(driver)
     bench.visit(driver, 1)
 
 
-@FAILING.add("stop-at-once", paced=True)
+@FAULT_PROMISES.add("stop-at-once", paced=True)
 def stop_at_once(bench: Bench) -> None:
     """Stop returns within 20 ms, from another thread."""
 
     def took_s(_n: int) -> float:
-        driver, task = _under_way(bench)
+        driver, task = _start_travel(bench)
         began_s = time.monotonic()
         driver.stop()
         took_s = time.monotonic() - began_s
         bench.clock.stop.set()
-        need(task.ended_within(END_S), f"the call goes on {END_S:.0f} s after the stop")
+        require(task.ended_within(END_S), f"the call goes on {END_S:.0f} s after the stop")
         bench.clock.stop.clear()
         driver.close()
         return took_s
@@ -448,44 +450,46 @@ def stop_at_once(bench: Bench) -> None:
     _prompt("stop took", map(took_s, range(3)), STOP_S)
 
 
-@FAILING.add("stop-rests", "rail", "robot", paced=True)
+@FAULT_PROMISES.add("stop-rests", "rail", "robot", paced=True)
 def stop_rests(bench: Bench) -> None:
     """A stop ends the motion with a DeviceError; the device rests."""
-    driver, task = _under_way(bench)
+    driver, task = _start_travel(bench)
     driver.stop()
-    need(task.ended_within(END_S), f"the motion does not end within {END_S:.0f} s of its stop")
-    need(isinstance(task.error, DeviceError), f"the motion ended with {task.error!r} at its stop")
+    require(task.ended_within(END_S), f"the motion does not end within {END_S:.0f} s of its stop")
+    require(
+        isinstance(task.error, DeviceError), f"the motion ended with {task.error!r} at its stop"
+    )
     driver.close()
     other = bench.build()
     other.connect()
-    one = bench.acts.ask(other)
-    bench.rest(STANDS_S)
-    bench.rested(one, bench.acts.ask(other), "it still moves after its stop")
+    one = bench.use.ask(other)
+    bench.sleep(STANDS_S)
+    bench.require_same_place(one, bench.use.ask(other), "it still moves after its stop")
 
 
-@FAILING.add("stop-holds", "rail", "robot")
+@FAULT_PROMISES.add("stop-holds", "rail", "robot")
 def stop_holds(bench: Bench) -> None:
     """After a stop nothing moves before the next connect."""
-    bench.present()
+    bench.require_device()
     driver = bench.connected()
     driver.stop()
-    fails("a motion after a stop", lambda: bench.acts.visit(driver, 1))
+    expect_error("a motion after a stop", lambda: bench.use.visit(driver, 1))
 
 
-@FAILING.add("checked")
+@FAULT_PROMISES.add("checked")
 def checked(bench: Bench) -> None:
     """Every wait on a wire ends within 20 ms of the run's stop."""
 
     def took_s(pause_s: float) -> float:
         driver = bench.connected()
         bench.wires.set_mode("mute")
-        task = Task(partial(bench.acts.ask, driver))
+        task = Task(partial(bench.use.ask, driver))
         task.ended_within(pause_s)
         bench.clock.stop.set()
         began_s = time.monotonic()
-        need(task.ended_within(END_S), f"it waits on for {END_S:.0f} s after the run's stop")
-        need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, expected Stopped")
-        bench.tidy()
+        require(task.ended_within(END_S), f"it waits on for {END_S:.0f} s after the run's stop")
+        require(isinstance(task.error, Stopped), f"it ended with {task.error!r}, expected Stopped")
+        bench.reset()
         return task.ended_s - began_s
 
     wakes_s = 0.005  # the system wakes a thread
@@ -503,18 +507,18 @@ def _prompt(what: str, tries_s: Iterable[float], limit_s: float) -> None:
     raise Broken(f"{what} {1000 * best_s:.0f} ms, expected <= {1000 * STOP_S:.0f} ms")
 
 
-def _under_way(bench: Bench) -> tuple[Driver, Task]:
+def _start_travel(bench: Bench) -> tuple[Driver, Task]:
     """Begin what takes seconds."""
-    bench.present()
+    bench.require_device()
     driver = bench.connected()
-    bench.acts.visit(driver, 0)
+    bench.use.visit(driver, 0)
     began_s = time.monotonic()
-    task = Task(lambda: bench.acts.travel(driver))
-    if task.ended_within(UNDER_WAY_S):
+    task = Task(lambda: bench.use.travel(driver))
+    if task.ended_within(MOVING_S):
         took_s = task.ended_s - began_s
         how = "" if task.error is None else f", with {task.error!r}"
-        expected = f"expected more than {UNDER_WAY_S:g} s, to be stopped meanwhile"
-        raise Broken(f"{bench.acts.lasting} ended after {took_s:.2f} s{how}; {expected}")
+        expected = f"expected more than {MOVING_S:g} s, to be stopped meanwhile"
+        raise Broken(f"{bench.use.travel_text} ended after {took_s:.2f} s{how}; {expected}")
     return driver, task
 
 
@@ -528,10 +532,10 @@ def main() -> None:
         built.append(kind(convert(stated, kind.Options, table), WallClock(threading.Event())))
     device, *carrier = built
     for robot in carrier:
-        device = Riding(device, robot)
+        device = RailWithRobot(device, robot)
     device.connect()
     print("connected", flush=True)
-    ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
+    USES[order.port](convert(order.cell, Cell, "cell")).travel(device)
     threading.Event().wait(30.0)
 
 

@@ -14,7 +14,7 @@ from hilcell.ports import Array, Rail, RailReading, Robot, RobotReading, Tracker
 
 Port = Literal["rail", "robot", "tracker"]
 PORTS: tuple[Port, ...] = ("rail", "robot", "tracker")
-# A rail's, robot's or tracker's, and its reading: loaded by name, each port has acts of its own.
+# Of a rail, robot or tracker, with its reading: loaded by name, each port has a class of its own.
 Driver: TypeAlias = Any
 Reading: TypeAlias = Any
 SPEED_PERCENT = 10.0
@@ -23,12 +23,12 @@ TRAVEL_S = 17.0  # of the cell
 MANY = 30  # readings of a measurement that takes seconds
 
 
-class Acts(ABC):
+class DeviceUse(ABC):
     """Readings are the port's own; one that is connected is ready, at a speed that suits."""
 
     tolerance: float  # of `off`
     unit: str
-    lasting: str  # `travel` in words
+    travel_text: str  # `travel` in words
     absent = ""  # why there is no device; "" where there is one
 
     def __init__(self, cell: Cell) -> None:
@@ -46,18 +46,18 @@ class Acts(ABC):
         """Go to a place; return the reading there."""
 
     @abstractmethod
-    def refused(self, device: Driver, value: float) -> object:
+    def go_invalid(self, device: Driver, value: float) -> object:
         """Go to a place that is ``value``, which is no number."""
 
     @abstractmethod
     def travel(self, device: Driver) -> object:
         """Do what takes seconds."""
 
-    def short(self, reading: Reading) -> bool:
+    def before_end(self, reading: Reading) -> bool:
         """Whether a device stands before the end of `travel`; a measurement leads nowhere."""
         return True
 
-    def slowly(self) -> dict[str, object]:
+    def slow_options(self) -> dict[str, object]:
         """Return the driver's options by which `travel` takes long, however fast the device is."""
         return {}
 
@@ -70,11 +70,11 @@ class Acts(ABC):
         """Return how far two readings are from each other, as a share of what one place allows."""
 
 
-class _RailActs(Acts):
+class _RailUse(DeviceUse):
     """Two places of the slide, near the first station; one and the same where there is no rail."""
 
     tolerance, unit = 0.1, "mm"
-    lasting = "a motion to the end of the travel"
+    travel_text = "a motion to the end of the travel"
 
     def __init__(self, cell: Cell) -> None:
         super().__init__(cell)
@@ -95,16 +95,16 @@ class _RailActs(Acts):
         device.move_to(self.places_mm[place])
         return device.settle()
 
-    def refused(self, device: Rail, value: float) -> None:
+    def go_invalid(self, device: Rail, value: float) -> None:
         device.move_to(value)
 
     def travel(self, device: Rail) -> None:
         device.move_to(self.cell.rail.travel_max_mm)
 
-    def short(self, reading: RailReading) -> bool:
+    def before_end(self, reading: RailReading) -> bool:
         return reading.position_mm < self.cell.rail.travel_max_mm - STEP_MM
 
-    def slowly(self) -> dict[str, object]:
+    def slow_options(self) -> dict[str, object]:
         """Return the speed at which the far end is `TRAVEL_S` away."""
         rail = self.cell.rail
         way_mm = rail.travel_max_mm - self.places_mm[0]
@@ -120,12 +120,12 @@ class _RailActs(Acts):
         return max(drive_mm, abs(one.strip_mm - other.strip_mm)) / stands_mm
 
 
-class _RobotActs(Acts):
+class _RobotUse(DeviceUse):
     """The safe pose, and all axes a step up from it."""
 
     tolerance, unit = 0.01, "deg"
     SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
-    lasting = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
+    travel_text = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
 
     def __init__(self, cell: Cell) -> None:
         super().__init__(cell)
@@ -139,7 +139,7 @@ class _RobotActs(Acts):
     def visit(self, device: Robot, place: int) -> RobotReading:
         return device.move_to(np.radians(self.places_deg[place]), SPEED_PERCENT)
 
-    def refused(self, device: Robot, value: float) -> RobotReading:
+    def go_invalid(self, device: Robot, value: float) -> RobotReading:
         """Move axis 3 to no number."""
         target_deg = self.places_deg[0].copy()
         target_deg[2] = value
@@ -148,7 +148,7 @@ class _RobotActs(Acts):
     def travel(self, device: Robot) -> RobotReading:
         return device.move_to(np.radians(self.far_deg), self.SLOW_PERCENT)
 
-    def short(self, reading: RobotReading) -> bool:
+    def before_end(self, reading: RobotReading) -> bool:
         return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG
 
     def off(self, reading: RobotReading, place: int) -> float:
@@ -160,11 +160,11 @@ class _RobotActs(Acts):
         return worst_deg(one.joints_rad, other.joints_rad) / stands_deg
 
 
-class TrackerActs(Acts):
+class TrackerUse(DeviceUse):
     """The first two nests on the floor."""
 
     unit = "mm"
-    lasting = f"a measurement of {MANY} readings"
+    travel_text = f"a measurement of {MANY} readings"
 
     def __init__(self, cell: Cell) -> None:
         super().__init__(cell)
@@ -180,7 +180,7 @@ class TrackerActs(Acts):
     def visit(self, device: Tracker, place: int) -> TrackerReading:
         return device.measure(self.near_mm[place], self.reflector, 1)
 
-    def refused(self, device: Tracker, value: float) -> TrackerReading:
+    def go_invalid(self, device: Tracker, value: float) -> TrackerReading:
         """Measure at no place."""
         near_mm = self.near_mm[0].copy()
         near_mm[1] = value
@@ -204,8 +204,8 @@ def worst_deg(one_rad: Array, other_rad: Array) -> float:
     return float(np.max(np.abs(np.degrees(one_rad - other_rad))))
 
 
-ACTS: dict[Port, Callable[[Cell], Acts]] = {
-    "rail": _RailActs,
-    "robot": _RobotActs,
-    "tracker": TrackerActs,
+USES: dict[Port, Callable[[Cell], DeviceUse]] = {
+    "rail": _RailUse,
+    "robot": _RobotUse,
+    "tracker": TrackerUse,
 }

@@ -22,19 +22,19 @@ import msgspec
 from hilcell.cell.devices import (
     TABLES,
     driver_options,
-    rides_on_robot,
+    is_robot_driven,
     start_simulation,
     stated_options,
 )
 from hilcell.cell.file import Cell
-from hilcell.conformance.exercise import ACTS, PORTS, Driver, Port, Reading
+from hilcell.conformance.exercise import PORTS, USES, Driver, Port, Reading
 from hilcell.decoding import Json
-from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
+from hilcell.errors import DeviceError, HilcellError, Stopped, with_location
 from hilcell.ports import Clock, Identity, SimulatedCell
 from hilcell.wire.relay import Relays
 
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
-LOOK_S = 0.02
+POLL_S = 0.02
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 GROUPS = dict(TABLES)
 
@@ -65,13 +65,13 @@ class NotApplicable(Finding):
     verdict = "not applicable"
 
 
-def need(holds: bool, why: str) -> None:
+def require(holds: bool, why: str) -> None:
     """Raise `Broken` unless ``holds``; a comparison with NaN does not."""
     if not holds:
         raise Broken(why)
 
 
-def fails(what: str, call: Callable[[], object]) -> DeviceError:
+def expect_error(what: str, call: Callable[[], object]) -> DeviceError:
     """Return the error with which a call fails; raises `Broken` where it does not, or wrongly."""
     try:
         found = call()
@@ -80,11 +80,11 @@ def fails(what: str, call: Callable[[], object]) -> DeviceError:
     except Stopped:
         raise
     except Exception as error:  # a driver may raise anything
-        raise Broken(f"{what}: {with_place(error)}; expected a DeviceError") from error
+        raise Broken(f"{what}: {with_location(error)}; expected a DeviceError") from error
     raise Broken(f"{what}: returned {found}; expected a DeviceError")
 
 
-class Riding:
+class RailWithRobot:
     """A rail that is an external axis, with the robot whose axis it is: one device.
 
     A run opens the robot before the rail, and leaves both. So what a promise says of connect, close
@@ -93,7 +93,7 @@ class Riding:
 
     def __init__(self, rail: Driver, robot: Driver) -> None:
         self._rail, self._robot = rail, robot
-        rail.ride(robot)
+        rail.attach_robot(robot)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._rail, name)
@@ -166,7 +166,7 @@ class Bench:
             cell = msgspec.structs.replace(cell, simulation=alone)
         self.cell, self.clock, self.kind = cell, BenchClock(outer), kind
         self.port: Port = port
-        self.acts = ACTS[port](cell)
+        self.use = USES[port](cell)
         self._speed = self.PACE if paced else math.inf
         self._simulated: SimulatedCell | None = None
         self._wires = Relays({})
@@ -174,16 +174,16 @@ class Bench:
 
     @property
     def wires(self) -> Relays:
-        self.present()
+        self.require_device()
         self._start()
         if not self._wires.all:
             raise NotApplicable("no option of the driver says where its wire leads")
         return self._wires
 
-    def present(self) -> None:
+    def require_device(self) -> None:
         """Raise `NotApplicable` where the driver has no device."""
-        if self.acts.absent:
-            raise NotApplicable(self.acts.absent)
+        if self.use.absent:
+            raise NotApplicable(self.use.absent)
 
     def settings(self) -> list[Settings]:
         """Return those of the driver, then of the robot whose external axis its rail is."""
@@ -200,7 +200,7 @@ class Bench:
         (kind, options), *carrier = self.settings()
         built = kind(msgspec.structs.replace(options, **changed), self.clock)
         for of_robot, robot_options in carrier:
-            built = Riding(built, of_robot(robot_options, self.clock))
+            built = RailWithRobot(built, of_robot(robot_options, self.clock))
         self._built.append(built)
         return built
 
@@ -208,7 +208,7 @@ class Bench:
         """Return a driver that is connected, and ready to be used."""
         device = self.build()
         device.connect()
-        self.acts.ready(device)
+        self.use.ready(device)
         return device
 
     def replace_device(self) -> None:
@@ -219,33 +219,33 @@ class Bench:
         self._start()
         wires.admit()
 
-    def rest(self, duration_s: float) -> None:
+    def sleep(self, duration_s: float) -> None:
         """Let real time pass, until the run is stopped."""
         end_s = time.monotonic() + duration_s
         while (left_s := end_s - time.monotonic()) > 0:
             self.clock.outer()
-            time.sleep(min(left_s, LOOK_S))
+            time.sleep(min(left_s, POLL_S))
 
-    def rested(self, one: Reading, other: Reading, otherwise: str) -> None:
+    def require_same_place(self, one: Reading, other: Reading, otherwise: str) -> None:
         """Raise `Broken` where two readings are not of one place."""
-        apart = self.acts.apart(one, other)
-        need(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
+        apart = self.use.apart(one, other)
+        require(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
 
-    def near(self, reading: Reading, place: int) -> None:
+    def require_at(self, reading: Reading, place: int) -> None:
         """Raise `Broken` where a reading is not of a place."""
-        off, limit, unit = self.acts.off(reading, place), self.acts.tolerance, self.acts.unit
-        need(
+        off, limit, unit = self.use.off(reading, place), self.use.tolerance, self.use.unit
+        require(
             off <= limit,
             f"reads {off:.4f} {unit} from place {place}, expected <= {limit:g} {unit}",
         )
 
     def visit(self, device: Driver, place: int) -> Reading:
         """Go to a place; return the reading there; raises `Broken` where it is of another."""
-        reading = self.acts.visit(device, place)
-        self.near(reading, place)
+        reading = self.use.visit(device, place)
+        self.require_at(reading, place)
         return reading
 
-    def tidy(self) -> None:
+    def reset(self) -> None:
         """Close what a promise has left open, and mend the wires."""
         self.clock.stop.clear()
         self._wires.pass_all()
@@ -257,7 +257,7 @@ class Bench:
         self._built.clear()
 
     def close(self) -> None:
-        self.tidy()
+        self.reset()
         self._wires.close()
         self._end_simulation()
 
@@ -273,7 +273,7 @@ class Bench:
     @property
     def _tables(self) -> list[str]:
         """Return that of the driver; and the robot's, if the rail's wire is in part the robot's."""
-        rides = self.port == "rail" and rides_on_robot(self.cell)
+        rides = self.port == "rail" and is_robot_driven(self.cell)
         return [self.port, "robot"] if rides else [self.port]
 
     def _end_simulation(self) -> None:
@@ -342,9 +342,9 @@ def judge(promise: Promise, bench: Bench) -> Outcome:
         bench.clock.outer()
         verdict, why = "broken", f"Stopped: {error}"
     except Exception as error:  # noqa: BLE001 - a driver may raise anything, which is its answer
-        verdict, why = "broken", with_place(error)
+        verdict, why = "broken", with_location(error)
     finally:
-        bench.tidy()
+        bench.reset()
     return Outcome(promise.name, verdict, why, round(time.monotonic() - began_s, 2))
 
 

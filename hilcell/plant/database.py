@@ -17,7 +17,7 @@ import sqlalchemy as sa
 from sqlalchemy import URL, Connection, Engine, event, exc, text
 
 from hilcell.decoding import Json
-from hilcell.errors import HilcellError, StoreAway
+from hilcell.errors import HilcellError, StoreUnavailable
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.tables import HEAD, PARTS, RUN
 from hilcell.sanitize import clean
@@ -45,7 +45,7 @@ class RightMissing(PlantError):
     """The user lacks a privilege: repeating does not help."""
 
 
-class PlantUnavailable(StoreAway):
+class PlantUnavailable(StoreUnavailable):
     """The database cannot be reached, or the connection was lost; no run is lost."""
 
     code = "HC-J20"

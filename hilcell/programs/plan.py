@@ -21,7 +21,7 @@ from hilcell.calibration.file import Calibration
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.grid import ROUNDING_MM
 from hilcell.compensation.targets import unit_hint
-from hilcell.errors import MOST_LISTED, indented
+from hilcell.errors import MAX_LISTED, indented
 from hilcell.geometry.frames import inverse, zyx_from_pose
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.geometry.statistics import lengths_mm
@@ -255,7 +255,7 @@ class _Unreached:
         if len(bad):
             why = (
                 f"{holes.names[n]}: {self._why_not(holes.one(n))}"
-                for n in bad[:MOST_LISTED].tolist()
+                for n in bad[:MAX_LISTED].tolist()
             )
             named = indented(why, len(bad))
             count = counted(len(ok), "hole")

@@ -16,7 +16,7 @@ from hilcell.calibration.controller_pose import check_links
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip, tip_named, tip_of_program
-from hilcell.cell.devices import rides_on_robot
+from hilcell.cell.devices import is_robot_driven
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
@@ -268,7 +268,7 @@ class StationTargets(TargetFiles):
         if cell is not None:
             status = cell.robot.status
             check_posture(status, program.statuses(status))
-            if rides_on_robot(cell):
+            if is_robot_driven(cell):
                 StationTargets._check_slide(cell.station_named(station), program.slide)
             T_W_B = released.calibration.base(station)
             program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)

@@ -17,7 +17,7 @@ import numpy as np
 from hilcell import ports
 from hilcell.cell.devices import Devices, streams_of, sweeps_of, turning_over
 from hilcell.cell.file import Cell, Station
-from hilcell.errors import DriverDefect, HilcellError, with_place
+from hilcell.errors import DriverDefect, HilcellError, with_location
 from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, StripLost
 from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.run.interlocks import (
@@ -75,7 +75,7 @@ class DeviceMonitor(Generic[Reading]):
             except HilcellError:
                 raise
             except Exception as error:  # whatever a driver raises is its defect
-                raise DriverDefect(self._device, with_place(error)) from error
+                raise DriverDefect(self._device, with_location(error)) from error
 
     def take(self, found: Reading) -> None:
         """Accept a driver's reading; raises `DriverDefect` for an invalid one."""

@@ -66,13 +66,13 @@ def parse_channel(channel: str) -> Socket | SerialLine:
     return SerialLine(path, int(baud) if at else BAUD)
 
 
-def wires_of(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
+def wire_places(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
     """Return where wires lead, by name; a CAN interface of the kernel is left out."""
     found: dict[str, Socket | SerialLine] = {}
     host, channel = options.get("host"), options.get("channel")
     for key, value in options.items():
         if isinstance(value, Mapping):
-            for name, place in wires_of(value).items():
+            for name, place in wire_places(value).items():
                 found[f"{key}.{name}".removesuffix(".")] = place
         elif isinstance(host, str) and isinstance(value, int) and _is_port(key):
             found[key.removesuffix(PORT).removesuffix("_")] = Socket(host, value)
@@ -81,13 +81,13 @@ def wires_of(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
     return found
 
 
-def addressed(options: Mapping[str, object], channels: Mapping[str, str]) -> Json:
+def with_addresses(options: Mapping[str, object], channels: Mapping[str, str]) -> Json:
     """Return options whose wires lead to ``channels``."""
     found = dict(options)
     for name, channel in channels.items():
         (key, _, rest), place = name.partition("."), parse_channel(channel)
         if isinstance(part := found.get(key), Mapping):
-            found[key] = addressed(part, {rest: channel})
+            found[key] = with_addresses(part, {rest: channel})
         elif "host" in options and isinstance(place, Socket):
             found |= {"host": place.host, f"{name}_{PORT}".lstrip("_"): place.port}
         else:

@@ -37,7 +37,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, decoded
 from hilcell.errors import HilcellError
 from hilcell.ports import Clock, Stopped
-from hilcell.wire.channel import SerialLine, Socket, addressed, can_interfaces, wires_of
+from hilcell.wire.channel import SerialLine, Socket, can_interfaces, wire_places, with_addresses
 
 FORM = 1  # of all recordings of a run; raise it whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"
@@ -241,7 +241,7 @@ class WireRecording:
         stated = stated_options(cell, addresses)
         orders = [
             RelayOrder(name, str(folder / f"{name}{SUFFIX}"), began_s, place)
-            for name, place in wires_of(stated).items()
+            for name, place in wire_places(stated).items()
         ]
         for table, options in stated.items():
             if cans := can_interfaces(options):
@@ -254,7 +254,7 @@ class WireRecording:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             start_new_session=True,
         )  # fmt: skip
-        self.addresses: Addresses = addressed(stated, self._channels(orders))
+        self.addresses: Addresses = with_addresses(stated, self._channels(orders))
         self._clock_file = (folder / f"{CLOCK}{SUFFIX}").open("ab")
         self._recorder = Recorder(self._clock_file, began_s)
         self._recorder.record(0, "run", msgspec.json.encode(head))

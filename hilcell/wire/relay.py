@@ -30,7 +30,7 @@ import msgspec
 import serial
 
 from hilcell.decoding import decoded
-from hilcell.wire.channel import BAUD, SerialLine, Socket, addressed, wires_of
+from hilcell.wire.channel import BAUD, SerialLine, Socket, wire_places, with_addresses
 from hilcell.wire.recording import Event, Recorder, RelayOrder
 
 READ = 65536  # bytes
@@ -464,7 +464,7 @@ class Relays:
 
     def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
         """Lead to where the devices listen now."""
-        for name, place in wires_of(stated).items():
+        for name, place in wire_places(stated).items():
             if name in self._relays:
                 self._relays[name].lead_to(place)
             elif isinstance(place, Socket) or Path(place.path).is_char_device():
@@ -472,7 +472,7 @@ class Relays:
             else:
                 continue
             self._relays[name].on_request = self._on_request
-        self.options = addressed(stated, {name: e.channel for name, e in self._relays.items()})
+        self.options = with_addresses(stated, {name: e.channel for name, e in self._relays.items()})
 
     def set_mode(self, mode: str, delay_s: float = 0.0) -> None:
         for each in self.all:

@@ -11,13 +11,13 @@ from canopen.sdo.exceptions import SdoAbortedError
 from drivers.canopen.cia import NodeCommand, NodeState
 from drivers.canopen.nodes import Expected, identify, start_nodes
 from drivers.canopen.sdo import Aborted, SdoChannel
-from hilcell.ports import says_simulated
+from hilcell.ports import is_simulated_name
 
 
 @pytest.mark.parametrize("name", ["simulated", "SIMULATED KR210", "drive (Simulated)"])
 def test_the_word_counts_in_any_case(name: str) -> None:
-    assert says_simulated(name)
-    assert not says_simulated("KR210")
+    assert is_simulated_name(name)
+    assert not is_simulated_name("KR210")
 
 
 class Node:

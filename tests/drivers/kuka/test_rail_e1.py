@@ -36,7 +36,7 @@ class Bench:
             "standstill_dwell_s": 0.05,
         }
         rail = KukaE1Rail(KukaE1Rail.Options(**(values | options)), self.time)
-        rail.ride(self.robot)
+        rail.attach_robot(self.robot)
         return rail
 
     def connect(self) -> None:

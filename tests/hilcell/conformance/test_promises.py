@@ -86,9 +86,9 @@ def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
     bench = Bench(load_cell("paper"), "robot")
     one = RobotReading(np.zeros(6), np.eye(4), still=True, taken_s=0.0)
     other = replace(one, joints_rad=np.radians([0.0, 0.0, turned_deg, 0.0, 0.0, 0.0]))
-    bench.rested(one, one, "it moves")
+    bench.require_same_place(one, one, "it moves")
     with pytest.raises(Broken, match="it moves: "):
-        bench.rested(one, other, "it moves")
+        bench.require_same_place(one, other, "it moves")
 
 
 def test_one_of_some_stops_has_to_be_prompt() -> None:

@@ -24,7 +24,7 @@ from drivers.supervision import (
     planned_s,
 )
 from hilcell.cell.file import Joint
-from hilcell.ports import Array, Clock, DeviceError, Identity, RobotReading, says_simulated
+from hilcell.ports import Array, Clock, DeviceError, Identity, RobotReading, is_simulated_name
 from hilcell_meca500.euler import rotations
 from hilcell_meca500.wire import Wire
 
@@ -144,7 +144,7 @@ class MecaRobot:
             model,
             serial,
             wire.address,
-            simulated=says_simulated(model),
+            simulated=is_simulated_name(model),
             kind="robot",
             maker="Mecademic",
             firmware=wire.ask("GetFwVersion()", 2081),
