@@ -74,12 +74,12 @@ def test_progress_is_progress_in_either_direction(step_deg: float) -> None:
     assert not motion.stalled(at + step_deg)
 
 
-def test_an_axis_that_is_no_number_never_counts_as_standing() -> None:
+def test_an_axis_that_is_no_number_never_counts_as_at_rest() -> None:
     motion = limits()
     assert not motion.stalled(np.array([np.nan, 0.0]))
 
 
-def test_what_stands_is_not_overdue() -> None:
+def test_an_axis_at_rest_is_not_overdue() -> None:
     motion = MotionLimits(2.0, stall_s=0.0, progress=0.01)
     at = np.array([10.0])
     motion.stalled(at)

@@ -32,7 +32,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     return Time(monkeypatch)
 
 
-def test_a_pc_that_looks_often_waits_as_long_as_it_says(time: Time) -> None:
+def test_a_pc_that_polls_often_waits_as_long_as_it_says(time: Time) -> None:
     assert time.polls(Deadline(2.0), every_s=0.02) in (100, 101)
 
 
@@ -45,7 +45,7 @@ def test_one_more_look_is_made_after_the_time_was_up(time: Time) -> None:
 
 
 @pytest.mark.parametrize("gap_s", [0.2, 2.0, 60.0])
-def test_a_gap_of_the_pc_counts_as_one_look(time: Time, gap_s: float) -> None:
+def test_a_gap_of_the_pc_counts_as_one_poll(time: Time, gap_s: float) -> None:
     assert time.polls(Deadline(2.0), every_s=gap_s) in (20, 21)
 
 
@@ -69,7 +69,7 @@ def test_a_motion_without_a_look_stops() -> None:
     assert error.fields == {"gap_s": pytest.approx(1.5), "limit_s": 1.0}
 
 
-def test_nobody_needs_to_look_at_what_stands() -> None:
+def test_a_robot_at_rest_needs_no_poll() -> None:
     clock = DrivenClock()
     watch = Watchdog(ROBOT, "HC-B27", clock)
     watch.feed()
@@ -79,7 +79,7 @@ def test_nobody_needs_to_look_at_what_stands() -> None:
     watch.feed()
 
 
-def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion() -> None:
+def test_a_heartbeat_pauses_when_the_motion_is_not_polled() -> None:
     clock = DrivenClock()
     watch = Watchdog(RAIL, "HC-R39", clock, late_s=0.8)
     with watch.motion():

@@ -95,7 +95,7 @@ def test_lines_go_out_whole_and_come_in_however_they_are_split(far: Far) -> None
     assert lines.receive(Deadline(PATIENT_S)) == "%R1P,0,2:13"
 
 
-def test_what_was_pending_is_dropped(far: Far) -> None:
+def test_pending_lines_are_dropped(far: Far) -> None:
     lines = TextLines(far.link)
     far.says(b"late\r\nhalf")
     assert lines.receive(Deadline(PATIENT_S)) == "late"
@@ -216,7 +216,7 @@ def test_a_silent_device_is_silent_all_the_same() -> None:
         link.close()
 
 
-def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
+def test_bytes_that_have_arrived_are_taken_though_the_time_is_up() -> None:
     sent = threading.Event()
 
     def speak(connection: socket.socket) -> None:
@@ -264,7 +264,7 @@ def stop_by_dashboard(port: int) -> Dashboard:
 
 
 @pytest.mark.parametrize("stop", [stop_by_c3, stop_by_eki, stop_by_dashboard])
-def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed(
+def test_a_stop_without_an_answer_was_taken_when_its_line_is_closed(
     stop: Callable[[int], C3Connection | EkiChannel | Dashboard],
 ) -> None:
     taken = threading.Event()
@@ -284,7 +284,9 @@ def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed(
     assert taken.is_set()
 
 
-def test_a_device_that_never_closes_its_end_keeps_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_never_closes_its_end_delays_no_close(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     time = wire_time(monkeypatch, supervision)
     time.silence(0.1)
     closed = threading.Event()

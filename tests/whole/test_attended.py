@@ -186,7 +186,7 @@ def test_the_word_is_typed_at_a_terminal(paced_shop: list[str], tmp_path: Path) 
 
 
 @pytest.mark.nightly
-def test_all_promises_that_a_machine_may_be_asked_for_are_held(
+def test_all_promises_that_apply_to_a_machine_are_kept(
     streaming_shop: list[str], tmp_path: Path
 ) -> None:
     with ThreadedRun(tmp_path, "run", "conformance", *streaming_shop) as run:

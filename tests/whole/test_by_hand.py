@@ -198,7 +198,7 @@ def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     assert judge(run.events) == []
 
 
-def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation) -> None:
+def test_an_unattended_run_with_one_reflector_is_refused(tmp_path: Path, cell: Simulation) -> None:
     words = sets(BY_HAND | {"simulation.address": cell.control})
     refused = command("run", "--unattended", "--json", "--runs", tmp_path, *words)
     assert (refused.returncode, end_of(refused)["state"]) == (2, "idle")

@@ -88,7 +88,7 @@ def test_events_are_the_journal(whole: GoldenRun) -> None:
     assert judge(printed) == []
 
 
-def test_show_computes_the_result_anew(whole: GoldenRun) -> None:
+def test_show_computes_the_result_again(whole: GoldenRun) -> None:
     folder = whole.runs
     shown = command("show", "last", "--runs", folder, "--json")
     assert events(shown.stdout)[0]["result"] == whole.result

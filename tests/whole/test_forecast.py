@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.whole.conftest import PaperRun
 
 
-def test_every_step_measures_what_its_spans_say(paper: PaperRun) -> None:
+def test_every_step_measures_as_many_points_as_planned(paper: PaperRun) -> None:
     assert paper.end["state"] == "finished", paper.errors
     steps = next(event for event in paper.events if event["kind"] == "plan")["steps"]
     planned = {

@@ -106,7 +106,7 @@ def test_its_figures_are_those_of_the_exported_points(tested: Tested, tmp_path: 
     assert found["worst"]["ap_mm"] == max(each["ap_mm"] for each in found["poses"].values())
 
 
-def test_a_killed_test_measures_what_is_missing_and_comes_from_the_pose_before(
+def test_a_killed_test_measures_the_missing_points_from_the_pose_before(
     tested: Tested, tmp_path: Path
 ) -> None:
     runs, printed, _ = tested

@@ -93,7 +93,7 @@ class Limited:
         self.verdicts[key] = verdict
 
 
-def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:
+def test_each_reading_is_a_point_of_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:
     log = read_log(golden["seats"].folder)
     first, second, third = (log.select("grid", seat=seat) for seat in (None, 2, 3))
     assert len(first) == len(second) == len(third) == 27

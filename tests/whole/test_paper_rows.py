@@ -61,7 +61,12 @@ SET = {
 }  # fmt: skip
 
 
-def test_every_row_of_the_paper_holds(paper: PaperRun) -> None:
+@pytest.fixture
+def log(paper: PaperRun) -> Log:
+    return paper.log
+
+
+def test_every_row_of_the_paper_passes(paper: PaperRun) -> None:
     rows = {row["row"]: row for row in paper.result["rows"]}
     assert [name for name, row in rows.items() if not row["holds"]] == [], paper.errors
     assert judge(paper.events) == []
@@ -93,9 +98,9 @@ def test_round_off_is_shown_without_its_digits_which_differ_between_pcs(paper: P
     }  # fmt: skip
 
 
-def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
+def test_a_real_machine_sets_nothing(log: Log) -> None:
     """A row that the simulated machine sets is judged where the machine is real."""
-    real = copy.copy(paper.log)
+    real = copy.copy(log)
     assert real.plan is not None
     real.plan = msgspec.structs.replace(real.plan, simulated=False)
     cold = [msgspec.structs.replace(real.select("grid")[0], temperature_c=19.0)]
@@ -106,24 +111,23 @@ def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
     assert rows["fig11.cells"].set is True
 
 
-def test_a_figure_that_is_no_number_does_not_hold(paper: PaperRun) -> None:
+def test_a_figure_that_is_no_number_fails(paper: PaperRun) -> None:
     nothing = Row("x", None, "", lambda run: np.nan, BY_NAME["fig1.backlash"].limits)
     assert nothing.judged(paper.log, typed(paper.result, Experiments)).holds is False
 
 
 def test_a_way_back_in_the_order_of_the_way_there(
-    paper: PaperRun, monkeypatch: pytest.MonkeyPatch
+    log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def in_order(log: Log, way: str, name: str) -> Array:
         return path_mm(log, way, name)[:: -1 if way == rail.BACK else 1]
 
     path_mm = rail.path_mm
     monkeypatch.setattr(rail, "path_mm", in_order)
-    assert fails("fig1.error.max", paper.log)
+    assert fails("fig1.error.max", log)
 
 
-def test_a_way_back_from_the_same_side_shows_no_backlash(paper: PaperRun) -> None:
-    log = paper.log
+def test_a_way_back_from_the_same_side_shows_no_backlash(log: Log) -> None:
     last = max(point.id.number or 0 for point in log.select("survey", direction="forth"))
     same = []
     for point in log.select("survey", direction="back"):
@@ -163,8 +167,7 @@ def test_a_links_error_left_in_the_tools_frame(
     assert judged("eq1-7.jacobian", paper).holds is False
 
 
-def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
-    log = paper.log
+def test_errors_of_other_vertices_are_not_similar(log: Log) -> None:
     vertices = log.select("grid")
     errors = position_errors(log, vertices).error_mm[
         np.random.default_rng(1).permutation(len(vertices))
@@ -234,8 +237,7 @@ def test_commands_by_another_equation(
 
 
 @pytest.mark.parametrize("share", [2.0, 1.0, 0.5], ids=["added", "not applied", "half"])
-def test_a_correction_that_is_not_taken_off(paper: PaperRun, share: float) -> None:
-    log = paper.log
+def test_a_correction_that_is_not_taken_off(log: Log, share: float) -> None:
     before, corrected = log.points["sign/before"], log.points["sign/corrected"]
     (error_mm,) = position_errors(log, [before]).error_mm
     at_mm = apply(inverse(log.matrix("world")), [np.array(before.nominal_mm) + share * error_mm])
@@ -251,8 +253,7 @@ def strip_alone(log: Log, station: str) -> Array:
     return T
 
 
-def test_a_slide_shifted_by_the_strip_alone(paper: PaperRun) -> None:
-    log = paper.log
+def test_a_slide_shifted_by_the_strip_alone(log: Log) -> None:
     frames = {f"station.{name}": {"matrix": strip_alone(log, name).tolist()} for name in OTHERS}
     assert fails("eq13-17.transfer", framed(log, frames))
 
@@ -265,9 +266,8 @@ def test_the_factors_of_eq_17_exchanged(paper: PaperRun, monkeypatch: pytest.Mon
     assert judged("eq13-17.transfer", paper).holds is False
 
 
-def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None:
+def test_a_point_of_a_sweep_measured_while_axis_2_moves(log: Log) -> None:
     """0.05 deg before its end; the swept axis itself would only shift the point on its circle."""
-    log = paper.log
     early = log.points["base/axis1/000"]
     joints_rad = commanded_rad([early])
     arm, back = log.cell.robot.arm(), np.radians([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
@@ -281,9 +281,9 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
 
 
 def test_a_nest_that_was_moved_between_stations_stays_in_the_fit(
-    paper: PaperRun, monkeypatch: pytest.MonkeyPatch
+    log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log, cell = paper.log, paper.log.cell
+    cell = log.cell
     all_kept = Moved((), tuple(range(len(cell.layout.slide))), 0.0, 0.0)
     monkeypatch.setattr(station_frames, "moved_nests", lambda *_: all_kept)
     nest = log.points["slide/S300/P4"]
@@ -293,8 +293,7 @@ def test_a_nest_that_was_moved_between_stations_stays_in_the_fit(
     assert fails("fig7.tool.u", framed(other, frames))
 
 
-def test_a_station_frame_that_is_built_from_circles(paper: PaperRun) -> None:
-    log = paper.log
+def test_a_station_frame_that_is_built_from_circles(log: Log) -> None:
     T_B_S = inverse(log.matrix(f"base.{REFERENCE}")) @ log.matrix(f"station.{REFERENCE}")
     frames = {
         f"station.{name}": {"matrix": (log.matrix(f"base.{name}") @ T_B_S).tolist()}
@@ -310,19 +309,19 @@ def approaches_as(log: Log, one: tuple[str, str], other: tuple[str, str]) -> Log
     return changed(log, [placed(one, np.array(two.xyz_mm)) for one, two in pairs])
 
 
-def test_without_the_loop_of_the_strip(paper: PaperRun) -> None:
-    other = approaches_as(paper.log, ("strip", "random"), ("plain", "random"))
+def test_without_the_loop_of_the_strip(log: Log) -> None:
+    other = approaches_as(log, ("strip", "random"), ("plain", "random"))
     assert fails("fig10.strip.range", other)
 
 
 @pytest.mark.parametrize("other", [("plain", "one_side"), ("strip", "random")])
-def test_approaches_that_do_not_see_the_backlash(paper: PaperRun, other: tuple[str, str]) -> None:
-    found = approaches_as(paper.log, ("plain", "random"), other)
+def test_approaches_that_do_not_see_the_backlash(log: Log, other: tuple[str, str]) -> None:
+    found = approaches_as(log, ("plain", "random"), other)
     assert fails("fig10.plain.range", found)
 
 
-def test_single_readings_of_the_tracker(paper: PaperRun) -> None:
-    log, rng = paper.log, np.random.default_rng(3)
+def test_single_readings_of_the_tracker(log: Log) -> None:
+    rng = np.random.default_rng(3)
     nests = [*log.select("control"), *log.select("world")]
     single = [
         placed(p, positions_mm([p])[0] + np.sqrt(1 - 1 / p.samples) * rng.normal(0.0, p.std_mm))
@@ -331,15 +330,13 @@ def test_single_readings_of_the_tracker(paper: PaperRun) -> None:
     assert fails("sec5.1.tracker", changed(log, single))
 
 
-def test_a_tracker_that_is_moved_by_20_um_once_the_world_is_framed(paper: PaperRun) -> None:
-    log = paper.log
+def test_a_tracker_that_is_moved_by_20_um_once_the_world_is_framed(log: Log) -> None:
     late = [placed(p, positions_mm([p])[0] + [0.02, 0.0, 0.0]) for p in log.select("control")]
     assert fails("sec5.1.tracker", changed(log, late))
 
 
-def test_a_correction_is_modelled_as_it_acts(paper: PaperRun) -> None:
+def test_a_correction_is_modelled_as_it_acts(log: Log) -> None:
     """The model of the tests below: the right correction leaves what was found."""
-    log = paper.log
     modelled = rows_of(as_if_sent(log, by_idw(log), (REFERENCE, *OTHERS)))
     found = rows_of(log)
     for name in ("fig12.after.mean", "fig13.after.mean"):
@@ -358,10 +355,7 @@ def test_a_correction_is_modelled_as_it_acts(paper: PaperRun) -> None:
     ],
     ids=["added", "not sent", "half", "x and y exchanged", "x and z exchanged"],
 )
-def test_a_correction_that_is_sent_wrongly(
-    paper: PaperRun, wrong: Callable[[Array], Array]
-) -> None:
-    log = paper.log
+def test_a_correction_that_is_sent_wrongly(log: Log, wrong: Callable[[Array], Array]) -> None:
     correct = by_idw(log)
     other = as_if_sent(log, lambda at_mm: wrong(correct(at_mm)), (REFERENCE, *OTHERS))
     assert failing(other) >= {
@@ -388,9 +382,9 @@ def by_strip_alone(log: Log, station: str) -> Array:
     ],
 )
 def test_targets_placed_by_another_base(
-    paper: PaperRun, wrong: Callable[[Log, str], Array], failed: set[str]
+    log: Log, wrong: Callable[[Log, str], Array], failed: set[str]
 ) -> None:
-    log, points = paper.log, []
+    points = []
     frames = Frames(log.cell, log)
     for name in OTHERS:
         T = wrong(log, name) @ inverse(frames.base_in_world(log.cell.station_named(name)))
@@ -401,9 +395,8 @@ def test_targets_placed_by_another_base(
     assert failing(changed(log, points)) >= failed
 
 
-def test_measured_data_that_are_not_turned_with_the_slide(paper: PaperRun) -> None:
+def test_measured_data_that_are_not_turned_with_the_slide(log: Log) -> None:
     """The robot is sent where the strip alone takes the base to be."""
-    log = paper.log
     correct = by_idw(log)
     frames = Frames(log.cell, log)
 
@@ -419,8 +412,7 @@ def test_measured_data_that_are_not_turned_with_the_slide(paper: PaperRun) -> No
     assert fails("fig13.after.mean", other)
 
 
-def test_one_wrong_vertex(paper: PaperRun) -> None:
-    log = paper.log
+def test_one_wrong_vertex(log: Log) -> None:
     errors = grid_errors_mm(log).copy()
     errors[1, 2, 1] += [0.0, 0.0, 2.0]
     grid = grid_of(log.cell)
@@ -428,16 +420,15 @@ def test_one_wrong_vertex(paper: PaperRun) -> None:
     assert fails("abstract.after.max", other)
 
 
-def test_one_target_that_is_sent_as_it_is(paper: PaperRun) -> None:
-    log = paper.log
+def test_one_target_that_is_sent_as_it_is(log: Log) -> None:
     sent, asis = (log.points[f"validate/{REFERENCE}/{how}/020"] for how in ("idw", "before"))
     other = changed(log, [placed(sent, np.array(asis.xyz_mm))])
     assert failing(other) == {"abstract.after.max"}
 
 
-def test_averaged_squares(paper: PaperRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_averaged_squares(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "hilcell.calibration.position_errors.figures_of",
         lambda lengths_mm: figures_of(lengths_mm**2),
     )
-    assert fails("abstract.reduction.reference", paper.log)
+    assert fails("abstract.reduction.reference", log)

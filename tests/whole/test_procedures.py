@@ -70,7 +70,7 @@ def test_the_survey_is_fig_1(paper: PaperRun) -> None:
     assert set(survey["angles_mrad"]) == {"roll", "pitch", "yaw"}
 
 
-def test_longer_arcs_tell_more(paper: PaperRun) -> None:
+def test_longer_arcs_are_more_certain(paper: PaperRun) -> None:
     """Fig 6: the uncertainty of an axis falls with the arc."""
     for axis in (1, 6):
         arcs = [each for each in paper.result["base"]["arcs"] if each["axis"] == axis]

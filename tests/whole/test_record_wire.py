@@ -242,7 +242,9 @@ def recorded_until(path: Path, event: str) -> list[Piece]:
     return pieces
 
 
-def test_bytes_pass_unchanged_both_ways_and_are_kept(kept: tuple[Recorder, Path]) -> None:
+def test_bytes_pass_unchanged_in_both_directions_and_are_recorded(
+    kept: tuple[Recorder, Path],
+) -> None:
     recorder, path = kept
     with socket.create_server(("127.0.0.1", 0)) as device:
         relay = SocketRelay(Socket("127.0.0.1", device.getsockname()[1]), recorder)
@@ -321,7 +323,7 @@ def test_a_can_interface_is_left_out_with_its_reason(tmp_path: Path) -> None:
     assert recording.addresses["robot"]["host"] == "127.0.0.1"
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     for name in ("x", f"x{PACKED}"):
         path = tmp_path / name
         path.write_text('{"t": 1.0, "c": 1, "e": "stop"}\n')

@@ -61,7 +61,7 @@ def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_port_nobody_listens_on(tmp_path: Path) -> None:
+def test_a_port_on_which_no_device_listens(tmp_path: Path) -> None:
     """All three devices are tried and all failures reported, before anything moves."""
     values = shop_values(f"socket://127.0.0.1:{free_port()}", free_port(), free_port())
     run = ran(tmp_path, "calibrate", values, "--cell", shop_cell(tmp_path))
@@ -131,7 +131,7 @@ def test_an_impossible_command_line(words: list[str], part: str) -> None:
     assert part in done.stderr
 
 
-def test_check_tells_all_drivers_problems_and_an_unknown_simulator() -> None:
+def test_check_names_all_drivers_problems_and_an_unknown_simulator() -> None:
     values = {
         "simulation.simulator": "papper",
         "rail.options.bitrate": "5",
@@ -159,7 +159,7 @@ def test_a_simulated_cell_that_is_not_there(tmp_path: Path, address: str, code: 
     assert address in done.stderr
 
 
-def test_an_engine_that_finds_no_place_for_its_file_says_so_and_can_be_resumed(
+def test_an_engine_that_cannot_write_its_file_says_so_and_can_be_resumed(
     tmp_path: Path, temporary: Path
 ) -> None:
     runs = tmp_path / "runs"

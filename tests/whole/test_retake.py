@@ -31,7 +31,7 @@ def finished(
     return runs, golden["small"].end
 
 
-def test_a_finished_run_is_reopened_measured_and_judged_anew(
+def test_a_finished_run_is_reopened_measured_and_judged_again(
     finished: tuple[Path, dict[str, Any]],
 ) -> None:
     runs, before = finished
@@ -72,7 +72,7 @@ def test_a_robot_that_changed_before_its_run_is_reopened_is_noticed(
 
 
 @pytest.mark.parametrize("key", ["grid/0-0-0", "grid/9-9-9"])
-def test_what_may_not_be_retaken_is_refused_before_anything_moves(
+def test_a_retake_that_is_not_allowed_is_refused_before_anything_moves(
     finished: tuple[Path, dict[str, Any]], key: str
 ) -> None:
     """The correction was built with the one, the other is no point."""

@@ -144,7 +144,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
             wait_for(lambda: len(read_log(folder).points) >= left + 3)
 
 
-def test_an_engine_that_stands_still_is_silent_and_not_gone(
+def test_an_engine_that_is_suspended_is_silent_and_not_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control, "ORDER_S", 0.1)  # of a command that is never answered

@@ -137,32 +137,27 @@ def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
 @speeds
 def test_a_stop_in_the_middle(tmp_path: Path, speed: float) -> None:
     with simulated_cell(speed) as cell:
-        stop_in_the_middle(cell, tmp_path)
-
-
-def stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
-    with engine(cell.address, tmp_path) as found:
-        found.at_wait, found.then = 5, found.stop_all
-        with pytest.raises(Stopped):
-            found.bench.sweep(order(cell.near_mm))
-        while cell.variables("HC_STOP", "HC_ERR") != ["TRUE", "9"]:
-            pass  # a stop waits for no answer; the test's time limit bounds this wait
-        while not cell.is_restored():
-            pass
-    assert files(tmp_path) == []
-    assert not found.log.streams
-    with engine(cell.address, tmp_path) as again:
-        assert again.bench.sweep(order(cell.near_mm)).samples > 390
+        with engine(cell.address, tmp_path) as found:
+            found.at_wait, found.then = 5, found.stop_all
+            with pytest.raises(Stopped):
+                found.bench.sweep(order(cell.near_mm))
+            while cell.variables("HC_STOP", "HC_ERR") != ["TRUE", "9"]:
+                pass  # a stop waits for no answer; the test's time limit bounds this wait
+            while not cell.is_restored():
+                pass
+        assert files(tmp_path) == []
+        assert not found.log.streams
+        with engine(cell.address, tmp_path) as again:
+            assert again.bench.sweep(order(cell.near_mm)).samples > 390
 
 
 @speeds
 def test_a_beam_break_in_the_middle(tmp_path: Path, speed: float) -> None:
-    with simulated_cell(speed) as cell:
-        break_in_the_middle(cell, tmp_path)
-
-
-def break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
-    with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
+    with (
+        simulated_cell(speed) as cell,
+        engine(cell.address, tmp_path) as found,
+        Control(cell.address) as control,
+    ):
         control.ask("fault", name="tracker.stream_break", after=100)
         with pytest.raises(NoReading) as broken:
             found.bench.sweep(order(cell.near_mm))

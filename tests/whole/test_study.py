@@ -104,7 +104,7 @@ def studying(path: Path, folder: Path) -> Iterator[subprocess.Popen[str]]:
         pytest.param(signal.SIGTERM, os.kill, marks=pytest.mark.nightly),
     ],
 )
-def test_an_interruption_keeps_what_is_finished(
+def test_an_interruption_keeps_finished_cases(
     tmp_path: Path, number: signal.Signals, send: Callable[[int, int], None]
 ) -> None:
     path, folder = written(tmp_path, READINGS, head="machines = 99"), tmp_path / "r"
@@ -387,7 +387,7 @@ def _speak(listening: socket.socket, answer: bytes) -> None:
         (("report", "r"), "folder"),
     ],
 )
-def test_words_that_contradict_one_another(words: tuple[str, ...], named: str) -> None:
+def test_options_that_contradict_one_another(words: tuple[str, ...], named: str) -> None:
     done = command("study", *words)
     assert (done.returncode, done.stdout) == (2, "")
     assert named in done.stderr

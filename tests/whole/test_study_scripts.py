@@ -22,7 +22,7 @@ def script(
 
 
 @pytest.mark.parametrize("name", ["study_slurm", "study_kubernetes"])
-def test_it_says_how_it_is_used(
+def test_its_help_names_its_options(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "--workers" in script(name, monkeypatch, capsys, "--help")

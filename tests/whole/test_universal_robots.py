@@ -244,7 +244,7 @@ def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None
     assert refused(bench, **options) == "HC-B05"
 
 
-def test_a_program_of_somebody_else_is_left_alone(
+def test_a_program_of_another_client_is_left_alone(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(robot_ur_rtde.UrRtdeRobot, "BRAKED_S", 0.2)
@@ -354,7 +354,7 @@ def test_an_idle_dashboard_connection_that_was_closed_is_replaced_before_a_motio
     until(lambda: not bench.truth.robot.moving)
 
 
-def test_close_returns_when_the_arm_stands(
+def test_close_returns_when_the_arm_is_at_rest(
     bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where the program has ended long before, and the arm brakes slowly."""
@@ -432,7 +432,7 @@ def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
     works(bench)
 
 
-def test_a_script_of_ours_that_brakes_is_no_program_of_somebody_else(
+def test_a_script_of_ours_that_brakes_is_no_program_of_another_client(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its counter stands until the arm does."""
@@ -625,7 +625,7 @@ def test_the_script_brakes_when_the_engine_is_killed(tmp_path: Path) -> None:
             assert again.rest()[-1]["exit"] == 4
 
 
-def test_a_package_that_was_under_way_is_no_standing_clock(
+def test_a_package_that_was_in_transit_is_no_stopped_clock(
     robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: list[UrState] = []
@@ -645,7 +645,7 @@ def test_a_package_that_was_under_way_is_no_standing_clock(
     monkeypatch.undo()
 
 
-def test_a_clock_that_stands_is_refused(
+def test_a_clock_that_has_stopped_is_refused(
     robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = robot.link().fresh()

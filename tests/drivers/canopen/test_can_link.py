@@ -181,7 +181,7 @@ def test_a_worker_that_hangs_in_motion_is_named_and_the_slide_stopped(
     peer.quick_stopped.wait()
 
 
-def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) -> None:
+def test_the_heartbeat_pauses_while_the_motion_is_unattended(peer: CanPeer) -> None:
     asked, attended = count(), threading.Event()
 
     def attends() -> bool:

@@ -42,7 +42,7 @@ def test_a_drive_that_brakes_has_power_too() -> None:
     assert powered == cia.POWERED
 
 
-def test_the_way_up_and_none_from_a_fault() -> None:
+def test_control_words_lead_up_to_enabled_and_none_from_a_fault() -> None:
     words = [
         cia.next_control(s) for s in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON)
     ]
@@ -57,11 +57,11 @@ def test_the_way_up_and_none_from_a_fault() -> None:
     [(0x00, False), (0x02, False), (0x06, False), (0x80, False), (0x07, True), (0x0F, True),
      (0x1F, True), (0x3F, True)],
 )  # fmt: skip
-def test_words_that_may_not_go_out_after_a_stop(word: int, enables: bool) -> None:
+def test_control_words_that_are_not_sent_after_a_stop(word: int, enables: bool) -> None:
     assert cia.enables(word) is enables
 
 
-def test_emergencies_have_words_and_the_end_of_an_error_is_none() -> None:
+def test_emergencies_have_texts_and_the_end_of_an_error_is_none() -> None:
     """By the code itself, its class, or the fact that it is unknown."""
     texts = {cia.error_text(code) for code in (0x7305, 0x8611, 0x2311, 0x8A00, 0xFF01, 0xA000)}
     assert len(texts) == 6

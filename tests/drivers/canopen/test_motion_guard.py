@@ -72,7 +72,7 @@ def gone_mm(peer: CanPeer) -> float:
     [(10_000 / 60, 500.0, 50.0), (1000.0, 500.0, 50.0), (0.1, 25.0, 10.0)],
 )
 @pytest.mark.parametrize("homing", [False, True])
-def test_a_drive_in_another_unit_is_stopped_on_its_first_way_and_named_with_its_factor(
+def test_a_drive_in_another_unit_is_stopped_in_its_first_motion_and_named_with_its_factor(
     peer: CanPeer,
     rail: CanopenRail,
     runs: Runs,
@@ -93,7 +93,7 @@ def test_a_drive_in_another_unit_is_stopped_on_its_first_way_and_named_with_its_
     assert 0.0 < gone_mm(peer) + speed_mm_s**2 / 2 / RAMP_MM_S2 < stops_mm
 
 
-def test_a_drive_in_the_right_unit_goes_its_way(rail: CanopenRail, runs: Runs) -> None:
+def test_a_drive_in_the_right_unit_is_not_stopped(rail: CanopenRail, runs: Runs) -> None:
     runs()
     rail.home()
     rail.move_to(1500.0)
@@ -217,7 +217,7 @@ def test_a_stepped_cell_lets_a_strip_on_its_own_wire_go_ahead_of_its_drive() -> 
         assert guard.contradiction() is None
 
 
-def test_a_strip_that_counts_the_other_way_is_a_matter_of_direction() -> None:
+def test_a_strip_that_counts_in_the_other_direction_is_named() -> None:
     guard = ScaleGuard(0.02, 250.0, synchronous=True)
     for place_mm in range(0, 200, 10):
         guard.add(float(place_mm), -float(place_mm))
@@ -324,14 +324,14 @@ def test_a_late_pc_proves_nothing_against_a_healthy_slide(distance_mm: float, se
         *sweep((700.0, 0.001), (2500.0, 0.001)),
     ],
 )
-def test_a_healthy_slide_passes_however_it_is_looked_at(
+def test_a_healthy_slide_passes_however_it_is_polled(
     distance_mm: float, apart_s: float, lag_s: float
 ) -> None:
     at, duration_s = trapezoid(1000.0 * distance_mm, SPEED, ACCELERATION)
     assert not look(at, regular(duration_s, apart_s), lag_s=lag_s).proves
 
 
-def test_a_stepped_cell_is_looked_at_three_times_a_motion_and_passes() -> None:
+def test_a_stepped_cell_is_polled_three_times_a_motion_and_passes() -> None:
     at, duration_s = trapezoid(2_000_000.0, SPEED, ACCELERATION)
     thirds = [(third * duration_s / 3,) * 2 for third in (1, 2, 3, 3, 3)]
     assert not look(at, iter(thirds)).proves
@@ -346,7 +346,7 @@ def test_a_frame_that_comes_twice_proves_nothing() -> None:
 
 @pytest.mark.parametrize("jump_mm", [-640.0, 0.4, 640.0])
 @pytest.mark.parametrize("at_s", [0.1, 2.0, 3.0])
-def test_a_reference_that_is_set_on_the_way_proves_nothing(jump_mm: float, at_s: float) -> None:
+def test_a_reference_that_is_set_in_motion_proves_nothing(jump_mm: float, at_s: float) -> None:
     at, duration_s = trapezoid(600_000.0, SPEED, ACCELERATION)
 
     def homing(now_s: float) -> tuple[float, float]:
@@ -376,7 +376,7 @@ def test_a_drive_that_shows_no_speed_at_all_is_a_contradiction() -> None:
 
 
 @pytest.mark.parametrize(("factor", "fires"), [(1.1, False), (1.35, True), (2.0, True)])
-def test_overspeed_is_seen_by_positions(factor: float, fires: bool) -> None:
+def test_overspeed_is_detected_by_positions(factor: float, fires: bool) -> None:
     at, duration_s = trapezoid(2_000_000.0, factor * SPEED, ACCELERATION)
     seen = look(at, regular(duration_s))
     assert seen.contradiction is None, "the drive says its speed"
@@ -390,7 +390,7 @@ def test_a_speed_that_is_no_number_is_a_contradiction() -> None:
     assert guard.contradiction() is not None
 
 
-def test_durations_lie_between_the_looks() -> None:
+def test_durations_are_bounded_by_the_polls() -> None:
     since_s, until_s = np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0, 5.0])
     position, speed = np.array([0.0, 1.0, 3.0, 2.5]), np.array([1.0, -1.0, 2.0, 3.0])
     found = SpeedBounds.of(since_s, until_s, position, speed)

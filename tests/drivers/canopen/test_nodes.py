@@ -49,7 +49,7 @@ class Node:
     ("name", "simulated"),
     [(None, False), (b"servo", False), (b"a rail drive (simulated)", True), (b"\xff", False)],
 )
-def test_a_node_tells_by_its_device_name(name: bytes | None, simulated: bool) -> None:
+def test_a_node_is_simulated_by_its_device_name(name: bytes | None, simulated: bool) -> None:
     """1008h is optional."""
     expected = Expected("drive", 5, 402, 0x484, 0x402, 0)
     identity = identify(cast("SdoChannel", Node(name)), expected, 0x00020192, "can0")

@@ -64,7 +64,7 @@ def test_a_speed_beyond_the_window_is_no_rest(velocity: float) -> None:
 
 
 @pytest.mark.parametrize(("drive_rate", "strip_rate"), [(5, 0), (-5, 0), (0, 1), (0, -1)])
-def test_a_creep_is_seen_by_drive_or_strip(drive_rate: int, strip_rate: int) -> None:
+def test_a_creep_is_detected_by_drive_or_strip(drive_rate: int, strip_rate: int) -> None:
     polls = [poll(drive_rate * n, strip_rate * n, velocity=0) for n in range(30)]
     assert after(*polls).rest is None
 
@@ -225,7 +225,7 @@ def test_a_slide_at_rest_is_confirmed_by_one_poll(peer: CanPeer, rail: CanopenRa
     assert len(peer.frames(0x080)) - before == 10
 
 
-def test_a_strip_that_flickers_is_read_by_its_middle_and_one_that_moves_is_seen(
+def test_a_strip_that_flickers_is_read_by_its_median_and_one_that_moves_is_detected(
     peer: CanPeer, rail: CanopenRail
 ) -> None:
     flicker = iter([0, 1, 0, -1] * 1000)

@@ -56,7 +56,7 @@ def speaks(drive: RailDrive, unit: float, most: float, ramp: float) -> None:
 
 
 @pytest.mark.parametrize("unit", [10_000 / 60, 0.1])
-def test_the_slide_is_stopped_and_stands_within_50_mm(unit: float) -> None:
+def test_the_slide_is_stopped_and_at_rest_within_50_mm(unit: float) -> None:
     with served(speed=PACE) as bench:
         speaks(bench.server._drive, unit, most=500_000.0, ramp=2_000_000.0)
         options: dict[str, Any] = {

@@ -66,7 +66,7 @@ def test_connect_names_drive_and_strip_and_moves_nothing(bench: Bench) -> None:
     assert "write HC_SEQ" not in bench.kuka.requests
 
 
-def test_connect_holds_an_axis_that_somebody_left_free(bench: Bench) -> None:
+def test_connect_holds_an_axis_that_was_left_free(bench: Bench) -> None:
     bench.kuka.variables["HC_HELD"] = "FALSE"
     bench.robot.connect()
     assert bench.kuka.variables["HC_HELD"] == "TRUE"
@@ -201,7 +201,7 @@ def test_an_axis_that_runs_faster_than_it_should_is_stopped(
 
 
 @pytest.mark.parametrize("ratio", [0.5, 1.25, 2.0])
-def test_scales_that_differ_are_named_on_the_way(bench: Bench, ratio: float) -> None:
+def test_scales_that_differ_are_named_in_motion(bench: Bench, ratio: float) -> None:
     bench.connect()
     bench.kuka.frozen, began_mm = True, bench.kuka.slide_mm
     bench.strip.counts = lambda: round(100.0 * ratio * bench.kuka.slide_mm)

@@ -84,7 +84,7 @@ def used(source: str, prefix: str) -> set[str]:
 
 
 @pytest.mark.parametrize("source", [SOURCE, EKI_SOURCE])
-def test_what_is_begun_is_ended(source: str) -> None:
+def test_blocks_are_closed(source: str) -> None:
     for begin, end in (("DEF(?:FCT)? ", "END(?:FCT)?"), ("IF ", "ENDIF"), ("SWITCH ", "ENDSWITCH")):
         begun = re.findall(rf"(?m)^\s*{begin}", source)
         assert len(begun) == len(re.findall(rf"(?m)^\s*{end}$", source))
@@ -107,7 +107,7 @@ def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
 
 
 @pytest.mark.parametrize("routine", ["HC_BRAKE", "HC_LOST"])
-def test_what_brakes_the_robot_keeps_the_other_brake_out(routine: str) -> None:
+def test_a_brake_keeps_the_other_brake_out(routine: str) -> None:
     """Both interrupts are off before the brake, and RESUME leaves the motion's level."""
     (lines,) = re.findall(rf"(?ms)^DEF {routine} \( \)\n(.*?)^END$", SOURCE)
     acts = [line.strip() for line in lines.splitlines() if not line.startswith(";")]
@@ -189,7 +189,7 @@ def test_a_document_is_read_when_its_last_value_has_come() -> None:
         assert checked[name].endswith(f"/@{last}")
 
 
-def test_a_stop_is_heard_before_its_channel_is_cleared() -> None:
+def test_a_stop_is_read_before_its_channel_is_cleared() -> None:
     """What a client has sent stays value_errors after it has gone, until EKI_Clear."""
     lines = lines_of("hilcell_eki")
     cycle = lines[lines.index("ENDIF") + 1 :]

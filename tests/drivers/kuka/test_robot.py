@@ -427,7 +427,7 @@ def test_options_are_strict() -> None:
 SIGN = "write $TIMER[10]"
 
 
-def test_each_motion_gets_signs_and_a_standing_robot_none(
+def test_each_motion_gets_signs_of_life_and_a_robot_at_rest_none(
     robot: KukaC3Robot, peer: KukaPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(C3Controller, "HEARTBEAT_S", 0.0)

@@ -307,7 +307,7 @@ def test_documents_behind_an_xml_declaration_and_in_capitals() -> None:
     ("text", "value"),
     [("TRUE", True), ("true", True), ("1", True), ("0", False), ("False", False), ("2", 2)],
 )
-def test_booleans_as_words_or_numbers(text: str, value: object) -> None:
+def test_booleans_as_text_or_numbers(text: str, value: object) -> None:
     document = (
         f'<RobotState><Command Id="1" Stopped="{text}"/><Status Pro_State1="1"/></RobotState>'
     )

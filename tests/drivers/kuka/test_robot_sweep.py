@@ -136,7 +136,7 @@ def test_a_stop_before_the_kickoff_gives_back(
 @pytest.mark.parametrize(
     ("name", "value", "code"), [("$ALARM_STOP", "FALSE", "HC-B10"), ("$OV_PRO", "60", "HC-B40")]
 )
-def test_what_goes_wrong_in_a_sweep_ends_it(
+def test_a_fault_in_a_sweep_ends_it(
     peer: KukaPeer, robot: KukaC3Robot, name: str, value: str, code: str
 ) -> None:
     peer.frozen = True
@@ -192,7 +192,7 @@ def test_the_override_comes_back_only_once_no_axis_moves(
         ({"$OV_PRO": "30", "HC_OV_SET": "10", "HC_OV_OLD": "80"}, ("30", "0"), ["HC_OV_OLD"]),
     ],
 )  # fmt: skip
-def test_connect_gives_back_what_a_dead_engine_left_but_for_what_was_changed_since(
+def test_connect_restores_the_override_of_a_dead_engine_unless_it_was_changed_since(
     peer: KukaPeer, connect: Connect, left: dict[str, str], found: tuple[str, str], after: list[str]
 ) -> None:
     peer.variables |= left

@@ -199,6 +199,6 @@ def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
     assert 12 * len(packets) <= len(data)
 
 
-def test_codes_have_words() -> None:
+def test_codes_have_texts() -> None:
     assert emscon.status_text(14) == "status 14 (parameter 2 out of range)"
     assert emscon.status_text(777) == "status 777 (unknown)"

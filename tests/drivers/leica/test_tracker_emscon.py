@@ -27,7 +27,7 @@ from tests.drivers.leica.emscon_peer import (
 from tests.drivers.peers import Server, WireTime, in_thread, refusal
 
 
-def test_connecting_sets_everything_and_tells_who_answered(peer: EmsconPeer, make: Make) -> None:
+def test_connecting_sets_everything_and_returns_the_identity(peer: EmsconPeer, make: Make) -> None:
     peer.initialized = 3
     tracker = make(serial="390793", find_radius_mm=50.0)
     (identity,) = tracker.connect()
@@ -43,7 +43,7 @@ def test_connecting_sets_everything_and_tells_who_answered(peer: EmsconPeer, mak
 
 
 @pytest.mark.parametrize("name", ["AT401", "AT401 (simulated)"])
-def test_a_tracker_tells_its_name(peer: EmsconPeer, make: Make, name: str) -> None:
+def test_a_tracker_reports_its_name(peer: EmsconPeer, make: Make, name: str) -> None:
     field = name.encode("utf-16-le").ljust(64, b"\0")
     body = struct.pack("<I64s", 8, field) + bytes(80)
     peer.answers[132] = partial(lambda body, _: [reply(132, body)], body)
@@ -412,7 +412,7 @@ def test_a_tracker_that_was_left_in_its_second_face_is_turned_back(
     assert peer.commands.count(53) == face - 1
 
 
-def test_a_controller_that_does_not_tell_its_face_connects(peer: EmsconPeer, make: Make) -> None:
+def test_a_controller_that_does_not_report_its_face_connects(peer: EmsconPeer, make: Make) -> None:
     peer.answers[98] = lambda _: [failure(98, 2)]
     tracker = make()
     tracker.connect()
@@ -456,7 +456,7 @@ def changed(error: DeviceError) -> bool:
 
 @pytest.mark.parametrize("other", OTHERS)
 @pytest.mark.parametrize("while_it", ["rests", "aims", "measures"])
-def test_what_another_program_sets_is_read_back_and_refused_until_it_is_set_again(
+def test_a_setting_of_another_program_is_refused_until_it_is_set_again(
     peer: EmsconPeer, telling: Quick, other: str, while_it: str
 ) -> None:
     change, read, body = OTHERS[other]
@@ -530,7 +530,7 @@ def test_a_transformation_that_stretches_lengths_is_refused_while_it_is_in_use(
 
 
 @pytest.mark.parametrize("answer", [failure(48, 2), reply(48, status=2), reply(48)])
-def test_an_older_controller_does_not_tell_its_frame(
+def test_an_older_controller_does_not_report_its_frame(
     peer: EmsconPeer, make: Make, answer: bytes
 ) -> None:
     peer.answers[48] = lambda _: [answer]

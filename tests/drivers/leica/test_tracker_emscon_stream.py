@@ -94,7 +94,7 @@ def test_packets_in_slices_are_the_same(peer: EmsconPeer, tracker: Quick) -> Non
     ],
     ids=["beam", "refused", "back", "twice", "nan", "absurd", "status"],
 )
-def test_what_ends_a_stream_is_no_reading_and_restores(
+def test_a_stream_that_fails_is_no_reading_and_restores(
     peer: EmsconPeer, tracker: Quick, packet: bytes, code: str
 ) -> None:
     peer.answers[START] = lambda _: [reply(START), READY, FIRST + packet]
@@ -175,7 +175,7 @@ def test_a_stream_left_behind_is_ended_by_connect(peer: EmsconPeer, make: Make) 
     assert peer.settings[25] == STATIONARY
 
 
-def test_what_cannot_be_restored_is_noted(peer: EmsconPeer, tracker: Quick) -> None:
+def test_a_mode_that_cannot_be_restored_is_noted(peer: EmsconPeer, tracker: Quick) -> None:
     def fail() -> None:
         peer.answers[SET_MODE] = lambda _: [failure(SET_MODE, 26)]
         raise KeyError

@@ -93,7 +93,7 @@ def test_it_is_a_tracker_that_does_not_stream_on_either_wire(
         assert reading.taken_s == time.pc_s()
 
 
-def test_connecting_sets_everything_and_states_who_answered(peer: GeocomPeer, make: Make) -> None:
+def test_connecting_sets_everything_and_returns_the_identity(peer: GeocomPeer, make: Make) -> None:
     tracker = make(
         serial="884321",
         prism_constant_mm=-16.9,

@@ -258,9 +258,7 @@ def test_a_place_beside_every_point_is_refused_before_anything_is_sent(
     assert not peer.requests
 
 
-def test_another_reflector_is_looked_past_from_other_points(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
+def test_another_reflector_is_avoided_by_other_points(tracker: T2saTracker, peer: T2saPeer) -> None:
     honest = peer.answers["!MEAS_SINGLE_POINT"]
     peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
         honest(path) if path.endswith("P3") else result(path, (4100, -2990, 5))

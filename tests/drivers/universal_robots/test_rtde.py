@@ -92,7 +92,7 @@ def test_data_of_another_recipe_is_refused(payload: bytes) -> None:
         RECIPE.decode(payload)
 
 
-def test_what_the_controller_lacks_or_another_holds() -> None:
+def test_fields_that_the_controller_lacks_or_another_client_uses() -> None:
     recipe = Recipe.from_answer(("a", "b", "c"), b"\x01DOUBLE,NOT_FOUND,IN_USE")
     assert (recipe.lacking("NOT_FOUND"), recipe.lacking("IN_USE")) == (["b"], ["c"])
     for types in (b"\x01DOUBLE", b""):
@@ -208,7 +208,7 @@ def link_to(controller: Controller, check: Callable[[], None] = lambda: None) ->
             link.close()
 
 
-def test_a_state_that_was_under_way_is_no_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_that_was_in_transit_is_no_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """States that left before the question came do not have its number, however many they are."""
     monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e3)
     controller, paced = Controller(), threading.Event()
@@ -263,7 +263,7 @@ def test_the_end_of_the_script_gives_no_sign_of_life() -> None:
     assert controller.written == [(4, 1, 1, 0), *[(4, 1, 1, 815)] * 3]
 
 
-def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_states_that_are_not_read_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 1e-4)
     controller = Controller(besides=16 * encode(Kind.TEXT, bytes(4000)))
     with link_to(controller) as link:
@@ -271,7 +271,7 @@ def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.Monkey
         assert link.next().timestamp_s > 0.0
 
 
-def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_between_two_reads_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ur_link.UrLink, "IDLE_S", 0.01)
     controller, paced = Controller(), threading.Event()
     controller.due = lambda: paced.wait(0.002)

@@ -1,5 +1,18 @@
 """KRL programs as the field writes them."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.kuka.program_krl.files import read_program
+from drivers.kuka.program_krl.program import Program
+from drivers.program_text import ENCODING
+from hilcell.cell.settings import SettingsError
+from hilcell.ports import Array
+from tests.hilcell.commands import workplace
+
 SRC = """&ACCESS RVP
 &REL 12
 &PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe
@@ -68,3 +81,38 @@ HOLE[2]={X 0.0,Y 50.0,Z 1200.0,A 0.0,B 75.0,C 0.0}
 DECL PDAT PPDAT1={VEL 100.000,ACC 100.000,APO_DIST 100.000}
 ENDDAT
 """
+P1 = "DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
+P2 = "DECL E6POS XP2={X 4.0,Y 5.0,Z 6.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
+
+
+def program(src: str = SRC, dat: str | None = DAT) -> Program:
+    return read_program("drill.src", src, None if dat is None else ("drill.dat", dat))
+
+
+def one(body: str, dat: str = "") -> Program:
+    """Return a program whose body begins on line 2."""
+    return program(f"DEF drill()\n{body}\nEND\n", dat)
+
+
+def moved(read: Program, positions_mm: Array) -> dict[str, str]:
+    """Return the texts with other positions."""
+    files = read.with_positions(positions_mm)
+    return {name: content.decode(ENCODING) for name, content in files.items()}
+
+
+def refusal(body: str, dat: str = "") -> str:
+    with pytest.raises(SettingsError) as raised:
+        one(body, dat)
+    return "\n".join(raised.value.problems)
+
+
+class Workplace(workplace.Workplace):
+    """A folder with a calibration and a KRL program, and the command over them."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, "drill.src", "out.src")
+        self.program()
+
+    def program(self, src: str = SRC, dat: str = DAT) -> None:
+        self.source.write_text(src, "latin-1")
+        self.source.with_suffix(".dat").write_text(dat, "latin-1")

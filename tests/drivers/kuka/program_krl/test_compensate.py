@@ -1,57 +1,38 @@
 """`compensate` as a command, in this process, on KRL programs."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from drivers.kuka.program_krl.files import load_program
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
-from tests.drivers.kuka.program_krl.samples import DAT, SRC
+from tests.drivers.kuka.program_krl.samples import DAT, SRC, Workplace
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
-from tests.hilcell.commands import workplace
+from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.compensation.models import level
 from tests.hilcell.lists import write_targets
 
 
-class Workplace(workplace.Workplace):
-    """A folder with a calibration and a KRL program, and the command over them."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder, "drill.src", "out.src")
-        self.program()
-
-    def program(self, src: str = SRC, dat: str = DAT) -> None:
-        self.source.write_text(src, "latin-1")
-        self.source.with_suffix(".dat").write_text(dat, "latin-1")
-
-
-@pytest.fixture
-def desk(tmp_path: Path) -> Workplace:
-    return Workplace(tmp_path)
-
-
 def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
-    desk: Workplace,
+    workplace: Workplace,
 ) -> None:
     """Command + error at the command = target, to the rounding of three decimals."""
-    done = desk.run()
+    done = workplace.run()
     assert (done.returncode, done.stdout) == (0, "")
     assert "XP3" in done.stderr, "it is not used by a motion"
-    nominal, command = load_program(desk.source), load_program(desk.out)
+    nominal, command = load_program(workplace.source), load_program(workplace.out)
     in_base = apply(inverse(T_W_B), command.values()[:, :3])
     arrived = in_base + calibration().error_model().predict(level(in_base)).error_mm
     expected = apply(inverse(T_W_B), nominal.values()[:, :3])
     assert np.abs(command.values()[:, :3] - nominal.values()[:, :3]).max() > 0.3
     np.testing.assert_allclose(arrived, expected, atol=2e-3)
     np.testing.assert_array_equal(command.values()[:, 3:], nominal.values()[:, 3:])
-    targets, out = desk.folder / "targets.csv", desk.folder / "out.csv"
+    targets, out = workplace.folder / "targets.csv", workplace.folder / "out.csv"
     write_targets(targets, [f"H{n}" for n in range(5)], nominal.values())
-    assert desk.compensate(source=targets, out=out) == 0
-    _, listed, _ = workplace.read_corrected(out)
+    assert workplace.compensate(source=targets, out=out) == 0
+    _, listed, _ = read_corrected(out)
     np.testing.assert_allclose(command.values()[:, :3], listed[:, :3], atol=6e-4)
-    said = desk.refused(source=desk.out, out=desk.folder / "again.src")
+    said = workplace.refused(source=workplace.out, out=workplace.folder / "again.src")
     assert (
         "out.src was corrected before (hilcell: corrected by 20261101-120000-calibrate-abcd" in said
     )
@@ -66,17 +47,17 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
         (SRC, DAT.replace("Z +1000.5", "Z 1E308"), "1 target "),
     ],
 )
-def test_refused_and_nothing_written(desk: Workplace, src: str, dat: str, token: str) -> None:
-    desk.program(src, dat)
-    assert token in desk.refused()
-    desk.out.write_text("old")
-    assert token in desk.refused()
+def test_refused_and_nothing_written(workplace: Workplace, src: str, dat: str, token: str) -> None:
+    workplace.program(src, dat)
+    assert token in workplace.refused()
+    workplace.out.write_text("old")
+    assert token in workplace.refused()
 
 
 @pytest.mark.parametrize("out", ["drill.src", "drill", "link.src"])
-def test_neither_program_nor_calibration_is_replaced(desk: Workplace, out: str) -> None:
-    (desk.folder / "link.src").symlink_to(desk.folder / "calibration.json")
-    desk.refused(out=desk.folder / out)
+def test_neither_program_nor_calibration_is_replaced(workplace: Workplace, out: str) -> None:
+    (workplace.folder / "link.src").symlink_to(workplace.folder / "calibration.json")
+    workplace.refused(out=workplace.folder / out)
 
 
 @pytest.mark.parametrize(
@@ -90,23 +71,25 @@ def test_neither_program_nor_calibration_is_replaced(desk: Workplace, out: str) 
         ("$TOOL={X 98.0,Y 0.0,Z 227.0,A 0.0,B 0.0,C 0.0}", 2),
     ],
 )
-def test_a_tool_that_is_not_the_calibrated_one(desk: Workplace, tool: str, code: int) -> None:
+def test_a_tool_that_is_not_the_calibrated_one(workplace: Workplace, tool: str, code: int) -> None:
     """Refused with the cell; without it a note names the tool."""
     dat = "DECL FDAT FP1={TOOL_NO 4,BASE_NO 2,IPO_FRAME #BASE}\n" + DAT
     point = "LIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}"
-    desk.program(f"DEF drill( )\n{tool}\n{point}\nEND\n", dat.replace("FP1={TOOL_NO 1", "FP0={"))
-    desk.calibrate(digest=load_cell("paper").digest)
-    assert desk.compensate("--cell", "paper") == code
-    noted = desk.run(out=desk.folder / "noted.src")
+    workplace.program(
+        f"DEF drill( )\n{tool}\n{point}\nEND\n", dat.replace("FP1={TOOL_NO 1", "FP0={")
+    )
+    workplace.calibrate(digest=load_cell("paper").digest)
+    assert workplace.compensate("--cell", "paper") == code
+    noted = workplace.run(out=workplace.folder / "noted.src")
     assert noted.returncode == 0
     assert "its tool" in noted.stderr
 
 
-def test_a_module_that_has_another_name_than_its_file(desk: Workplace) -> None:
-    desk.program("DEF drill( )\nLIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}\nEND\n", "")
-    (desk.folder / "new").mkdir()
+def test_a_module_that_has_another_name_than_its_file(workplace: Workplace) -> None:
+    workplace.program("DEF drill( )\nLIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}\nEND\n", "")
+    (workplace.folder / "new").mkdir()
     for out, noted in (("other.src", True), ("new/Drill.src", False)):
-        done = desk.run(out=desk.folder / out)
+        done = workplace.run(out=workplace.folder / out)
         assert done.returncode == 0
         assert ("DEF" in done.stderr) is noted
 
@@ -127,45 +110,45 @@ def near_zero(posture: str) -> str:
     ],
 )
 def test_turns_that_the_correction_changes(
-    desk: Workplace, motion: str, posture: str, code: int
+    workplace: Workplace, motion: str, posture: str, code: int
 ) -> None:
     """Without the cell they are not checked, and a note says so."""
-    desk.calibrate(digest=load_cell("paper").digest)
-    desk.program(f"{motion} XP1", near_zero(posture))
-    done = desk.run("--cell", "paper")
+    workplace.calibrate(digest=load_cell("paper").digest)
+    workplace.program(f"{motion} XP1", near_zero(posture))
+    done = workplace.run("--cell", "paper")
     assert done.returncode == code
     assert ("XP1 (drill.dat line 1): A1" in done.stderr) == (code == 2)
-    assert desk.out.exists() == (code == 0)
-    unchecked = desk.run(out=desk.folder / "unchecked.src")
+    assert workplace.out.exists() == (code == 0)
+    unchecked = workplace.run(out=workplace.folder / "unchecked.src")
     assert unchecked.returncode == 0
     assert ("turns (T)" in unchecked.stderr) == (code == 2)
 
 
 @pytest.mark.parametrize(("status", "code"), [(6, 0), (22, 0), (2, 2), (7, 2)])
 def test_points_in_another_posture_than_the_calibrated_are_refused(
-    desk: Workplace, status: int, code: int
+    workplace: Workplace, status: int, code: int
 ) -> None:
     """Errors are those of joints: by another elbow or wrist the robot errs by millimetres more.
 
     Bit 4 says that the robot has absolute accuracy, which is no posture.
     """
-    desk.calibrate(digest=load_cell("paper").digest)
-    desk.program("PTP XP1", f"DECL E6POS XP1={{X 0.0,Y 0.0,Z 1200.0,A 0,B 75,C 0,S {status}}}")
-    done = desk.run("--cell", "paper")
+    workplace.calibrate(digest=load_cell("paper").digest)
+    workplace.program("PTP XP1", f"DECL E6POS XP1={{X 0.0,Y 0.0,Z 1200.0,A 0,B 75,C 0,S {status}}}")
+    done = workplace.run("--cell", "paper")
     assert done.returncode == code, done.stderr
     assert ("another posture than the calibrated one, S 6" in done.stderr) == (code == 2)
-    unchecked = desk.run(out=desk.folder / "unchecked.src")
+    unchecked = workplace.run(out=workplace.folder / "unchecked.src")
     assert "postures (S) were not checked" in unchecked.stderr
 
 
 @pytest.mark.parametrize(("e1_mm", "code"), [(1100.0, 0), (1101.5, 0), (300.0, 2)])
 def test_a_program_that_drives_the_slide_to_another_station_is_refused(
-    desk: Workplace, e1_mm: float, code: int
+    workplace: Workplace, e1_mm: float, code: int
 ) -> None:
     rides = ("--set", "rail.driver=kuka-e1")
     cell = load_cell("paper", {"rail.driver": "kuka-e1"})
-    desk.calibrate(digest=cell.digest)
-    desk.program("LIN XP1", f"DECL E6POS XP1={{X 0,Y 0,Z 1200,A 0,B 75,C 0,E1 {e1_mm}}}")
-    done = desk.run("--cell", "paper", *rides)
+    workplace.calibrate(digest=cell.digest)
+    workplace.program("LIN XP1", f"DECL E6POS XP1={{X 0,Y 0,Z 1200,A 0,B 75,C 0,E1 {e1_mm}}}")
+    done = workplace.run("--cell", "paper", *rides)
     assert done.returncode == code, done.stderr
     assert ("moves the slide to 300 mm, expected 1100 mm" in done.stderr) == (code == 2)

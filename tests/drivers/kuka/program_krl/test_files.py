@@ -59,7 +59,7 @@ def test_a_source_alone(tmp_path: Path) -> None:
     assert write(source, "out.dat") == [tmp_path / "out.src"]
 
 
-def test_nothing_is_written_where_one_file_cannot_or_is_what_is_read(tmp_path: Path) -> None:
+def test_nothing_is_written_where_one_file_cannot_be_or_is_the_input(tmp_path: Path) -> None:
     source = pair(tmp_path)
     (tmp_path / "out.src").write_text("old")
     (tmp_path / "out.dat").mkdir()

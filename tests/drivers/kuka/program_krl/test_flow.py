@@ -8,8 +8,7 @@ import pytest
 
 from drivers.kuka.program_krl.program import Program
 from hilcell.cell.file import load_cell
-from tests.drivers.kuka.program_krl.test_compensate import Workplace
-from tests.drivers.kuka.program_krl.test_program import one, refusal
+from tests.drivers.kuka.program_krl.samples import Workplace, one, refusal
 
 EXTERNAL = "X {x}.0,Y 2.0,Z 3.0,A 0.0,B 75.0,C 0.0"
 SIX = "A1 0,A2 -90,A3 90,A4 0,A5 -30,A6 0"
@@ -64,7 +63,7 @@ def test_a_component_that_is_left_out_keeps_its_value(
         f"INTERRUPT DECL 3 WHEN $IN[1] DO SUB( )\nPTP XHOME1\nLIN XP1{SUB}PTP XHOME",
     ],
 )
-def test_an_axis_that_may_stand_elsewhere_is_refused(body: str) -> None:
+def test_an_axis_that_may_be_elsewhere_is_refused(body: str) -> None:
     said = refusal(body, AXES_DAT)
     assert "E1 300" in said
     assert "a program is corrected for one station" in said
@@ -78,7 +77,7 @@ def test_an_axis_that_may_stand_elsewhere_is_refused(body: str) -> None:
         f"PTP XHOME1\nSUB( )\nLIN XP1{SUB}$OUT[1]=TRUE\nEND\nDEF OTHER( )\nPTP XHOME",
     ],
 )
-def test_a_home_that_stands_elsewhere_is_no_matter_where_each_point_is_known(body: str) -> None:
+def test_a_home_that_is_elsewhere_is_allowed_where_each_point_is_known(body: str) -> None:
     slide = one(body, AXES_DAT).slide
     assert slide is not None
     assert slide[1] == 1100.0
@@ -148,12 +147,11 @@ def test_bits_that_are_not_known_are_taken_as_expected() -> None:
 
 @pytest.mark.parametrize(("home", "code"), [("XHOME", 2), ("XHOME1", 0), ("XHOME2", 0)])
 def test_a_posture_that_is_kept_from_a_home_move_is_checked(
-    tmp_path_factory: pytest.TempPathFactory, home: str, code: int
+    workplace: Workplace, home: str, code: int
 ) -> None:
-    desk = Workplace(tmp_path_factory.mktemp("desk"))
-    desk.calibrate(digest=load_cell("paper").digest)
-    desk.program(f"DEF drill( )\nPTP {home}\nLIN XP1\nEND\n", f"DEFDAT drill\n{DAT}ENDDAT\n")
-    done = desk.run("--cell", "paper")
+    workplace.calibrate(digest=load_cell("paper").digest)
+    workplace.program(f"DEF drill( )\nPTP {home}\nLIN XP1\nEND\n", f"DEFDAT drill\n{DAT}ENDDAT\n")
+    done = workplace.run("--cell", "paper")
     assert done.returncode == code, done.stderr
     said = "XP1 (drill.dat line 2), kept from drill.src line 2: S 2"
     assert (said in done.stderr) == (code == 2)

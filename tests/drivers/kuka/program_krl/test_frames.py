@@ -12,7 +12,7 @@ from drivers.kuka.program_krl.frames import FrameRule
 from drivers.kuka.program_krl.program import Program
 from hilcell.compensation.programs import StatedTool
 from hilcell.geometry.frames import pose_from_zyx
-from tests.drivers.kuka.program_krl.test_program import P1, P2, one, program, refusal
+from tests.drivers.kuka.program_krl.samples import P1, P2, one, program, refusal
 
 JIG = "DECL FRAME JIG={X 500.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 90.0}\n"
 OWN_BASE = "DECL FRAME BASE_DATA[4]\nBASE_DATA[3]={X 1.5,Y 2,Z 3,A 0,B 0,C 0}\n"
@@ -160,7 +160,7 @@ HOME_FORM = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
         ("FDAT_ACT=FHOME\nBAS(#FRAMES)\n$BASE=$NULLFRAME\nLIN XP1", "the base and tool of FHOME"),
     ],
 )
-def test_what_may_never_be_executed_sets_nothing(body: str, why: str) -> None:
+def test_statements_that_may_never_be_executed_set_nothing(body: str, why: str) -> None:
     assert why in refusal(body, P1 + HOME_FORM)
 
 
@@ -175,7 +175,7 @@ def test_what_may_never_be_executed_sets_nothing(body: str, why: str) -> None:
         f"FDAT_ACT=FHOME\nBAS(#FRAMES)\nPTP XHOME\n{SETS}LIN XP1",
     ],
 )
-def test_what_is_executed_before_the_motions_sets_base_and_tool(body: str) -> None:
+def test_statements_before_the_motions_set_base_and_tool(body: str) -> None:
     found = one(body, P1 + HOME_FORM)
     assert found.base is not None
     assert found.base.values == NULL

@@ -9,39 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.kuka.program_krl.files import read_program
-from drivers.kuka.program_krl.program import Program, comment, turn_of
+from drivers.kuka.program_krl.program import comment, turn_of
 from drivers.program_text import ENCODING, formatted, plain
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import Array
-from tests.drivers.kuka.program_krl.samples import DAT, SRC
+from tests.drivers.kuka.program_krl.samples import DAT, P1, P2, SRC, moved, one, program, refusal
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-
-
-def program(src: str = SRC, dat: str | None = DAT) -> Program:
-    return read_program("drill.src", src, None if dat is None else ("drill.dat", dat))
-
-
-def one(body: str, dat: str = "") -> Program:
-    """Return a program whose body begins on line 2."""
-    return program(f"DEF drill()\n{body}\nEND\n", dat)
-
-
-def moved(read: Program, positions_mm: Array) -> dict[str, str]:
-    """Return the texts with other positions."""
-    files = read.with_positions(positions_mm)
-    return {name: content.decode(ENCODING) for name, content in files.items()}
-
-
-def refusal(body: str, dat: str = "") -> str:
-    with pytest.raises(SettingsError) as raised:
-        one(body, dat)
-    return "\n".join(raised.value.problems)
-
-
-P1 = "DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
-P2 = "DECL E6POS XP2={X 4.0,Y 5.0,Z 6.0,A 0.0,B 75.0,C 0.0,S 6,T 19,E1 0.0}\n"
 
 
 def test_targets_are_the_points_that_motions_use() -> None:
@@ -209,7 +182,7 @@ def test_data_that_is_no_point(dat: str, token: str) -> None:
     assert token in refusal("PTP XP1", dat)
 
 
-def test_faulty_data_that_nobody_moves_to_is_no_matter() -> None:
+def test_faulty_data_that_no_motion_uses_are_allowed() -> None:
     read = one("PTP XP1", P1 + "DECL E6POS XP9={X 1.0}\n")
     assert read.notes == ["not used by a motion, left: XP9"]
 
@@ -247,7 +220,7 @@ def test_all_problems_are_reported_at_once() -> None:
     assert [line.split(":")[0] for line in said[:2]] == ["drill.src line 2", "drill.src line 4"]
 
 
-def test_what_is_allowed() -> None:
+def test_allowed_statements() -> None:
     """The first base and tool, loops, own subprograms, splines' single motions, home moves."""
     read = one(
         "BAS(#INITMOV,0)\n$BASE=BASE_DATA[3]\n$TOOL={X 98,Y 0,Z 127,A 0,B 0,C 0}\nPTP $AXIS_ACT\n"

@@ -1,6 +1,5 @@
 """Drill strokes keep the correction of their point, and are refused where that is not known."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,8 +13,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
 from hilcell.programs.target_jobs import StrokeError, StrokeLimits, StrokeMiss, check_strokes
-from tests.drivers.kuka.program_krl.test_compensate import Workplace
-from tests.drivers.kuka.program_krl.test_program import P1, P2, one, refusal
+from tests.drivers.kuka.program_krl.samples import P1, P2, Workplace, one, refusal
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 
 DAT = """DEFDAT DRILL
@@ -111,17 +109,12 @@ def test_a_stroke_aside_from_the_drills_axis_gets_a_note() -> None:
     assert "line 4;" in note
 
 
-@pytest.fixture
-def desk(tmp_path: Path) -> Workplace:
-    return Workplace(tmp_path)
-
-
-def test_a_drill_stroke_stays_as_it_is_and_arrives(desk: Workplace) -> None:
-    desk.program(f"DEF drill()\nLIN XP1\n{DRILL}\nEND\n", DAT)
-    done = desk.run()
+def test_a_drill_stroke_stays_as_it_is_and_arrives(workplace: Workplace) -> None:
+    workplace.program(f"DEF drill()\nLIN XP1\n{DRILL}\nEND\n", DAT)
+    done = workplace.run()
     assert done.returncode == 0
-    assert DRILL in desk.out.read_text()
-    nominal, command = load_program(desk.source), load_program(desk.out)
+    assert DRILL in workplace.out.read_text()
+    nominal, command = load_program(workplace.source), load_program(workplace.out)
     along = np.array(nominal.strokes[0].shift_mm) / 20.0
     missed = []
     for depth_mm in range(21):
@@ -139,7 +132,7 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(desk: Workplace) -> None:
     assert f"{along_mm:.3f} mm along" in done.stderr
 
 
-def test_a_stroke_is_judged_on_all_of_its_way() -> None:
+def test_a_stroke_is_judged_along_its_whole_path() -> None:
     """Ripple that is gone at the end moves the hole; what it does along moves the depth alone."""
     made, read = (
         calibration(),
@@ -189,22 +182,22 @@ def test_a_stroke_is_judged_on_all_of_its_way() -> None:
     ],
 )  # fmt: skip
 def test_a_stroke_as_far_as_it_is_declared(
-    desk: Workplace, stroke: str, words: tuple[str, ...], token: str
+    workplace: Workplace, stroke: str, words: tuple[str, ...], token: str
 ) -> None:
-    desk.program(f"DEF drill()\nLIN XP1\n{stroke}\nEND\n", DAT)
+    workplace.program(f"DEF drill()\nLIN XP1\n{stroke}\nEND\n", DAT)
     if token:
-        assert token in desk.refused(*words)
+        assert token in workplace.refused(*words)
     else:
-        assert desk.compensate(*words) == 0
-        assert desk.out.exists()
+        assert workplace.compensate(*words) == 0
+        assert workplace.out.exists()
 
 
-def test_a_stroke_out_of_the_calibrated_volume_is_refused(desk: Workplace) -> None:
+def test_a_stroke_out_of_the_calibrated_volume_is_refused(workplace: Workplace) -> None:
     edge = apply(T_W_B, calibration().grid().far_mm[None])[0] - [2.0, 60.0, 60.0]
     numbers = ",".join(f"{axis} {value:.3f}" for axis, value in zip("XYZ", edge, strict=True))
     point = f"DECL E6POS XP1={{{numbers},A 0.0,B 75.0,C 0.0}}"
-    desk.program("DEF drill()\nLIN XP1\nLIN_REL {Z 20} #TOOL\nEND\n", point)
-    assert "LIN_REL (drill.src line 3) from XP1" in desk.refused()
+    workplace.program("DEF drill()\nLIN XP1\nLIN_REL {Z 20} #TOOL\nEND\n", point)
+    assert "LIN_REL (drill.src line 3) from XP1" in workplace.refused()
 
 
 def test_a_stroke_that_corrected_angles_turn_away_is_refused() -> None:
@@ -233,25 +226,27 @@ def base_of(frame: Array) -> str:
         ("BASE_DATA[3]", 0),
     ],
 )
-def test_a_base_set_by_numbers_must_be_the_world(desk: Workplace, base: str, code: int) -> None:
-    desk.program(f"DEF drill()\n$BASE={base}\nLIN XP1\nEND\n", DAT)
-    done = desk.run()
+def test_a_base_set_by_numbers_must_be_the_world(
+    workplace: Workplace, base: str, code: int
+) -> None:
+    workplace.program(f"DEF drill()\n$BASE={base}\nLIN XP1\nEND\n", DAT)
+    done = workplace.run()
     assert done.returncode == code
     assert (base_of(inverse(T_W_B)) in done.stderr) == (code == 2)
 
 
-def test_a_missing_data_list_is_named_once(desk: Workplace) -> None:
-    desk.source.write_text("DEF drill()\nPTP XHOME\nLIN XP1\nLIN XP2\nEND\n")
-    desk.source.with_suffix(".dat").unlink()
-    said = desk.refused()
+def test_a_missing_data_list_is_named_once(workplace: Workplace) -> None:
+    workplace.source.write_text("DEF drill()\nPTP XHOME\nLIN XP1\nLIN XP2\nEND\n")
+    workplace.source.with_suffix(".dat").unlink()
+    said = workplace.refused()
     assert "XP1, XP2" in said
     assert said.count("drill.dat") == 1
 
 
-def test_a_global_point_gets_a_note(desk: Workplace) -> None:
+def test_a_global_point_gets_a_note(workplace: Workplace) -> None:
     shared = DAT.replace("DECL E6POS XP1", "DECL GLOBAL E6POS XP1")
-    desk.program("DEF drill()\nLIN XP1\nLIN XP2\nEND\n", shared)
-    said = desk.run().stderr
+    workplace.program("DEF drill()\nLIN XP1\nLIN XP2\nEND\n", shared)
+    said = workplace.run().stderr
     assert "XP1 is GLOBAL" in said
     assert "XP2 is GLOBAL" not in said
 
