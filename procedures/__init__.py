@@ -1,1 +1,1 @@
-"""Procedures: acts in their order; found through entry points."""
+"""Procedures: steps in sequence, registered as entry points."""

@@ -1,4 +1,4 @@
-"""Each gear's short-wave error, by slow sweeps of its axis alone with the tracker streaming."""
+"""Short-wave errors of the gears, from slow sweeps of single axes with the tracker streaming."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from hilcell.run.procedure import Result
 from procedures import plan
 
 DIRECTIONS = ("up", "down")
-TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
+TRIES, ATTEMPTS = 3, 2  # of one sweep after a broken beam, and of both sweeps of an axis
 STREAM_S = 1.5  # begin and end of a stream
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
-    """An axis's curve: how often a turn its lines repeat, how large they are, what is left of it
-    and by how much both sweeps differ.
+    """An axis's transmission curve: its lines in cycles per revolution and their amplitudes, the
+    residual, and the difference of both sweeps.
     """
 
     axis: int
@@ -67,9 +67,9 @@ class Sweeps(StepResult, frozen=True, kw_only=True):
 
 
 class AxisSweeps:
-    """Each axis turns alone, up and down, the others where the cube's middle has them.
+    """Each axis moves alone, up and down, the others as at the cube's middle.
 
-    A joint's lag behind the tracker has opposite signs upwards and downwards, so it is found.
+    A joint's lag behind the tracker has opposite signs upwards and downwards, so it is identified.
     """
 
     name = "axis-sweeps"
@@ -79,20 +79,20 @@ class AxisSweeps:
     yields = "the transmission curve of each axis"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
-        """Refuse sweeps out of limits or out of the tracker's range; leave out what cannot be."""
+        """Refuse sweeps out of limits or out of the tracker's range; skip a cell that cannot."""
         if reason := left_out(cell):
             return PlannedStep(self.name, 0, 0.0, note=reason)
-        station, seen_at = cell.reference, 20  # places that must be in the tracker's range
+        station, positions = cell.reference, 20  # that must be in the tracker's range
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
         cube = cube_joints(cell)
         for axis in axes_of(cell):
-            for way in DIRECTIONS:
-                start_rad, end_rad = ends_rad(cell, cube, axis, way)
-                check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {way}")
-                path_rad = np.linspace(start_rad, end_rad, seen_at)
+            for direction in DIRECTIONS:
+                start_rad, end_rad = ends_rad(cell, cube, axis, direction)
+                check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {direction}")
+                path_rad = np.linspace(start_rad, end_rad, positions)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
                 world_mm = apply(cell.layout.nominal_base(station.rail_mm), at_mm)
-                plan.check_range(cell, world_mm, f"A{axis} swept {way}")
+                plan.check_range(cell, world_mm, f"A{axis} swept {direction}")
                 turn_deg = float(np.degrees(np.abs(end_rad - start_rad).max()))
                 percent = plan.first_pass_percent(cell, start_rad[None])[0]
                 below_rad = below(cell, start_rad)
@@ -106,7 +106,7 @@ class AxisSweeps:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Sweep, and journal each axis's curve as soon as it is known, once."""
+        """Sweep, and journal each axis's curve once."""
         cell = session.cell
         if reason := left_out(cell):
             session.add(AxesNotSwept(reason=reason))
@@ -115,28 +115,34 @@ class AxisSweeps:
         cube = cube_joints(cell)
         swept = [self._swept(session, cube, axis) for axis in left]
         session.close_step()
-        for found in swept:
-            session.add(found)
+        for curve in swept:
+            session.add(curve)
 
     def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> CurveMeasured:
-        """Return an axis's result, of further sweeps where the first cannot be used."""
+        """Return an axis's curve; sweep again where the first sweeps cannot be used."""
         for attempt in range(1, ATTEMPTS + 1):
-            up, down = (self._sweep(session, cube, axis, way, attempt) for way in DIRECTIONS)
-            found = swept_axis(up, down, session.cell.robot.arm(), axis - 1)
-            if not found.reason:
+            up, down = (
+                self._sweep(session, cube, axis, direction, attempt) for direction in DIRECTIONS
+            )
+            curve = swept_axis(up, down, session.cell.robot.arm(), axis - 1)
+            if not curve.reason:
                 break
-        return found
+        return curve
 
     def _sweep(
-        self, session: CellSession, cube: CubeJoints, axis: int, way: str, attempt: int = 1
+        self, session: CellSession, cube: CubeJoints, axis: int, direction: str, attempt: int = 1
     ) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"
-        cell, key, station = session.cell, f"sweep/A{axis}/{way}{again}", session.cell.reference
+        cell, key, station = (
+            session.cell,
+            f"sweep/A{axis}/{direction}{again}",
+            session.cell.reference,
+        )
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:
             session.flange_at(station)
-            start_rad, end_rad = ends_rad(cell, cube, axis, way)
+            start_rad, end_rad = ends_rad(cell, cube, axis, direction)
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
             at_mm = session.frames.tracker_from_world(start_mm)[0]
             speed_rad_s, end = float(np.radians(cell.sweeps.speed_deg_s)), float(end_rad[axis - 1])
@@ -149,7 +155,7 @@ class AxisSweeps:
         return replace(data, xyz_mm=apply(T_B_L, data.xyz_mm))
 
     def _record(self, session: CellSession, order: SweepCommand) -> None:
-        """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""
+        """Sweep, up to `TRIES` times after a broken beam; raises `NoReading`."""
         for tries in range(1, TRIES + 1):
             try:
                 session.sweep(order)
@@ -163,9 +169,9 @@ class AxisSweeps:
 
     def result(self, log: Log) -> Result:
         """Return the figures of each axis, or why none was swept."""
-        said = ["", *(each.reason for each in log.happened(AxesNotSwept))]
+        reasons = ["", *(each.reason for each in log.happened(AxesNotSwept))]
         axes = [self._reported(record) for record in log.curves.values()]
-        return {"sweeps": Sweeps(left_out=said[-1], axes=axes)}
+        return {"sweeps": Sweeps(left_out=reasons[-1], axes=axes)}
 
     @staticmethod
     def _reported(record: CurveMeasured) -> Swept:
@@ -187,18 +193,18 @@ class AxisSweeps:
 
 
 def left_out(cell: Cell) -> str:
-    """Return why no axis of the cell is swept, and what that costs; "" where some are."""
-    able, wanted = abilities(cell), "axes 1 to 3" if cell.plan.quick else "the axes"
-    hindrances = {
+    """Return why no axis of the cell is swept and the consequence; "" where some are."""
+    able, expected = abilities(cell), "axes 1 to 3" if cell.plan.quick else "the axes"
+    obstacles = {
         "sweeps.enabled is false in the cell file": not cell.sweeps.enabled,
-        f"sweeps.axes names none of {wanted}": not axes_of(cell),
+        f"sweeps.axes names none of {expected}": not axes_of(cell),
         "they leave the grid's cube, and the cell file states no robot.envelope": (
             cell.surroundings is None
         ),
         f"tracker driver {cell.tracker.driver!r} does not stream": not able["tracker_streams"],
         f"robot driver {cell.robot.driver!r} does not sweep an axis": not able["robot_sweeps"],
     }
-    reason = next((words for words, holds in hindrances.items() if holds), "")
+    reason = next((text for text, applies in obstacles.items() if applies), "")
     return (
         f"{reason}; the ripple of the gears stays in the error after correction" if reason else ""
     )
@@ -217,7 +223,7 @@ class CubeJoints(NamedTuple):
     middle_rad: Array
 
 
-def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, Array]:
+def ends_rad(cell: Cell, cube: CubeJoints, axis: int, direction: str) -> tuple[Array, Array]:
     """Return the joints (6,) at the begin and at the end of a sweep."""
     low_rad, high_rad, middle_rad = cube
     centre_rad = (low_rad[axis - 1] + high_rad[axis - 1]) / 2
@@ -225,7 +231,7 @@ def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, 
     half_rad *= 0.5 if cell.plan.quick else 1.0  # the middle of each range
     start_rad, end_rad = middle_rad.copy(), middle_rad.copy()
     start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
-    return (start_rad, end_rad) if way == "up" else (end_rad, start_rad)
+    return (start_rad, end_rad) if direction == "up" else (end_rad, start_rad)
 
 
 def cube_joints(cell: Cell) -> CubeJoints:

@@ -47,7 +47,7 @@ class FramedBase(StepResult, frozen=True, kw_only=True):
 
 
 class BaseFrame:
-    """z is axis 1, x the axis 6 made orthogonal to it; the height comes from axis 6's centre."""
+    """z is axis 1, x is axis 6 made orthogonal to it; the height is that of axis 6's circle."""
 
     name = "base-frame"
     needs = "the world frame, the grid's station held"
@@ -66,16 +66,16 @@ class BaseFrame:
         """Sweep, fit and frame, once."""
         if "base" not in session.log.frames:
             self._construct(session)
-            found = misplaced_base(session.log) or risen_nest(session.log)
-            if found is not None:
+            suspicion = misplaced_base(session.log) or risen_nest(session.log)
+            if suspicion is not None:
                 session.pause(
-                    f"suspected: {found.text}; put the nest or its reflector right and start a new "
-                    "run, or correct the cell file, or revoke that run's calibration"
+                    f"suspected: {suspicion.text}; correct the nest or its reflector and start a "
+                    "new run, or correct the cell file, or revoke that run's calibration"
                 )
             elif (since := since_before(session.log)) is not None:
                 session.pause(
-                    f"suspected: {since.text}; which of both is right? Put what has changed right, "
-                    "or go on and then revoke the wrong one"
+                    f"suspected: {since.text}; which one is right? Correct the change, "
+                    "or continue and then revoke the wrong calibration"
                 )
         session.reach("frame_base")
 
@@ -117,7 +117,7 @@ class BaseFrame:
 
     @staticmethod
     def _shorter_arcs(log: Log, axis: int) -> Iterator[Arc]:
-        """Yield the circle's uncertainties, the shortest arc first."""
+        """Yield the circle's uncertainties by arc, the shortest first."""
         points = log.select("base", axis=axis)
         begin_deg, end_deg = sweep_of(log.cell, axis)[1]
         for arc in arcs(len(points)):
@@ -133,23 +133,23 @@ class BaseFrame:
 
 
 def arcs(points: int) -> list[range]:
-    """Return which points the middle of a sweep has, and wider, up to the whole."""
+    """Return the points of growing arcs around the middle of a sweep, up to the whole."""
     shares = (0.25, 0.5, 0.75, 1.0)
     counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in shares]
     return [range((points - count) // 2, (points + count) // 2) for count in counts]
 
 
 def points_on_arc(cell: Cell) -> int:
-    """Return how many points each arc has.
+    """Return the number of points of each arc.
 
-    Targets, grid and correction are all in {B} as measured: its error does not reach the tool.
+    Targets, grid and correction are all in the measured {B}: its error does not reach the tool.
     """
     points = cell.base_frame.points
     return min(points, 12) if cell.plan.quick else points
 
 
 def sweep(cell: Cell, axis: int) -> Array:
-    """Return the joints (N, 6) in rad of one axis's sweep, others fixed."""
+    """Return the joints (N, 6), rad, of one axis's sweep."""
     fixed, ends = sweep_of(cell, axis)
     joints_deg: Array = np.tile(fixed, (points_on_arc(cell), 1))
     joints_deg[:, axis - 1] = np.linspace(ends[0], ends[1], points_on_arc(cell))
@@ -157,7 +157,7 @@ def sweep(cell: Cell, axis: int) -> Array:
 
 
 def check_circles(cell: Cell, station: Station) -> None:
-    """Refuse circles that cannot be driven at ``station``; raises `Blocked`."""
+    """Raise `Blocked` for circles that cannot be measured at ``station``."""
     for axis in (1, 6):
         check_poses(cell, station, sweep(cell, axis), f"axis {axis} sweep")
 

@@ -1,4 +1,4 @@
-"""The paper's calibration, from power-on to a validated correction, and its acts one by one."""
+"""The paper's calibration, from power-on to a validated correction, and its steps one by one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from procedures.world_frame import Home, TwoFaces, WorldFrame
 
 
 def validation_table(result: Result) -> Table:
-    """Return the errors before and after, station by station, as the paper states them."""
+    """Return the errors before and after by station, as in the paper."""
     places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
     rows = list[tuple[Value, ...]]()
     for where, place in places.items():
@@ -61,7 +61,7 @@ def validation_table(result: Result) -> Table:
 
 
 def words(result: Result) -> str:
-    """Return in words what became of the tool's orientation, and what is suspected."""
+    """Return a summary of the tool's orientation error and the suspicions."""
     lines = []
     for where, place in list(typed(result.get("validation", {}), dict[str, Place]).items())[:1]:
         before, after = place.before.orientation, place.chosen.orientation
@@ -89,7 +89,6 @@ def station_table(result: Result) -> Table:
 
 
 def point_table(result: Result) -> Table:
-    """Return how many points of each group were measured."""
     points = Column("points", itemgetter(1), form="d")
     counts = typed(result["points"], dict[str, int])
     return Table([Column("group", itemgetter(0)), points], counts.items())

@@ -1,7 +1,7 @@
-"""A campaign from a file: every pose is driven, every reflector on it measured, then fitted.
+"""A campaign from a file: move to every pose, measure every reflector, then fit.
 
 The file is a CSV of measured targets (`hilcell fit`): its joints are commanded, its positions are
-where the tracker looks. The journal gets the devices' answers.
+the expected ones of the tracker.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from procedures.plan import flange_points, measure_s
 
 
 class Campaign:
-    """Drives the poses in the file's order; the slide, if there is one, stands.
+    """Moves to the poses in the file's order with the slide, if any, at rest.
 
-    Where it stands is known only then, so ways are checked before each motion and not in the plan.
+    The slide's position is unknown to the plan, so paths are checked before each motion only.
     """
 
     name = "campaign"
@@ -49,7 +49,7 @@ class Campaign:
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
         first = [at[0] for _, at in visits_of(rows)]
-        more = len(rows) - len(first)  # reflectors, where the robot already stands
+        more = len(rows) - len(first)  # further reflectors of a pose
         seconds = flange_points(cell, rows.joints_rad[first]).duration_s
         return PlannedStep(
             self.name, len(rows), seconds + more * measure_s(cell, cell.tracker.samples)
@@ -90,13 +90,13 @@ def pose_numbers(cell: Cell) -> Measurements:
 
 
 def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
-    """Return the poses in the file's order, each with the numbers of its rows."""
+    """Return the poses in order, each with its row numbers."""
     visits = groupby(range(len(rows)), key=lambda row: rows.pose[row])
     return [(pose, list(numbers)) for pose, numbers in visits]
 
 
 def robot_of(cell: Cell) -> Robot:
-    """Return the cell's nominal robot; where its reflectors sit, the fit finds out."""
+    """Return the cell's nominal robot; the fit identifies its reflectors."""
     return Robot(cell.robot.name, arm_from_joints(cell.robot.joint, np.eye(4)))
 
 

@@ -1,9 +1,8 @@
-"""The grid's data become a correction, and the cell shows that its sign is right.
+"""The correction from the grid's data, and the verification of its sign.
 
-Cross-validation chooses the model. Then one target is sent as it is and corrected, and both are
-measured: the paper's words for the correction have the wrong sign, which doubles every error and
-looks as sound as the right one. So nothing is released before the cell itself has shown that a
-corrected target comes closer.
+Cross-validation chooses the model. Then one target is measured uncorrected and corrected: the
+paper's text has the wrong sign of the correction, which doubles every error. So nothing is released
+before a measured corrected target is closer than the uncorrected one.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class Fit:
         return PlannedStep(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:
-        """Journal the choice, once all points that wait are measured again."""
+        """Journal the choice after all waiting points are re-measured."""
         session.retake_waiting()
         if session.log.verdict(Fitted) is None:
             session.judge("fit", fitted(session.log))
@@ -81,7 +80,7 @@ class Fit:
 
 
 def fitted(log: Log) -> Fitted:
-    """Return the choice of the error model, by what was measured."""
+    """Return the choice of the error model from the measured points."""
     measured = measured_errors(log)
     choice = chosen(measured, reoriented=log.cell.plan.turns)
     model, orientation = choice.model, ""
@@ -102,7 +101,7 @@ def fitted(log: Log) -> Fitted:
 
 
 def orients(log: Log) -> bool:
-    """Whether the chosen correction turns the tool as well."""
+    """Whether the chosen correction includes the tool's orientation."""
     return _orients(log.cell, log.method, measured_errors(log))
 
 
@@ -123,7 +122,7 @@ class SignErrors(StepResult, frozen=True, kw_only=True):
 
 
 class SignCheck:
-    """Takes the middle of the grid's worst cell, where the correction is the largest."""
+    """The target is the middle of the grid's worst cell, with the largest correction."""
 
     name = "sign-check"
     needs = "the fitted correction"

@@ -78,7 +78,7 @@ class PoseCycle:
     yields = "AP, RP, AD and RD of ISO 9283, of positions and, with several reflectors, of angles"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
-        """Refuse poses out of reach, and ways of the cycle that are not clear."""
+        """Refuse poses out of reach, and paths of the cycle that are not clear."""
         load_kg, rated_kg = cell.iso9283.load_kg, cell.iso9283.rated_load_kg
         if load_kg is not None and rated_kg is not None and not load_kg <= rated_kg:
             raise HilcellError(
@@ -89,7 +89,7 @@ class PoseCycle:
         joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
         station = cell.reference
         before_rad = np.roll(joints_rad, 1, axis=0)
-        check_planned_path(cell, station, before_rad, joints_rad, "way of the ISO 9283 cycle")
+        check_planned_path(cell, station, before_rad, joints_rad, "path of the ISO 9283 cycle")
         percent = np.full(len(joints_rad), velocity_percent(cell))
         moves_s = plan.robot_moves_s(cell, before_rad, joints_rad, percent)
         seats = len(cell.robot.seats_mm)
@@ -102,7 +102,7 @@ class PoseCycle:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Measure every visit, prove the tracker, judge the limits that are stated."""
+        """Measure every visit, verify the tracker, judge the given limits."""
         station = session.cell.reference
         joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
@@ -127,7 +127,7 @@ class PoseCycle:
 def commands_rad(cell: Cell, calibrated: bool) -> Array:
     """Return the joints (5, 6) of the cycle's poses, corrected where a calibration is tested.
 
-    Raises `HilcellError` for poses that cannot be reached or driven to.
+    Raises `HilcellError` for poses that cannot be reached.
     """
     poses = plan.poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
     if calibrated:
@@ -155,7 +155,7 @@ COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
 def pose_words(result: Result) -> str:
     """Return the worst poses, the distance, and the departures from the standard."""
     found = typed(result[ISO], PoseTest)
-    worst, way = found.worst, found.distance
+    worst, distance = found.worst, found.distance
     tested = f"with the correction of {found.corrected_by}" if found.corrected_by else "as it is"
     turns = ", ".join(
         f"{each.symbol} {'±' if each.of is RP_ANGLES else ''}{each.value:.4f}° (U {each.U:.4f}, "
@@ -166,9 +166,9 @@ def pose_words(result: Result) -> str:
     angles = f" Worst of the angles: {turns}." if turns else ""
     return (
         f"The robot {tested}: AP_p {worst.ap_mm:.3f} mm at worst ({worst.ap_pose}), RP_l "
-        f"{worst.rp_mm:.3f} mm ({worst.rp_pose}); distance {way.start}-{way.to}: AD "
-        f"{way.ad_mm:+z.4f} mm (U {way.ad_u95_mm:.4f}), RD ±{way.rd_mm:.4f} mm.{angles} "
-        f"Departures from ISO 9283: {'; '.join(found.deviations)}."
+        f"{worst.rp_mm:.3f} mm ({worst.rp_pose}); distance {distance.start}-{distance.to}: AD "
+        f"{distance.ad_mm:+z.4f} mm (U {distance.ad_u95_mm:.4f}), RD ±{distance.rd_mm:.4f} "
+        f"mm.{angles} Departures from ISO 9283: {'; '.join(found.deviations)}."
     )
 
 

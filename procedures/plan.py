@@ -1,8 +1,7 @@
-"""Plans of procedures: checks of their targets, and how long their acts take.
+"""Plans of procedures: checks of their targets, and the durations of their steps.
 
-Motions and measurements take trapezoids, waits and readings, in the cell's time. Times that a
-controller adds, and points that nobody can foresee, as a vertex that stands out and is re-measured,
-are left out: the run's pace shows them.
+Durations are trapezoids of motions, waits and readings, in the cell's time, without a controller's
+overhead and re-measured outliers: the forecast learns these from the run.
 """
 
 from __future__ import annotations
@@ -48,16 +47,16 @@ def angles_deg(T_W_B: Array, poses: Array) -> Array:
 
 
 def reoriented(poses: Array, turns_rad: Array) -> Array:
-    """Return poses (N, 4, 4) reoriented on the spot by rotation vectors (N, 3) in {B}."""
+    """Return poses (N, 4, 4) rotated about their origins by rotation vectors (N, 3) in {B}."""
     return matrix(from_rotvec(turns_rad) @ poses[:, :3, :3], poses[:, :3, 3])
 
 
 def drivable(cell: Cell, station: Station, poses: Array) -> Bools:
-    """Return which poses (N, 4, 4) in {B} the robot reaches and may be driven to, (N,)."""
+    """Return which poses (N, 4, 4) in {B} the robot may move to, (N,)."""
     robot = cell.robot.nominal()
-    found: Bools = robot.reachable(poses)
-    found[found] = clear_poses(cell, station, robot.joints_for(poses[found]))
-    return found
+    ok: Bools = robot.reachable(poses)
+    ok[ok] = clear_poses(cell, station, robot.joints_for(poses[ok]))
+    return ok
 
 
 def joints_for(cell: Cell, points_mm: Array) -> Array:
@@ -77,7 +76,7 @@ def check_reach(cell: Cell, poses: Array, what: str) -> Array:
 
 
 def check_targets(cell: Cell, station: Station, poses: Array, what: str) -> Array:
-    """Return the joints (N, 6), or name the poses that cannot be reached or driven to."""
+    """Return the joints (N, 6), or name the poses that cannot be reached."""
     joints_rad = check_reach(cell, poses, what)
     check_poses(cell, station, joints_rad, what)
     return joints_rad
@@ -87,12 +86,12 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
     """Refuse points (N, 3) in {W} that are nearer or farther than the tracker can measure."""
     range_mm = np.linalg.norm(apply(inverse(cell.tracker.pose.matrix()), points_mm), axis=1)
     low, high = cell.tracker.min_range_mm, cell.tracker.max_range_mm
-    seen = (range_mm >= low) & (range_mm <= high)
-    if not np.all(seen):
-        worst = int(np.argmin(seen))
+    inside = (range_mm >= low) & (range_mm <= high)
+    if not np.all(inside):
+        worst = int(np.argmin(inside))
         raise HilcellError(
-            f"{what}: {int(np.sum(~seen))} of {len(seen)} out of the tracker's range; the first at "
-            f"{range_mm[worst]:.0f} mm, expected {low:.0f} .. {high:.0f} mm; move the tracker",
+            f"{what}: {int(np.sum(~inside))} of {len(inside)} out of the tracker's range; the first "
+            f"at {range_mm[worst]:.0f} mm, expected {low:.0f} .. {high:.0f} mm; move the tracker",
             code="HC-C10",
         )
 
@@ -100,11 +99,10 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
 # -- durations ------------------------------------------------------------------------------------
 
 
-MOTION_END_S = 0.06  # until a driver has looked often enough to see that a motion has ended
+MOTION_END_S = 0.06  # until a driver detects the end of a motion
 
 
 def measure_s(cell: Cell, samples: int) -> float:
-    """Return how long the mean of ``samples`` readings of one reflector takes."""
     return cell.tracker.pointing_s + samples * cell.tracker.reading_s
 
 
@@ -119,12 +117,12 @@ def floor_nest_points(cell: Cell) -> Span:
 
 
 def _tracker_check(cell: Cell) -> Span:
-    """Return the span of the floor nests, which prove that the tracker has not moved."""
+    """Return the span of the floor nests that verify the tracker."""
     return readings(cell, len(cell.layout.floor), cell.proof_samples)
 
 
 def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:
-    """Return the spans of `CellSession.close_step`, and of proofs before it within many points."""
+    """Return the spans of the tracker's verifications during and after ``points`` points."""
     if cell.layout.by_hand:
         return [_tracker_check(cell)] if carried else []
     return [_tracker_check(cell)] * math.ceil(points / cell.plan.prove_every)
@@ -171,13 +169,12 @@ def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:
 
 
 def park_s(cell: Cell) -> float:
-    """Return how long the robot takes from its home pose to its safe pose."""
     home_rad, safe_rad = np.radians(cell.robot.home_deg), np.radians(cell.robot.safe_deg)
     return float(robot_moves_s(cell, home_rad, safe_rad))
 
 
 def rail_travel_s(cell: Cell, distance_mm: float) -> float:
-    """Return how long the slide takes from standstill to standstill, the strip read there."""
+    """Return the slide's time from standstill to standstill, with the strip's reading."""
     speed_mm_s, acceleration_mm_s2 = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
     peak_mm_s = min(speed_mm_s, math.sqrt(abs(distance_mm) * acceleration_mm_s2))
     ramps_s = peak_mm_s / acceleration_mm_s2
@@ -186,12 +183,12 @@ def rail_travel_s(cell: Cell, distance_mm: float) -> float:
 
 
 def rail_move_s(cell: Cell, distance_mm: float) -> float:
-    """Return how long a motion by the drive alone takes, until the slide is held."""
+    """Return the time of a motion by the drive alone until the slide is held."""
     return rail_travel_s(cell, distance_mm) + cell.settle.rail_s
 
 
 def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
-    """Return how long it takes to hold ``station`` by the strip, the robot parked."""
+    """Return the time to hold ``station`` by the strip with the robot parked."""
     back_off_mm, approaches = cell.rail.back_off_mm, 2  # by the drive, then by the strip's reading
     there_s = rail_travel_s(cell, station.rail_mm - back_off_mm - from_mm)
     again_s = (2 * approaches - 1) * rail_travel_s(cell, back_off_mm)
@@ -199,15 +196,15 @@ def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
 
 
 def first_hold(cell: Cell, station: Station) -> list[Span]:
-    """Return the spans of a run's first way to a station, from the reference on."""
+    """Return the spans of a run's first motion to a station, from the drive's reference."""
     if not cell.has_rail:
         return []
-    way_s = approach_s(cell, cell.rail.travel_min_mm, station)
-    return [Span("leg", 0, way_s), *hold_check(cell)]
+    travel_s = approach_s(cell, cell.rail.travel_min_mm, station)
+    return [Span("leg", 0, travel_s), *hold_check(cell)]
 
 
 def hold_check(cell: Cell) -> list[Span]:
-    """Return the span of the slide nest that proves a hold; none where one reflector is carried."""
+    """Return the span of the slide nest that verifies a hold, if reflectors are mounted."""
     return [] if cell.layout.by_hand else [readings(cell, 1, cell.tracker.samples)]
 
 
@@ -220,9 +217,9 @@ def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
 
 
 def homing_s(cell: Cell) -> float:
-    """Return how long the drive takes to its reference from the middle of the travel, and rests."""
+    """Return the time of the drive's referencing from the middle of the travel."""
     if not cell.has_rail:
         return 0.0
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
-    way_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
-    return way_s + MOTION_END_S + cell.settle.rail_s
+    travel_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
+    return travel_s + MOTION_END_S + cell.settle.rail_s

@@ -5,12 +5,12 @@ of the volume is above the maximum. The mean is judged by betting (Waudby-Smith 
 "Estimating means of bounded random variables by betting"): a bet on a mean below m multiplies its
 stake by ``1 + f (m - x) / (b - m)`` at each error x <= b. Where the mean is m or above, no stake is
 expected to grow, so by Ville's inequality one ever reaches 1 / risk with a probability of at most
-the risk, however often one looks. Nothing is assumed about the errors' distribution.
+the risk, at any number of evaluations. Nothing is assumed about the errors' distribution.
 
 Targets come in blocks, one in each of as many equal parts of the volume, uniform in its part.
 Within a block errors are then not alike, but the product's expectation is at most that of alike
 ones (the geometric mean of the parts' factors is at most their arithmetic mean), so the inequality
-holds at the ends of blocks, and only there may one look.
+holds at the ends of blocks, and only there the data may be evaluated.
 
 A target above the maximum disproves the calibration: none may be. That none of n was shows at
 ``(1 - share)^n <= risk`` that the share is less.
@@ -104,7 +104,7 @@ def decision_at(log: Log, station: str) -> Decision:
 
 
 def guard_at(log: Log, station: str) -> Guard:
-    """Return the U by which a station was decided: that of then, not of what is measured later."""
+    """Return the U by which a station was decided, without later measurements."""
     for decided in reversed(log.happened(StationDecided)):
         if decided.station == station:
             return Guard(decided.mean_U_mm, decided.max_U_mm)
@@ -162,10 +162,7 @@ def judgement(log: Log, stations: list[str]) -> Decided:
 
 
 def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
-    """Return in words what an outcome has shown of the tolerances, or has not.
-
-    ``enough``: more targets would not change it.
-    """
+    """Return the explanation of an outcome; ``enough``: more targets would not change it."""
     plan, limits = cell.plan, tolerance_limits(cell)
     within = limits_within(limits, guard)
     if outcome is Outcome.ACCEPTED:
@@ -190,7 +187,7 @@ def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The outcome, and after how many targets it stood."""
+    """The outcome and its number of targets."""
 
     outcome: Outcome
     targets: int

@@ -1,4 +1,4 @@
-"""The slide on its rail: surveyed, held at a station by the strip, and proven to come back.
+"""The slide on its rail: survey, hold at a station by the strip, and repeatability.
 
 The rail is surveyed there and back with the robot parked (section 2, Fig 1). A station is held by
 the closed loop of the strip, and approached again and again (section 4.3, Figs 9-10).
@@ -94,7 +94,7 @@ def surveyed(log: Log) -> SurveyedRail:
     origin_mm = forth_mm[0] - nominal_mm[0] * along
     error_forth = (forth_mm - origin_mm) @ along - nominal_mm
     error_back = (back_mm - origin_mm) @ along - nominal_mm
-    # At both ends the slide was not reached from its way's side.
+    # Both ends were not approached from the direction of travel.
     lost_mm = (error_back - error_forth)[1:-1]
     scale, u_scale = slope(nominal_mm, error_forth)
     off_mm, (level, upright) = forth_mm - forth_mm.mean(axis=0), across_axes(along)
@@ -179,7 +179,7 @@ class HoldStation(Step):
         return PlannedStep.of_spans(self.name, 0, first_hold(cell, cell.reference))
 
     def perform(self, session: CellSession) -> None:
-        """Hold the station once; a later act that needs it holds it itself."""
+        """Hold the station once; later steps hold it themselves."""
         if not session.reached("station_held"):
             session.hold_station(session.cell.reference)
             session.reach("hold_station")

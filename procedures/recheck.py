@@ -1,8 +1,8 @@
-"""A few corrected poses, measured again: does the calibration still hold?
+"""A few corrected poses, re-measured: is the calibration still valid?
 
-For after weeks, a crash or a change of temperature. {W} comes from the floor nests, so that
-the tracker may stand elsewhere than it did; the poses are commanded with the calibration's
-correction at its own station.
+For use after weeks, a crash or a change of temperature. {W} comes from the floor nests, so the
+tracker may have another position; the poses are commanded with the calibration's correction at its
+own station.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ GOLDEN = 1.2207440846057596  # root of x^4 = x + 1: its powers spread points eve
 
 
 class Recheck:
-    """Measures the poses; one that stands out is measured once more before it counts."""
+    """Measures the poses; an outlier is re-measured before it counts."""
 
     name = "recheck"
     needs = "a calibration of this cell, {W}, its station held"
@@ -99,7 +99,7 @@ class Recheck:
 
 
 def adopt_calibration(session: CellSession, table: str) -> Calibration:
-    """Return the calibration that this run uses; keep it, and its base frame, in the journal."""
+    """Return the calibration that this run uses; journal it and its base frame."""
     calibration = calibration_in(session.log)
     if calibration is None:
         calibration = calibration_named(session.cell, table)
@@ -113,7 +113,7 @@ def adopt_calibration(session: CellSession, table: str) -> Calibration:
 
 
 def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
-    """Return targets (N, 3) in {B}, evenly spread over the volume, elsewhere for each seed."""
+    """Return targets (N, 3) in {B}, evenly spread over the volume, different for each seed."""
     low_mm, high_mm = (
         np.array(corner) for corner in (calibration.validity.low_mm, calibration.validity.high_mm)
     )
@@ -127,8 +127,8 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
 def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     """Return poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
 
-    Turned poses tell a reflector that slipped on its mount from a base that moved. A pose that
-    cannot be driven to so keeps its orientation.
+    They distinguish a reflector that slipped on its mount from a base that moved. A pose that
+    would be out of reach keeps its orientation.
     """
     tilt_deg = calibration.validity.orientation_tolerance_deg
     if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
@@ -137,9 +137,9 @@ def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     for n in range(1, len(poses), 2):
         turns = np.radians(tilt_share * tilt_deg) * np.roll(AXES, -n, axis=0)
         tried = reoriented(np.tile(poses[n], (len(turns), 1, 1)), turns)
-        driven = np.flatnonzero(drivable(cell, station, tried))
-        if len(driven):
-            poses[n] = tried[driven[0]]
+        possible = np.flatnonzero(drivable(cell, station, tried))
+        if len(possible):
+            poses[n] = tried[possible[0]]
     return poses
 
 

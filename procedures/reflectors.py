@@ -23,10 +23,10 @@ from procedures.world_frame import Home, WorldFrame
 
 
 class Reflectors:
-    """Somebody carries one after the other to the first floor nest."""
+    """The operator carries one after the other to the first floor nest."""
 
     name = "reflectors"
-    needs = "the world frame, somebody who carries the reflectors"
+    needs = "the world frame, an operator who carries the reflectors"
     moves = "nothing"
     measures = "every reflector of floor, bars and flange in the first floor nest"
     yields = "which reflector's ball or prism differs from the others'"
@@ -43,7 +43,7 @@ class Reflectors:
         return PlannedStep.of_spans(self.name, 0, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
-        """Have each reflector carried to the nest, measure it, and judge them all."""
+        """Request each reflector in the nest, measure it, and judge them all."""
         cell, nest = session.cell, session.cell.layout.floor[0]
         for place in self._places_of(cell):
             session.swapped_point(PointId(REFLECTOR, nest=place), place, nest)

@@ -109,7 +109,7 @@ class RobotGrid(Step):
         )
 
     def _doubtful(self, session: CellSession, vertices: list[Vertex]) -> list[Vertex]:
-        """Return the vertices that stand out and were not measured a second time yet."""
+        """Return the outlying vertices that were not re-measured yet."""
         ids = set(outlying_vertices(session.log))
         doubtful = [v for v in vertices if v[0] in ids and not session.log.point(v[0]).retaken]
         for id, *_ in doubtful:

@@ -1,10 +1,10 @@
-"""{S} at every station from nests on the slide, and whether {B} would come back better.
+"""{S} at every station from nests on the slide, and a comparison with {B}'s repeatability.
 
 Section 4.2, eqs 14-17, Figs 7 and 8. All nests averaged, best fit: the lever arm to the tool
 multiplies every angle. The station's frame and the reference's both carry noise, and both count.
 Distances between nests do not depend on any frame: a nest that has moved against the others is
 found by them, and left out. Points that change places in a symmetry of the body keep every
-distance, so distances prove a body only together with the expected place of each point, roughly.
+distance, so distances identify a body only together with each point's rough expected position.
 Both rest on the noise that all readings of the run show: the spread of a few readings says little.
 
 To compare the frames, six slide points are measured apart from those that build them; at every
@@ -157,7 +157,7 @@ def frame_station(session: CellSession, station: Station) -> None:
 
 
 def _frame_fixed(session: CellSession, station: Station) -> None:
-    """Journal {B} as {S}, by either way: on the floor no nest carries it anywhere."""
+    """Journal {B} as {S}, by both methods: without a rail nothing moves it."""
     base = session.log.frames["base"]
     three = Frame(matrix=base.matrix, points=base.points)
     session.frame(f"{THREE}.{station.name}", three)
@@ -270,7 +270,7 @@ def _in_slide_mm(cell: Cell, points_mm: Array) -> Array:
     return apply(inverse(three_point_frame(*nests_mm[:3])), points_mm)
 
 
-# -- which frame comes back better ----------------------------------------------------------------
+# -- which frame repeats better ----------------------------------------------------------------
 
 
 SIX = 6
@@ -396,7 +396,7 @@ class Moved:
     def checked(self, cell: Cell, station: Station) -> list[str]:
         """Return the names of nests to be left out; refuse a station where too few remain."""
         names = [cell.layout.slide[n].name for n in self.moved]
-        least = 4  # of three, nobody can say which has moved
+        least = 4  # with three, the moved one is ambiguous
         if names and len(self.kept) < least:
             raise DeviceError(
                 "HC-T61",
@@ -419,7 +419,7 @@ class Moved:
 
 
 def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float = SIGMAS) -> Moved:
-    """Return which of the points (N, 3), seen as ``a`` and later as ``b``, moved on their body.
+    """Return which of the points (N, 3), measured as ``a`` and later as ``b``, moved on their body.
 
     ``covariances_mm2`` (N, 3, 3) are those of each pair's difference, axes of b. Where they are
     estimates, ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the

@@ -41,7 +41,7 @@ TABLE = "targets"
 
 
 class TargetPass:
-    """Measures every target once; one that stands out from all others once more."""
+    """Measures every target once and re-measures outliers."""
 
     name = "targets"
     needs = "a calibration of this cell, {W}, a list of targets"
@@ -62,7 +62,7 @@ class TargetPass:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Keep calibration and targets, measure, judge."""
+        """Journal calibration and targets, measure, judge."""
         cell, calibration = session.cell, adopt_calibration(session, TABLE)
         if listed(session.log) is None:
             names, values = targets_of(cell)

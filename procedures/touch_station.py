@@ -1,12 +1,12 @@
-"""Before work at a station: its base frame as it stands on this visit, for corrected programs.
+"""Before work at a station: its base frame on this visit, for corrected programs.
 
-{W} comes from the floor nests, so the tracker may stand elsewhere than it did when the
-calibration was made. The calibration is written again with the touched base of the station;
-`hilcell compensate` takes it like any other. It holds until the slide moves.
+{W} comes from the floor nests, so the tracker may have another position than in the calibration.
+The calibration is written again with the touched base of the station; `hilcell compensate` takes it
+like any other. It is valid until the slide moves.
 
-To touch, the robot carries its reflector to a few corrected targets, which absorb the strip's slip
-of this visit. The commands that follow on this visit are made with the base that they find; the
-targets' places in {W} stay where they were defined before. A validation touches its stations, too.
+To touch, the robot moves its reflector to a few corrected targets, which measure the strip's slip
+of this visit. Later commands on this visit use the base from these; the targets' positions in {W}
+are those defined before. A validation touches its stations, too.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ from procedures import plan
 from procedures.recheck import adopt_calibration
 from procedures.world_frame import Home, WorldFrame
 
-MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
-MOST_LATER = 3.5  # in a later run, which no re-visits close; 80 undisturbed ones pull <= 2.3
+MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas
+MOST_LATER = 3.5  # in a later run, without re-visits; 80 undisturbed ones pull <= 2.3
 
 
 class TouchFound(StepResult, frozen=True, kw_only=True):
@@ -78,7 +78,7 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
 
 
 def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
-    """Touch the base on this visit of the station, where it was not yet."""
+    """Touch the base once on this visit of the station."""
     if not session.cell.touch.poses:
         return
     session.retake_waiting()
@@ -141,7 +141,7 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
 def check_agreement(
     station: Station, found: FrameUpdate, most_pull: float, cause: Callable[[], Suspicion]
 ) -> None:
-    """Refuse touch poses that contradict the station frame, and name the likeliest cause."""
+    """Refuse touch poses that contradict the station frame; name the likeliest cause."""
     if found.pull <= most_pull and found.misfit <= MOST_MISFIT:
         return
     suspicion = cause()
@@ -166,7 +166,7 @@ def check_agreement(
 
 
 def touches(log: Log) -> dict[str, TouchFound]:
-    """Return what the touch poses found by station, as far as they were used."""
+    """Return the results of touch poses by station."""
     return {
         station.name: typed(log.frames[key], TouchFound, from_attributes=True)
         for station in log.cell.station
@@ -185,7 +185,7 @@ class Touching(StepResult, frozen=True, kw_only=True):
 
 
 class TouchStation:
-    """Holds the station, touches, keeps the base; the calibration is written when the run ends."""
+    """Holds the station and touches it; the calibration is written at the run's end."""
 
     name = "touch"
     needs = "a calibration of this cell, {W}"
@@ -207,7 +207,7 @@ class TouchStation:
         return PlannedStep.of_spans(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
-        """Adopt the calibration's frames, touch, and journal that it is done."""
+        """Adopt the calibration's frames, touch, and journal the verdict."""
         calibration, station = adopt_calibration(session, TABLE), station_of(session.cell)
         reference = session.cell.reference
         for each in (reference, station):
@@ -222,7 +222,7 @@ class TouchStation:
             session.judge("touch", Touched(holds=True, station=station.name))
 
     def result(self, log: Log) -> Result:
-        """Return what the touch poses found, where, and with which calibration."""
+        """Return the result of the touch poses, the station and the calibration used."""
         found = touches(log)
         if not found:
             return {}
@@ -262,7 +262,7 @@ def touch_table(result: Result) -> Table:
 
 
 def touch_words(result: Result) -> str:
-    """Return what the run's calibration is good for, and until when."""
+    """Return the use and validity of the run's calibration."""
     if "touched" not in result:
         return ""
     found = typed(result["touched"], Touching)

@@ -1,4 +1,4 @@
-"""Random targets are sent and measured, before and after (sections 5.2-5.3, Figs 12-13)."""
+"""Random targets, measured before and after correction (sections 5.2-5.3, Figs 12-13)."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch_station import touch_once, touch_spans, touches
 
-DRAWS = 8  # of a target's turn, and of its place
-MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
+DRAWS = 8  # attempts at a target's orientation, and at its position
+MARGIN_MM = 5.0  # of random targets to the cube's faces
 
 
 class Validate:
-    """Every figure comes from targets really sent with that correction and then measured."""
+    """Every figure comes from targets commanded with that correction and measured."""
 
     name = "validate"
     needs = "the fitted correction, the stations framed"
@@ -130,18 +130,18 @@ class Validate:
     ) -> None:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
         seats = len(session.cell.robot.seats_mm) if how in BOTH else 1
-        wanted_ids = [id.at_seat(seat) for id in ids for seat in range(1, seats + 1)]
-        if all(session.log.find(id) for id in wanted_ids):
+        needed = [id.at_seat(seat) for id in ids for seat in range(1, seats + 1)]
+        if all(session.log.find(id) for id in needed):
             return
-        wanted, T_W_B = poses[numbers], session.frames.base_in_world(station)
-        nominal_mm = apply(T_W_B, wanted[:, :3, 3])
-        nominal_deg = plan.angles_deg(T_W_B, wanted)
+        targets, T_W_B = poses[numbers], session.frames.base_in_world(station)
+        nominal_mm = apply(T_W_B, targets[:, :3, 3])
+        nominal_deg = plan.angles_deg(T_W_B, targets)
         joints_rad, visit = np.zeros((len(ids), 6)), -1
         for n, id in enumerate(ids):
             session.retake_waiting()  # at another station, it ends the visit
             session.hold_station(station)
             if visit != session.log.visit:
-                sent = self._command(session, station, how, wanted, model)
+                sent = self._command(session, station, how, targets, model)
                 joints_rad = session.cell.robot.nominal().joints_for(sent)
                 session.expect(station, joints_rad[n:])
                 visit = session.log.visit
@@ -210,8 +210,8 @@ class Validate:
     ) -> Array:
         """Return the poses (N, 4, 4) in {B} to send, for those of the station frame's {B}.
 
-        The targets' places in {W} are fixed before the visit. The paper takes the robot's base from
-        three slide points, the chosen way from the touch poses of this visit.
+        The targets' positions in {W} are fixed before the visit. The paper takes the robot's base
+        from three slide points, the chosen model from the touch poses of this visit.
         """
         if model is None:
             return poses
@@ -227,10 +227,7 @@ class Validate:
 
     @staticmethod
     def _place_of(log: Log, where: str, stations: list[str]) -> Place:
-        """Return the errors before, by the paper's method and by the chosen one, without bounds.
-
-        With several reflectors on the flange, those of the orientation as well.
-        """
+        """Return the errors before, by the paper's method and by the chosen one, without bounds."""
         together = where in (log.cell.grid.station, OTHERS)
         series, turns = validation(log, stations), validated_orientation_errors(log, stations)
         sent = {
@@ -252,15 +249,14 @@ class Validate:
 
     @staticmethod
     def _verified_after(cell: Cell) -> tuple[Sent, ...]:
-        """Return the ways after which the tracker is proven; the last of each station at least.
-
-        Once a station in a quick plan, and where the reflector is carried by hand.
+        """Return the series after which the tracker is verified: all, or the last of each station
+        in a quick plan or with a reflector carried by hand.
         """
         return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
 
     @staticmethod
     def _planned(cell: Cell, how: Sent) -> int | None:
-        """Return how many targets a quick plan sends where all is well; None is all of them."""
+        """Return a quick plan's least number of targets; None is all of them."""
         if not cell.plan.quick:
             return None
         return (
@@ -269,10 +265,10 @@ class Validate:
 
 
 def judge_suspicions(session: CellSession) -> None:
-    """Journal what the run suspects of all that it has compared so far.
+    """Journal the run's suspicions.
 
-    What has changed since the current calibration is a verdict of its own: it is for a person to
-    say which of both is right, and then nothing is against the other.
+    A change since the current calibration is a verdict of its own: the operator decides which
+    calibration is right.
     """
     found, before = suspected_causes(session.log), session.log.inputs.floor_before
     suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]
@@ -291,21 +287,21 @@ def judge_suspicions(session: CellSession) -> None:
 
 
 def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
-    """Return the targets' poses (N, 4, 4) in {B} by station, reoriented where the plan says so.
+    """Return the targets' poses (N, 4, 4) in {B} by station, reoriented as planned.
 
-    A target of which no drawn turn can be driven to keeps the grid's orientation.
+    A target without a reachable orientation keeps the grid's.
     """
     found = {
         name: plan.poses_at(cell, at_mm) for name, at_mm in _visible_targets(cell, seed).items()
     }
     if cell.plan.grid_orientations:
         others = plan.more_orientations(cell)
-        for name, poses in found.items():  # in the orientations of the grid, in turn
+        for name, poses in found.items():  # in the orientations of the grid, alternating
             for number, R in enumerate(others, start=1):
                 rows = np.arange(number, len(poses), len(others) + 1)
                 tried = matrix(R, poses[rows, :3, 3])
-                driven = plan.drivable(cell, cell.station_named(name), tried)
-                poses[rows[driven]] = tried[driven]
+                ok = plan.drivable(cell, cell.station_named(name), tried)
+                poses[rows[ok]] = tried[ok]
     if cell.plan.tilt_deg:
         rng = np.random.default_rng([seed, 2015])
         for name, poses in found.items():
@@ -314,7 +310,7 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
 
 
 def _visible_targets(cell: Cell, seed: int) -> dict[str, Array]:
-    """Return the targets (N, 3) in {B} by station, drawn again where a nest is in the way."""
+    """Return the targets (N, 3) in {B} by station, drawn again where a nest is too near."""
     found, station = targets(cell, seed), cell.station_named
     for draw in range(DRAWS):
         beside = {name: beside_nest(cell, station(name), at_mm) for name, at_mm in found.items()}
@@ -333,9 +329,9 @@ def _tilted(cell: Cell, station: Station, poses: Array, rng: np.random.Generator
         turns = rng.standard_normal((len(left), 3))
         turns *= np.radians(cell.plan.tilt_deg) / np.linalg.norm(turns, axis=1, keepdims=True)
         tried = plan.reoriented(poses[left], turns * rng.uniform(size=(len(left), 1)) ** (1 / 3))
-        driven = plan.drivable(cell, station, tried)
-        poses[left[driven]] = tried[driven]
-        left = left[~driven]
+        ok = plan.drivable(cell, station, tried)
+        poses[left[ok]] = tried[ok]
+        left = left[~ok]
     return poses
 
 

@@ -1,7 +1,7 @@
-"""The first acts of a run: the drive's reference, {W}, and proofs of the tracker itself.
+"""The first steps of a run: the drive's reference, {W}, and checks of the tracker.
 
-{W} is constructed from three nests on the floor (section 5.1), the tracker's anchor. Certified
-lengths prove the tracker's scale there; its second face verifies its axes, at start and end.
+{W} is constructed from three floor nests (section 5.1). Certified lengths check the tracker's scale,
+its second face the adjustment of its axes, at start and end.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from procedures import plan
 
 
 class Home(Step):
-    """Park and reference; a resumed run keeps a reference that drive and strip still prove."""
+    """Park and reference; a resumed run keeps a reference on which drive and strip agree."""
 
     name = "home"
     needs = "devices connected"
@@ -59,9 +59,9 @@ class SetUps(StepResult, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class WorldFrame:
-    """Measures the floor nests; on resume it verifies first that the tracker has not moved.
+    """Measures the floor nests; on resume it first verifies that the tracker has not moved.
 
-    ``verifies``: it does so at its end as well, where no other step will.
+    ``verifies``: it does so at its end as well.
     """
 
     verifies: bool = False
@@ -74,7 +74,7 @@ class WorldFrame:
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse nests out of the tracker's range."""
         plan.check_range(cell, np.array([nest.xyz_mm for nest in cell.layout.floor]), "floor nests")
-        bar = cell.layout.bar  # nests on the floor are measured anyway
+        bar = cell.layout.bar  # floor nests are measured anyway
         plan.check_range(
             cell, np.array([nest.xyz_mm for nest in bar]).reshape(-1, 3), "bar's nests"
         )
@@ -92,7 +92,7 @@ class WorldFrame:
         session.reach("frame_world")
 
     def result(self, log: Log) -> Result:
-        """Return the tracker's set-ups, and the certified lengths as found, if there are any."""
+        """Return the tracker's set-ups and the measured certified lengths, if any."""
         moved, checked = log.set_ups.number, log.verdict(LengthsChecked)
         set_ups = [log.matrix(world_key(number)).tolist() for number in range(moved + 1)]
         tracker = SetUps(T_W_L=set_ups[-1], moved=moved, set_ups=set_ups)
@@ -133,10 +133,10 @@ class TwoFaces:
         self._verdict = TWO_FACES[self._number]
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
-        """Return the step; leave it out where it cannot be, or where time is short."""
+        """Return the step; skipped where the tracker or the plan does not allow it."""
         if reason := left_out(cell):
             return PlannedStep(self.name, 0, 0.0, note=reason)
-        count, face_s = len(self._nests(cell)), 4.0  # until it has turned over and looks back
+        count, face_s = len(self._nests(cell)), 4.0  # to turn over and point
         each_s = 2.0 * face_s + plan.measure_s(cell, SAMPLES)
         return PlannedStep.of_spans(self.name, 0, [Span("second face", count, count * each_s)])
 
@@ -150,7 +150,7 @@ class TwoFaces:
                 PointId(BACK, number=self._number, nest=nest.name), nest, SAMPLES
             )
         found = two_faces(log, self._number)
-        if found is None:  # the tracker was moved meanwhile: no front of this set-up
+        if found is None:  # the tracker was moved: no first face at this set-up
             return
         wrong = [] if found.holds else [found.text]
         judged = FacesCompared(
@@ -164,7 +164,7 @@ class TwoFaces:
         return cell.layout.floor if self._number else cell.layout.standing
 
     def result(self, log: Log) -> Result:
-        """Return both faces as found, where there are any."""
+        """Return the comparison of both faces, if any."""
         found = two_faces(log, self._number)
         key = self._verdict.replace("-", "_").replace(".", "_")
         return {} if found is None else {key: found}

@@ -333,9 +333,9 @@ def _cell(
 # -- latched alarms -------------------------------------------------------------------------------
 
 # Alarms latch at their highest severity until their cause is gone and they are acknowledged. A
-# cause is gone once the journal no longer raises its alarm; a momentary cause needs the acknowledgement
-# alone. An alarm of a condition (`Entry.passes`) latches again when it is raised again. Alarms are
-# identified by their records, so a journal that is read again counts nothing twice.
+# cause is gone once the journal no longer raises its alarm; a momentary cause needs only the
+# acknowledgement. An alarm of a condition (`Entry.passes`) latches again when it is raised again.
+# Alarms are identified by their records, so a journal that is read again counts nothing twice.
 
 
 @dataclass(frozen=True, slots=True)
