@@ -1,7 +1,8 @@
-"""What each key does in each state: asked for at the engine, asked of the operator, or nothing."""
+"""Actions of the screen, why they are refused, and the notices they leave."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import msgspec
@@ -9,17 +10,18 @@ import pytest
 from textual.pilot import Pilot
 
 from hilcell.tui.keys import ACTIONS
-from hilcell.tui.run_view import EngineState
+from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.screens.base import BaseScreen, Confirm
 from hilcell.tui.screens.pages import DetailPage, HistoryPage, LogPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from hilcell.tui.session import RunUpdate
-from hilcell.tui.text.actions import ACTS, VIEWS
+from hilcell.tui.session import RunUpdate, Session
+from hilcell.tui.text.actions import ACTS, AT_REST, ONE_AT_A_TIME, VIEWS, pause_command, refusal
 from hilcell.tui.widgets import Table
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import (
     PAGES,
+    RUNS,
     RecordingApp,
     RecordingSession,
     footer,
@@ -29,7 +31,16 @@ from tests.hilcell.tui.recording_app import (
     text_of,
     type_ahead,
 )
-from tests.hilcell.tui.sample_runs import HEARD, LIVE, PROMPT, fresh, sample_runs, status
+from tests.hilcell.tui.sample_runs import (
+    HEARD,
+    LIVE,
+    PROMPT,
+    fresh,
+    measuring,
+    sample_run,
+    sample_runs,
+    status,
+)
 
 __all__ = ["isolated"]
 
@@ -461,3 +472,136 @@ def test_a_point_is_re_measured_from_its_own_page() -> None:
         await press(pilot, "r", "y")
 
     assert run_app(act, "running").recorded.asked == [("retake", {"key": "grid/0-0-4"})]
+
+
+def view_of(name: str) -> RunView:
+    session = Session(RUNS / "r", lambda _: None, 1.0)
+    session.take(fresh(name), sample_run(name).now)
+    return session.view
+
+
+def test_a_run_that_is_aborting_is_being_stopped() -> None:
+    session = Session(RUNS / "r", lambda _: None, 1.0)
+    sample = measuring().state("aborting")
+    session.take(dataclasses.replace(fresh("running"), records=sample.records), sample.now)
+    view = session.view
+    assert (view.state, pause_command(view)) == ("stopping", "")
+    assert refusal("pause", view, background=False, unacknowledged=False) == AT_REST["stopping"]
+    assert refusal("stop", view, background=False, unacknowledged=False) == ""
+
+
+@pytest.mark.parametrize("name", ["new", "pause", "retake"])
+@pytest.mark.parametrize("state", ["aborted", "fault", "gone"])
+def test_nothing_is_started_while_a_live_run_goes_on_behind(state: str, name: str) -> None:
+    view = view_of(state)
+    assert refusal(name, view, background=True, unacknowledged=False) == ONE_AT_A_TIME
+    assert refusal(name, view, background=False, unacknowledged=False) == ""
+
+
+@pytest.mark.parametrize("state", sample_runs())
+def test_what_goes_on_behind_can_be_stopped_and_left(state: str) -> None:
+    view = view_of(state)
+    for name in ("stop", "detach"):
+        assert refusal(name, view, background=True, unacknowledged=False) == ""
+        refused = refusal(name, view, background=False, unacknowledged=False) != ""
+        assert refused == (state not in LIVE)
+
+
+def test_without_a_run_there_is_nothing_to_act_on() -> None:
+    assert pause_command(None) == ""
+    for name in ("pause", "retake", "acknowledge", "log", "bad"):
+        assert refusal(name, None, background=False, unacknowledged=False)
+    for name in ("new", "history", "help", "theme", "quit", "find", "mark"):
+        assert refusal(name, None, background=False, unacknowledged=False) == ""
+
+
+@pytest.mark.parametrize("state", ["checking", "stopping", "silent", "done", "intolerant"])
+def test_a_refused_space_bar_gives_the_reason(state: str) -> None:
+    assert refusal("pause", view_of(state), background=False, unacknowledged=False)
+
+
+HIGH = (137, 30)  # the verdict leaves a row for an alarm
+
+
+def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "space")
+        assert isinstance(app.screen, RunScreen)
+        assert "the run is over" in text_of(app)
+        app.receive(app.recorded, RunUpdate([], calibrated=False))
+        await settle(pilot)
+        assert "HC-J11" in text_of(app)
+        await press(pilot, "space")
+        assert "nothing moves" in text_of(app)
+        assert app.engines == []
+        await press(pilot, "enter")
+
+    assert len(run_app(act, "done", size=HIGH).engines) == 1
+
+
+@pytest.mark.parametrize("over", ["a", "ctrl+p"])
+def test_updates_are_shown_under_a_question_and_under_the_palette(over: str) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, over)
+        for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
+            app.receive(app.recorded, RunUpdate([], engine, status("paused")))
+            await settle(pilot)
+            assert word in text_of(app)
+
+    run_app(act, "paused")
+
+
+def test_a_calibration_saved_later_is_reported() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        for calibrated in (False, True):
+            app.receive(app.recorded, RunUpdate([], calibrated=calibrated))
+            await settle(pilot)
+        assert "the calibration has its file" in text_of(app)
+        assert "HC-J11" in text_of(app)
+        await press(pilot, "k")
+        assert "HC-J11" not in text_of(app)
+
+    run_app(act, "done", size=HIGH)
+
+
+def test_an_unreadable_journal_is_reported_while_it_is_unreadable() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app.receive(app.recorded, RunUpdate([], trouble="journal: cannot be read"))
+        await settle(pilot)
+        assert "cannot be read" in text_of(app)
+        app.receive(app.recorded, RunUpdate([]))
+        await settle(pilot)
+        assert "cannot be read" not in text_of(app)
+
+    run_app(act, "done")
+
+
+@pytest.mark.parametrize("state", ["done", "gone"])
+def test_a_stop_where_nothing_runs_says_so(state: str) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "escape")
+        assert "nothing runs here; if anything moves, use the E-stop" in text_of(app)
+
+    assert run_app(act, state).recorded.stops == 0
+
+
+@pytest.mark.parametrize("keys", [("ctrl+p",), ("backspace",), ("x", "backspace", "backspace")])
+def test_the_palette_says_how_to_go_back_and_does(keys: tuple[str, ...]) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "ctrl+p")
+        assert "^p or Backspace: back   Esc: STOP" in text_of(app)
+        await press(pilot, *keys)
+        assert isinstance(app.screen, RunScreen)
+
+    assert run_app(act, "running").recorded.stops == 0
+
+
+def test_in_a_text_box_only_its_own_keys_are_shown() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "slash")
+        keys = text_of(app).splitlines()[-1]
+        assert keys.strip("▌ ").split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
+        await press(pilot, "tab")
+        assert " space  pause " in text_of(app).splitlines()[-2]
+
+    run_app(act, "running")

@@ -1,4 +1,4 @@
-"""Keys from a file: what may be bound, what is refused, and with which words."""
+"""Keys: the table, files that rebind them, bursts, and the help made of them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from textual._xterm_parser import XTermParser
+from textual.binding import Binding
 from textual.events import Key
 from textual.keys import Keys, _normalize_key_list
+from textual.pilot import Pilot
+from textual.widgets import Input
 
 from hilcell.cell.settings import SettingsError
 from hilcell.sanitize import UNSAFE
 from hilcell.tui import keys
+from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import (
     ACTIONS,
     BY_NAME,
@@ -34,6 +38,26 @@ from hilcell.tui.keys import (
     named,
     shown,
 )
+from hilcell.tui.screens.base import BaseScreen, Confirm
+from hilcell.tui.screens.help import HelpPage, help_lines
+from hilcell.tui.screens.pages import DetailPage
+from hilcell.tui.screens.run import RunScreen
+from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.terminal import UNICODE
+from hilcell.tui.text.actions import ACTS, VIEWS, WORDS
+from hilcell.tui.text.plots import MOST_TABS
+from hilcell.tui.widgets import Choice, Table, TextField
+from tests.hilcell.tui.all_screens import PLAN, isolated
+from tests.hilcell.tui.recording_app import (
+    DEFAULT_KEYS,
+    RecordingApp,
+    press,
+    run_app,
+    settle,
+    text_of,
+    type_ahead,
+)
+from tests.hilcell.tui.views import drawn
 
 DEFAULTS = {action.name: action.keys for action in ACTIONS}
 FREE = sorted({*string.ascii_letters, *string.digits, *NAMED} - set(RESERVED))
@@ -239,3 +263,223 @@ def test_the_examples_in_the_words_are_good(tmp_path: Path) -> None:
         file = tmp_path / f"{number}.toml"
         file.write_text(example)
         assert load_keys(file) != load_keys(Path("/dev/null"))
+
+
+__all__ = ["PLAN", "isolated"]
+
+pytestmark = pytest.mark.usefixtures("isolated")
+
+
+def keys_of_key_order(text: str) -> list[str]:
+    return ["space" if letter == " " else letter for letter in text]
+
+
+def values(app: RecordingApp) -> dict[str, str]:
+    return {str(box.id): box.value for box in app.screen.query(Input)}
+
+
+def test_text_goes_into_the_field_that_a_tab_before_it_chose() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(
+            app,
+            "tab",
+            *keys_of_key_order("Harold Smith"),
+            "tab",
+            *keys_of_key_order("Job 7"),
+            "down",
+            "2",
+        )
+        await settle(pilot)
+        assert isinstance(app.screen, StartScreen)
+        assert values(app) == {"cell": "paper", "operator": "Harold Smith", "job": "Job 7"} | {
+            "seed": "2"
+        }
+
+    run_app(act)
+
+
+def test_a_field_is_edited_in_the_order_typed() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(app, "shift+tab", "ctrl+u", *"replax", "backspace", "y", "home", "x", "delete")
+        type_ahead(app, "tab", "shift+tab", "end", "2")
+        await settle(pilot)
+        assert values(app)["cell"] == "xeplay2"
+
+    run_app(act)
+
+
+def test_a_second_code_from_a_scanner_starts_nothing() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(
+            app, "tab", *keys_of_key_order("Ann"), "tab", *keys_of_key_order("JOB-7"), "enter"
+        )
+        await settle(pilot)
+        assert isinstance(app.screen, PlanSummary)
+        assert "operator Ann" in text_of(app)
+        type_ahead(app, *keys_of_key_order("JOB-8"), "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, PlanSummary)
+        assert "job JOB-7" in text_of(app)
+
+    run_app(act)
+
+
+def test_a_detach_in_a_burst_asks() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(app, "w", "d")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert "detach" in text_of(app)
+
+    assert run_app(act, "running").detached == []
+
+
+def test_an_enter_in_a_burst_is_no_answer_to_a_prompt() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(app, "w", "enter")
+        await settle(pilot)
+        assert "press it alone" in text_of(app)
+        assert app.recorded.asked == []
+        await press(pilot, "enter")
+
+    assert run_app(act, "suspended").recorded.asked == [("answer", {})]
+
+
+@pytest.mark.parametrize("state", ["paused", "fault", "running"])
+def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        for code in (" \ny", "r\n", "d"):
+            type_ahead(
+                app, "f9", *["enter" if key == "\n" else key for key in keys_of_key_order(code)]
+            )
+            await settle(pilot)
+            while not isinstance(app.screen, RunScreen):
+                await press(pilot, "q")
+        assert app.detached == []
+
+    app = run_app(act, state)
+    assert app.engines == []
+    assert [word for word, _ in app.recorded.asked if word != "pause"] == []
+
+
+def test_choices_follow_the_keys_before_them() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(
+            app,
+            "home",
+            "end",
+            "down",
+            "down",
+            "down",
+            "up",
+            *["tab"] * 4,
+            "space",
+            "tab",
+            "right",
+            "down",
+        )
+        await settle(pilot)
+        assert [each.index for each in app.screen.query(Choice)] == [1, 1, 2]
+
+    run_app(act)
+
+
+def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        rows = app.screen.query_one(Table)
+        type_ahead(app, "end", "up", "r")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert f"grid point {rows.rows[-2].key.removeprefix('grid/')} " in text_of(app)
+        type_ahead(app, "n", "home", "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, DetailPage)
+        assert rows.rows[0].key in text_of(app)
+        type_ahead(app, "q", "end", "enter", "q", "r")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm)
+        assert f"grid point {rows.rows[-1].key.removeprefix('grid/')} " in text_of(app)
+
+    run_app(act, "running")
+
+
+def test_the_run_under_the_cursor_is_the_one_marked() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "h")
+        type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
+        await settle(pilot)
+        marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
+        assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
+
+    run_app(act)
+
+
+def test_a_filter_ends_with_its_enter() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        type_ahead(app, "slash", *"grad", "backspace", "backspace", *"id", "enter", "end", "r")
+        await settle(pilot)
+        assert app.screen_stack[-2].query_one(Input).value == "grid"
+        assert isinstance(app.screen_stack[-2], RunScreen)
+        key = app.screen_stack[-2].query_one(Table).key
+        assert f"grid point {key.removeprefix('grid/')} " in text_of(app)
+
+    run_app(act, "running")
+
+
+__all__ = ["isolated"]
+
+WRITTEN = {  # a key in the help: its names
+    "▲▼": {"up", "down"},
+    "◄ ►": {"left", "right"},
+    f"1-{MOST_TABS}": {str(n + 1) for n in range(MOST_TABS)},
+}
+OTHER_WAYS = {"backspace": "q", "s": "S"}  # of keys that are explained
+WIDGETS = (Table, Choice, TextField)
+
+
+def bound_of_help(owner: type) -> set[str]:
+    """Return the keys that hilcell binds in a class, without other ways of them."""
+    found = set()
+    for each in owner.__mro__:
+        if each.__module__.startswith("hilcell"):
+            bindings = [b for b in vars(each).get("BINDINGS", ()) if isinstance(b, Binding)]
+            found |= {key for b in bindings for key in b.key.split(",")}
+    return found - OTHER_WAYS.keys()
+
+
+def explained(screen: type[BaseScreen]) -> set[str]:
+    """Return the keys that the help explains for a screen."""
+    keys = [key for key, _ in screen.all_fixed_keys()]
+    return set().union(*(WRITTEN.get(key, {key if key == "S" else key.lower()}) for key in keys))
+
+
+@pytest.mark.parametrize("title", HelpPage.SCREENS)
+def test_each_key_of_a_screen_is_explained_and_each_explained_one_is_bound(title: str) -> None:
+    screen = HelpPage.SCREENS[title]
+    assert bound_of_help(screen) <= explained(screen)
+    elsewhere = set().union(*map(bound_of_help, (*WIDGETS, HilcellApp)))
+    assert explained(screen) <= bound_of_help(screen) | elsewhere
+
+
+def test_each_action_stands_there_with_the_word_of_its_footer() -> None:
+    lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, {})).splitlines()
+    starts = [line[:23].split() for line in lines if len(line) > 23]
+    for action in ACTIONS:
+        word = WORDS.get(action.label, action.label)
+        keys = [shown(key) for key in DEFAULT_KEYS[action.name]]
+        assert [*keys, *word.split()] in starts, action
+    assert {*ACTS, *VIEWS} <= {action.name for action in ACTIONS}
+
+
+@pytest.mark.usefixtures("isolated")
+def test_no_line_of_the_help_is_wider_than_the_screen() -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "question_mark")
+        assert "Keys of the run" in text_of(app)
+        assert "▲▼        choose a point" in text_of(app)
+
+    run_app(act, "running", size=(80, 70))
+    fixed = {title: each.all_fixed_keys() for title, each in HelpPage.SCREENS.items()}
+    for width in (22, 39, 59, 79):
+        lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, fixed), width).splitlines()
+        assert max(map(len, lines)) <= width
