@@ -76,9 +76,7 @@ def test_a_tool_that_is_not_the_calibrated_one(workplace: Workplace, tool: str, 
     form = "DECL FDAT FP1={TOOL_NO 4,BASE_NO 2,IPO_FRAME #BASE}\n"
     dat = form + DAT.replace("FP1={TOOL_NO 1", "FP0={")
     point = "LIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}"
-    workplace.program(
-        f"DEF drill( )\n{tool}\n{point}\nEND\n", dat.replace("FP1={TOOL_NO 1", "FP0={")
-    )
+    workplace.program(f"DEF drill( )\n{tool}\n{point}\nEND\n", dat)
     workplace.calibrate(digest=load_cell("paper").digest)
     assert workplace.compensate("--cell", "paper") == code
     noted = workplace.run(out=workplace.folder / "noted.src")
