@@ -32,7 +32,7 @@ from tests.whole.threaded import Event, ThreadedRun, is_state
 
 pytestmark = pytest.mark.wall
 
-QUESTION = 'type "yes" to go on'
+QUESTION = 'type "yes" to continue'
 FIRST_MM, SECOND_MM = 320.0, 300.0  # where the first two motions take the slide
 OTHER_WORDS = ("yess", "y", "no", "", "go")
 
