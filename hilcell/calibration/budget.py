@@ -83,8 +83,6 @@ def target_uncertainty(log: Log) -> Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Influences on a corrected target, as one run shows them."""
-
     log: Log
 
     def model_samples(self) -> int | None:
@@ -163,7 +161,6 @@ class _Lines:
         )  # fmt: skip
 
     def tracker(self) -> Influence:
-        """Return the tracker's limits, along and across the beam."""
         stated = self.log.cell.uncertainty
         x_mm, y_mm, z_mm = self.log.matrix("world")[:3, 3].tolist()
         turn = rectangular_variance(stated.tracker_limit_um_m * 1e-6)

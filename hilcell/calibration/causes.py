@@ -174,15 +174,12 @@ def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by
 
 
 class _Explained(NamedTuple):
-    """A cause, the chi^2 that it leaves, and its number of parameters."""
-
     suspicion: Suspicion
     left: float
     parameters: int
 
     @property
     def penalised(self) -> float:
-        """Return the chi^2 with the penalty of its parameters."""
         return self.left + PENALTY * self.parameters
 
 

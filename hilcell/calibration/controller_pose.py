@@ -38,7 +38,6 @@ class Deviation(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether rounding explains it."""
         return self.within(self.limit_mm, self.limit_rad)
 
     def within(self, limit_mm: float, limit_rad: float) -> bool:

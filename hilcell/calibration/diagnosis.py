@@ -203,7 +203,6 @@ class Series:
 
 @of_measured
 def robot_drift(log: Log) -> Suspicion | None:
-    """Return the cause that changes the robot slowly, if one does."""
     series = pose_series(log)
     return None if series is None else drift_cause(series, log.cell.robot.arm())
 

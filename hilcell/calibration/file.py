@@ -332,8 +332,6 @@ def file_problems(calibration: Calibration) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Checks:
-    """Checks of a calibration, each of which yields its problems."""
-
     MOST_ERROR_MM = 100.0  # beyond is no robot's error
     MOST_ROTATION_DEG = 180.0
     MOST_C = 100.0

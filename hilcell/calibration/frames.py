@@ -58,7 +58,6 @@ class Frames:
         return self.cell.tracker.pose.matrix()
 
     def based(self) -> bool:
-        """Whether the base frame was measured."""
         return "base" in self._log.frames
 
     def base_in_world(self, station: Station) -> Array:

@@ -52,7 +52,6 @@ SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and 
 
 
 def known_lengths(cell: Cell, log: Log) -> list[MeasuredLength]:
-    """Return the cell's certified lengths as a run has measured them."""
     return [_found(cell, log, each) for each in cell.layout.length]
 
 
@@ -108,12 +107,10 @@ class BothFaces(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether every nest keeps its limit."""
         return all(each.holds for each in self.nests)
 
     @property
     def suspicion(self) -> Suspicion | None:
-        """Return the axis that is off, if a nest shows that one is."""
         if self.holds:
             return None
         return Suspicion(Cause.INSTRUMENT, self.size_urad, self.unit, self.BOTH_FACES)

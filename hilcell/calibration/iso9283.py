@@ -164,7 +164,6 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
     limits: dict[str, float]
 
     def figures(self) -> list[Worst]:
-        """Return each characteristic that was measured, where it is worst."""
         worst, distance = self.worst, self.distance
         ends = f"{distance.start} to {distance.to}"
         found = [
@@ -252,7 +251,6 @@ def commanded_mm(cell: Cell) -> dict[str, Array]:
 
 
 def velocity_percent(cell: Cell) -> float:
-    """Return the speed of the test, in percent of the rated speed."""
     stated = cell.iso9283.velocity_percent
     return cell.robot.speed_percent if stated is None else stated
 
@@ -356,8 +354,6 @@ def attained(log: Log) -> dict[str, Errors]:
 
 @dataclass(frozen=True, eq=False)
 class _Evaluation:
-    """The test of one run."""
-
     log: Log
 
     def visits(self) -> dict[str, list[Point]]:

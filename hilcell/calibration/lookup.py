@@ -178,7 +178,6 @@ def with_calibration(
 
 
 def calibration_named(cell: Cell, table: str) -> Calibration:
-    """Return the calibration whose file is named in ``table``."""
     chosen = getattr(cell, table)
     path = chosen.calibration if chosen is not None else ""
     if not path:

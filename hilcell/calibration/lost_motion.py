@@ -91,7 +91,6 @@ def judged(
 
 
 def lost_too_much(log: Log) -> Suspicion | None:
-    """Return the axis that loses too much, if one does."""
     found = log.once_measured(reversal)
     if found is None or found.holds:
         return None
@@ -114,7 +113,6 @@ class StraightPath:
 
     @property
     def text(self) -> str:
-        """Return how much was corrected and how much is left."""
         most_mm = float(lengths_mm(self.shift_mm).max())
         left_mm = float(bounds95_mm(self.covariance_mm2).max())
         return (

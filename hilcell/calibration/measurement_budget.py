@@ -65,10 +65,10 @@ def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -
 def systematic_mm2(stated: UncertaintyTable, at_mm: Array) -> Array:
     """Return the variances (N,) of one coordinate at (N, 3), tracker's frame, by its limits."""
     range_mm2 = np.square(at_mm).sum(axis=-1)
-    found: Array = rectangular_variance(stated.tracker_limit_mm) + range_mm2 * (
-        rectangular_variance(stated.tracker_limit_um_m * 1e-6)
+    return np.asarray(
+        rectangular_variance(stated.tracker_limit_mm)
+        + range_mm2 * (rectangular_variance(stated.tracker_limit_um_m * 1e-6))
     )
-    return found
 
 
 NOISE, WORLD = "Tracker, reading noise", "World frame"
@@ -88,7 +88,6 @@ class Budget:
 
     @property
     def U_mm(self) -> float:  # noqa: N802 - GUM's symbols: u and U differ
-        """Return the expanded uncertainty of one coordinate."""
         return expanded_mm(self.u_mm)
 
     def of_mean_of(self, count: int) -> float:
@@ -124,8 +123,6 @@ def measurement_budget(log: Log) -> Budget | None:
 
 @dataclass(frozen=True, eq=False)
 class _Contributions:
-    """Contributions to the uncertainty of one run's measurements."""
-
     log: Log
 
     def _judged(self) -> list[Point]:

@@ -100,7 +100,6 @@ def last_orientation_errors(log: Log, points: Sequence[Point], seats: Array) -> 
 
 
 def repeated_orientation_errors(log: Log, point: Point, seats: Array) -> OrientationErrors:
-    """Return the errors of one tool point, each time that it was measured."""
     return _turned(log, [*chain(*_times(log, [point], len(seats)))], seats)
 
 
@@ -155,7 +154,6 @@ def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Orienta
 def validated_orientation_errors(
     log: Log, stations: Sequence[str]
 ) -> dict[Sent, OrientationErrors]:
-    """Return the largest errors of each target at ``stations`` as sent."""
     seats = seats_of(log)
     if seats is None:
         return {}

@@ -218,7 +218,6 @@ def motion_columns(targets_mm: Array) -> Array:
 
 
 def _test(chi2: float, freedom: int) -> ChiSquare:
-    """Return the test of a chi^2 at its share of the risk."""
     from scipy.special import chdtri
 
     tests = 2  # the motion and the rest share it
@@ -234,7 +233,6 @@ def rechecked_run(log: Log) -> Judgement:
 
 
 def rechecked(log: Log) -> Rechecked:
-    """Return errors and covariance of the measured poses."""
     return as_predicted(log, log.select(KIND), log.cell.grid.station)
 
 
@@ -312,7 +310,6 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def verdict_text(self, worst: int) -> str:
-        """Return the verdict as a technician reads it."""
         spread = 2.0 * self.u_mm
         match self.verdict:
             case "valid":

@@ -40,14 +40,12 @@ def listed(log: Log) -> tuple[list[str], Array] | None:
 
 
 def target_points(log: Log) -> list[Point]:
-    """Return the measured targets in the order of their list."""
     names, _ = listed(log) or ([], None)
     known = {point.id.target: point for point in log.select(KIND)}
     return [known[name] for name in names if name in known]
 
 
 def gross_targets(log: Log) -> list[str]:
-    """Return the outliers."""
     points, (this, poses) = target_points(log), _pass(log)
     residuals = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
     sigmas = residuals.sigmas()
@@ -69,7 +67,7 @@ def folded(log: Log, run: str) -> Calibration:
 
 
 class TargetError(msgspec.Struct, frozen=True):
-    """The error of a target as found."""
+    """The error of a target before its residual is folded in."""
 
     name: str
     error_mm: float
@@ -120,7 +118,6 @@ class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
 
 def targets_result(log: Log) -> TargetsResult:
-    """Return the result of a run that has measured its targets."""
     calibration, points = used(log), target_points(log)
     station, (_, values) = points[0].station, listed(log) or ([], np.zeros((0, 6)))
     after, sizes_mm = folded(log, ""), lengths_mm(_errors_mm(log))

@@ -64,7 +64,6 @@ class Tip:
 
     @property
     def least_standoff_mm(self) -> float:
-        """Return the shortest allowed stand-off."""
         return STANDOFF_MORE_MM if self.table is None else self.table.least_standoff_mm
 
     @property
@@ -79,7 +78,6 @@ class Tip:
         )
 
     def arm(self, arm: Arm) -> Arm:
-        """Return the arm with the tip as its tool point."""
         return arm if self.table is None else replace(arm, tool=self.T_F_D)
 
     def is_stated(self, stated: StatedTool) -> bool:

@@ -80,7 +80,6 @@ def touch_targets_mm(cell: Cell, station: Station) -> Array:
 
 
 def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
-    """Return the identities of the touch poses' points on one visit."""
     return [
         PointId("touch", station=station.name, visit=visit, number=n)
         for n in range(cell.touch.poses)

@@ -134,7 +134,6 @@ class Idw(Interpolation):
 
     @classmethod
     def learn(cls, measured: Measured) -> LearntModel:
-        """Return the model of the measured grid, or of the poses."""
         if measured.lattice is None:
             return NearestPoses.learn(measured)
         return cls.of_grid(measured.lattice)
@@ -182,7 +181,6 @@ class NearestPoses(LearntModel):
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
-        """Return the model of two poses or more."""
         poses, missed_mm = measured.poses, cls.left_out_mm(measured)
         covariance_mm2 = missed_mm.T @ missed_mm / len(poses)
         return cls(poses.nominal[:, :3, 3], poses.error_mm, covariance_mm2)

@@ -54,7 +54,6 @@ class StaticPoses:
         return len(self.joints_rad)
 
     def at(self, some: Bools) -> Self:
-        """Return some of the poses, in their folds."""
         return type(self)(*(getattr(self, field.name)[some] for field in fields(self)))
 
 

@@ -34,7 +34,6 @@ class Nominal(LearntModel):
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
-        """Return the model with the errors' mean square."""
         errors_mm = measured.poses.error_mm
         return cls(errors_mm.T @ errors_mm / len(errors_mm))
 

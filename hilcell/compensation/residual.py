@@ -40,7 +40,6 @@ class Pass:
     common: Array
 
     def every(self, step: int) -> Pass:
-        """Return each ``step``-th target."""
         some = slice(None, None, step)
         return Pass(self.poses[some], self.residuals_mm[some], self.own_mm2[some], self.common)
 

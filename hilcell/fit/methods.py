@@ -62,8 +62,9 @@ UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not 
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
+RIGID = "mdh"  # link parameters alone
 TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
-    "mdh": (False, False),
+    RIGID: (False, False),
     "elastic": (True, False),
     "tool": (True, True),
 }
@@ -331,7 +332,6 @@ class RobotFit:
 
     @property
     def chosen(self) -> str:
-        """Return the name of the method with the least errors at poses left out."""
         return self.result["chosen"]
 
     def predict(self, joints_rad: Array, target: str) -> Predicted:
@@ -447,7 +447,6 @@ def figures_of(miss_mm: Array) -> Figures:
 
 
 def in_mm(figures: Figures) -> dict[str, float]:
-    """Return figures by the keys of results."""
     return {f"{name}_mm": value for name, value in figures._asdict().items()}
 
 
@@ -465,7 +464,7 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
     """Return the outliers (N,), and why no robot is identified; raises `FitError`."""
-    richest = "tool"  # of the methods that identify the robot
+    richest = max(TERMS, key=lambda name: sum(TERMS[name]))
     try:
         found = FittedArm.learn(placement, rows, richest, trusted=False)
     except IdentificationError as error:

@@ -17,7 +17,7 @@ import numpy as np
 from hilcell import __version__
 from hilcell.atomic_files import write_whole
 from hilcell.compensation.targets import write_rows
-from hilcell.fit.methods import FittedArm, RobotFit
+from hilcell.fit.methods import RIGID, FittedArm, RobotFit
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Chain, Urdf, urdf_of
@@ -67,10 +67,9 @@ def rigid_arm(fit: RobotFit) -> RigidArm:
     """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
     nominal = fit.robot.arm
     units = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
-    rigid = "mdh"  # of the methods
-    found = fit.methods.get(rigid)
+    found = fit.methods.get(RIGID)
     if not isinstance(found, FittedArm):
-        raise FitError(f"no arm is identified: {fit.result['refused'][rigid]}")
+        raise FitError(f"no arm is identified: {fit.result['refused'][RIGID]}")
     kinematics, system = found.estimate.kinematics, found.estimate.system
     arm, links = kinematics.arm_of(found.estimate.state), slice(kinematics.placed, None)
     labels = [name.split() for name in kinematics.names[links][:LINKS]]
@@ -84,7 +83,7 @@ def rigid_arm(fit: RobotFit) -> RigidArm:
         Parameter(name, units[unit][0], *map(float, values))
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
     ]
-    figures = fit.validated[rigid]
+    figures = fit.validated[RIGID]
     return RigidArm(arm, found.base, found.smr_mm, parameters, covariance, figures)
 
 

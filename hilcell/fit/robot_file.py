@@ -161,7 +161,6 @@ class Measurements:
         return f"{self.source} line{'s' * (len(lines) > 1)} {listed}"
 
     def of(self, target: str) -> list[int]:
-        """Return the numbers of the rows that measure a target."""
         return [n for n, each in enumerate(self.target) if each == target]
 
     def once(self) -> Measurements:

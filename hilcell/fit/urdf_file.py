@@ -175,7 +175,6 @@ class UrdfText:
 
     @property
     def above(self) -> dict[str, JointText]:
-        """Return the joint that carries each link."""
         most_joints = 1000  # of one file
         if len(self.joints) > most_joints:
             raise NotUrdf(f"has {len(self.joints)} joints, expected at most {most_joints}")
@@ -328,7 +327,6 @@ def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
 
 
 def _joints_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
-    """Return the joints from the root to a link."""
     joints: list[JointText] = []
     link = tip
     while link in above:

@@ -122,8 +122,7 @@ def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array)
     by_point = by_residual[:, 0, :, None] * circle.axis + by_residual[:, 1, :, None] * outward
     covariance = np.einsum("pni,nij,qnj->pq", by_point, covariances_mm2, by_point)
     parameters = _parameters(tangents)
-    found: Array = parameters @ covariance @ parameters.T
-    return found
+    return np.asarray(parameters @ covariance @ parameters.T)
 
 
 def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:

@@ -164,8 +164,7 @@ def _outside(points: Array, half: Array) -> Array:
 
 def _lengths(vectors: Array) -> Array:
     """Return the lengths (...) of vectors (..., 3)."""
-    lengths: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return lengths
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
 
 
 @dataclass(frozen=True, slots=True)

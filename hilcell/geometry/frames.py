@@ -58,8 +58,7 @@ def apply(T: Array, points: ArrayLike) -> Array:
 
 def apply_each(T: Array, points: Array) -> Array:
     """Carry points (..., 3), each by its own rigid motion (..., 4, 4)."""
-    carried: Array = np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3]
-    return carried
+    return np.asarray(np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3])
 
 
 def matrix(R: Array, t: Array) -> Array:
@@ -128,8 +127,7 @@ def orientations(places_mm: Array, seen_mm: Array) -> Array:
     U, _, Vt = np.linalg.svd(np.einsum("ki,nkj->nij", places, seen))
     mirrored = np.broadcast_to(np.eye(3), U.shape).copy()
     mirrored[:, 2, 2] = np.sign(np.linalg.det(U @ Vt))
-    found: Array = np.swapaxes(Vt, 1, 2) @ mirrored @ np.swapaxes(U, 1, 2)
-    return found
+    return np.asarray(np.swapaxes(Vt, 1, 2) @ mirrored @ np.swapaxes(U, 1, 2))
 
 
 def rotation_levers(places_mm: Array, rotations: Array) -> Array:
@@ -202,8 +200,7 @@ def motion_levers(places_mm: Array) -> Array:
 
 def unit(v: Array) -> Array:
     """Return vectors (..., 3) scaled to length 1."""
-    scaled: Array = v / np.linalg.norm(v, axis=-1, keepdims=True)
-    return scaled
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
 def checked_points(points: Array, what: str) -> Array:
@@ -286,8 +283,7 @@ def _jacobian(levers: Array) -> Array:
 
 def _normal_matrix(levers: Array, W: Array) -> Array:
     J = _jacobian(levers)
-    normal: Array = np.einsum("nij,nik,nkl->jl", J, W, J)
-    return normal
+    return np.asarray(np.einsum("nij,nik,nkl->jl", J, W, J))
 
 
 def from_zyx(angles_deg: ArrayLike) -> Array:
@@ -316,8 +312,7 @@ def from_rotvec(vectors_rad: ArrayLike) -> Array:
     safe = np.where(angle < small_rad, 1.0, angle)
     first = np.where(angle < small_rad, 1.0 - angle**2 / 6.0, np.sin(angle) / safe)
     half = np.where(angle < small_rad, 0.5 - angle**2 / 48.0, np.sin(0.5 * angle) / safe)
-    rotation: Array = np.eye(3) + first * K + 2.0 * half**2 * (K @ K)
-    return rotation
+    return np.asarray(np.eye(3) + first * K + 2.0 * half**2 * (K @ K))
 
 
 def to_rotvec(rotations: Array) -> Array:
@@ -340,8 +335,7 @@ def to_rotvec(rotations: Array) -> Array:
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., 3:])
     scale = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=sine > 0.0)
-    vector: Array = q[..., :3] * scale
-    return vector
+    return np.asarray(q[..., :3] * scale)
 
 
 def is_rotation(R: Array) -> bool:
@@ -355,5 +349,4 @@ def is_rotation(R: Array) -> bool:
 def turned_deg(orientation: Array, poses: Array) -> Array:
     """Return by how much poses (N, 4, 4) are turned from an orientation (3, 3), deg (N,)."""
     cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], orientation) - 1.0) / 2.0
-    turned: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return turned
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -170,10 +170,9 @@ class _SphericalWrist(_Family):
         theta = arm.sign * joints_rad + arm.offset_rad
         forearm_mm, bend_rad = self.forearm(arm)
         elbow = theta[..., 1] + theta[..., 2] + bend_rad
-        ahead: Array = (
+        return np.asarray(
             arm.a_mm[0] + arm.a_mm[1] * np.cos(theta[..., 1]) + forearm_mm * np.cos(elbow)
         )
-        return ahead
 
     def bend_rad(self, arm: Arm) -> float:
         return self.forearm(arm)[1]

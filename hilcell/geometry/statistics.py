@@ -30,8 +30,7 @@ class Figures(NamedTuple):
 
 def lengths_mm(vectors_mm: ArrayLike) -> Array:
     """Return the 3D lengths (N,) of vectors (N, 3): of errors those of the paper's eq 18."""
-    lengths: Array = np.linalg.norm(np.asarray(vectors_mm, dtype=float), axis=1)
-    return lengths
+    return np.asarray(np.linalg.norm(np.asarray(vectors_mm, dtype=float), axis=1))
 
 
 def figures_of(lengths: Array) -> Figures:
@@ -125,8 +124,7 @@ def reading_variances_mm2(std_mm: ArrayLike, samples: ArrayLike) -> Array:
 
     ``std_mm`` (N, 3) is that of a single reading, ``samples`` (N,) how many were averaged.
     """
-    variances: Array = np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None]
-    return variances
+    return np.asarray(np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None])
 
 
 def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Array:
@@ -146,8 +144,7 @@ def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Ar
     squares = np.square(covariances).sum(axis=(-2, -1))
     sizes = np.divide(trace**2, squares, out=np.full_like(trace, 3.0), where=squares != 0)
     most_freedom = 1e6  # as good as infinite; beyond F is not computed exactly
-    bounds: Array = np.sqrt(trace * fdtri(sizes, np.minimum(freedom, most_freedom), CONFIDENCE))
-    return bounds
+    return np.asarray(np.sqrt(trace * fdtri(sizes, np.minimum(freedom, most_freedom), CONFIDENCE)))
 
 
 def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:
@@ -159,8 +156,7 @@ def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:
     traces = np.asarray(traces_mm2, dtype=float)
     spread = (traces**2 / np.asarray(freedom, dtype=float)[:, None]).sum(axis=0)
     total = traces.sum(axis=0) ** 2
-    found: Array = np.divide(total, spread, out=np.full_like(total, np.inf), where=spread != 0)
-    return found
+    return np.asarray(np.divide(total, spread, out=np.full_like(total, np.inf), where=spread != 0))
 
 
 def trace_freedom(covariance_mm2: ArrayLike, samples: int) -> float:
@@ -195,8 +191,7 @@ class BeamNoise:
         along = beams[:, :, None] * beams[:, None, :]
         across_mm2 = (self.across_mm2_m2 * range_m2)[:, None, None]
         single_mm2 = self.along_mm2 * along + across_mm2 * (np.eye(3) - along)
-        found: Array = single_mm2 / np.asarray(samples, dtype=float)[:, None, None]
-        return found
+        return np.asarray(single_mm2 / np.asarray(samples, dtype=float)[:, None, None])
 
 
 def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise:

@@ -132,8 +132,7 @@ class SweepStream:
             )
         ahead = nominal_mm / radius_mm
         turned = np.arctan2(lever_mm @ np.cross(z, ahead), lever_mm @ ahead)
-        found: Array = start_rad[axis] + arm.sign[axis] * turned
-        return found
+        return np.asarray(start_rad[axis] + arm.sign[axis] * turned)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +186,6 @@ def axis_motion(stream: SweepStream, arm: Arm, axis: int) -> Motion:
 
 
 def _between_ends(angle_rad: Array) -> slice:
-    """Return the samples between the ramps."""
     ends = np.array([np.median(angle_rad[:5]), np.median(angle_rad[-5:])])
     least_rotation_rad = 0.15
     if not abs(ends[1] - ends[0]) >= least_rotation_rad:

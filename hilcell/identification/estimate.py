@@ -210,8 +210,7 @@ def _gross(system: System) -> Bools:
     coordinates = 3 * system.known.sum(axis=1)
     pose_gross = 4.0  # the same for all of a pose, by the root of its coordinates' mean square
     whole = poses > (GROSS**2 + pose_gross**2 * np.maximum(coordinates - 3, 0))
-    bad: Bools = system.known & whole[:, None]
-    return bad
+    return np.asarray(system.known & whole[:, None])
 
 
 def _refuse_too_few(readings: Readings) -> None:
@@ -310,7 +309,6 @@ class System:
 
     @cached_property
     def covariance(self) -> Array:
-        """Return the parameters' posterior covariance (P, P)."""
         inverse = np.linalg.inv(self._factor[0])
         return inverse @ inverse.T
 
@@ -326,8 +324,7 @@ class System:
     def weighted(self) -> Array:
         """Return P r (M, N)."""
         left = self.residual_mm - self.design @ self.step
-        weighted: Array = np.einsum("mij,mj->mi", self._precision_parts[0], left)
-        return weighted
+        return np.asarray(np.einsum("mij,mj->mi", self._precision_parts[0], left))
 
     @cached_property
     def precision(self) -> Array:

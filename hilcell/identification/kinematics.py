@@ -121,12 +121,10 @@ class Kinematics:
 
     @property
     def placed(self) -> int:
-        """Return how many parameters place base and reflectors."""
         return BASE + 3 * self.reflectors
 
     @property
     def names(self) -> list[str]:
-        """Return the parameters' names, with units."""
         names = [f"base {axis} mm" for axis in "xyz"] + [f"base r{axis} rad" for axis in "xyz"]
         names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
         for kind, unit in (each.rsplit("_", 1) for each in KINDS):
@@ -193,11 +191,9 @@ class Kinematics:
         return State(T, smr_mm, self.prior[0][self.placed :], np.zeros(self.placed))
 
     def flat(self, state: State) -> Array:
-        """Return the state's parameters (P,)."""
         return np.concatenate([state.moved, state.values])
 
     def moved(self, state: State, step: Array) -> State:
-        """Return the state after a step (P,)."""
         R = from_rotvec(step[3:6])
         T = state.T.copy()
         T[:3, :3] = R @ T[:3, :3]
@@ -222,7 +218,6 @@ class Kinematics:
         return self._carried(flange, state.smr_mm)
 
     def linearised(self, state: State, joints_rad: Array) -> Linearised:
-        """Return the positions with their derivatives."""
         arm = self.arm_of(state)
         joints, basis = self._bent(state, joints_rad)
         flange, J = tool_and_jacobian(arm, joints)
@@ -360,5 +355,4 @@ def _lever(axis: Array, link: Array) -> Array:
 
 def _direction(vectors: Array) -> Array:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
-    return unit
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0))

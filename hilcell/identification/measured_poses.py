@@ -87,7 +87,6 @@ def pose_numbers(joints_rad: Array) -> Ints:
 
 
 def count_poses(joints_rad: Array) -> int:
-    """Return how many different poses the rows show."""
     return len(np.unique(pose_numbers(joints_rad)))
 
 
@@ -128,11 +127,9 @@ class Noise:
 
     @classmethod
     def independent(cls, reading_mm: float) -> Noise:
-        """Return noise of the readings alone."""
         return cls(reading_mm, 0.0, np.zeros(6))
 
     def scaled(self, factor: float) -> Noise:
-        """Return the noise with all standard deviations times a factor."""
         return Noise(self.reading_mm * factor, self.pose_mm * factor, self.joint_rad * factor)
 
     def scatter(self, by_joint: Array) -> Array:

@@ -509,8 +509,7 @@ class Trial:
     @staticmethod
     def _sums(columns: Array, waves: Complex) -> Complex:
         """Return the sums (M, F) of waves (N, F) times columns (N, M), over the samples."""
-        found: Complex = (columns.T @ waves.view(float)).view(complex)
-        return found
+        return np.asarray((columns.T @ waves.view(float)).view(complex))
 
 
 class Known:
@@ -574,7 +573,6 @@ def search(records: Records, shift: Shift) -> Found:
 
 
 def without_lines(records: Records, shift: Shift) -> Lines:
-    """Return what smooth errors leave."""
     return records.refined(Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
 
 

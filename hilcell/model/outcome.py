@@ -91,7 +91,6 @@ class Figure(NamedTuple):
 
     @property
     def measured(self) -> str:
-        """Return name, value and U."""
         if self.value is None:
             return f"{self.name} not known"
         U = "" if self.U is None else f" + U {self.U:{self.form}}"
@@ -105,5 +104,4 @@ class Figure(NamedTuple):
 
     @property
     def why(self) -> str:
-        """Return why it does not keep its limit."""
         return f"{self.measured} {self.outcome.decided} {self.limit:g} {self.unit}".rstrip()

@@ -44,7 +44,6 @@ class Change(NamedTuple):
 
     @property
     def to(self) -> str:
-        """Return the state that the run went to."""
         return self.change.to
 
 

@@ -48,7 +48,6 @@ class Suspicion(msgspec.Struct, frozen=True):
 
     @property
     def facts(self) -> Json:
-        """Return it as fields of an error that names it."""
         found: Json = msgspec.to_builtins(self)
         return found
 
@@ -58,7 +57,6 @@ class Suspicion(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return the label with the comparison."""
         return f"{self.label}, noticed by {self.noticed_by}"
 
 
@@ -74,5 +72,4 @@ def blamed(facts: Json) -> Json:
 
 
 def suspected_in(result: Mapping[str, object]) -> list[Suspicion]:
-    """Return the suspicions of a run's result."""
     return typed(result.get("suspicions", []), list[Suspicion])

@@ -45,7 +45,6 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def suspects(self) -> Sequence[str]:
-        """Return the causes that it suspects, in words."""
         return getattr(self, "suspected", ())
 
     @property

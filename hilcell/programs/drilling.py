@@ -52,7 +52,6 @@ class Drilling:
 
     @property
     def arm(self) -> Arm:
-        """The arm with the tip as its tool point."""
         return self.tip.arm(self.cell.robot.arm())
 
     def straight_rad(self, names: Sequence[str], command: Array) -> Array:
@@ -314,8 +313,6 @@ class Clearance:
 
 @dataclass(frozen=True, eq=False)
 class _Box:
-    """A box of the cell, with the slide at a station."""
-
     cell: Cell
     station: Station
     table: KeepOut

@@ -50,7 +50,6 @@ class HolePlan:
 
     @property
     def travel_mm(self) -> float:
-        """Return the travel between holes at all stations."""
         return sum(each.travel_mm for each in self.stations)
 
     @property

@@ -238,7 +238,6 @@ class Reach:
 
 
 def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
-    """Raise `HilcellError` naming the first bad targets."""
     if (count := int(np.count_nonzero(bad))) > 0:
         most = 5
         named = ", ".join(names[n] for n in np.flatnonzero(bad)[:most])
@@ -341,7 +340,6 @@ class ArmTargets(TargetFiles):
 
     @property
     def summary(self) -> dict[str, object]:
-        """Return the targets' frames, and how well they are known."""
         bounds_mm = np.array(self.targets.bounds95_mm)
         return {
             "targets": len(self.targets.names),

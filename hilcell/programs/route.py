@@ -345,8 +345,9 @@ class Cut:
 
     def row(self, edges: Ints) -> Array:
         """Return how many of the sets each edge (E, 2) leaves, (E,)."""
-        leaves: Array = (self.sets[:, edges[:, 0]] != self.sets[:, edges[:, 1]]).sum(axis=0) * 1.0
-        return leaves
+        return np.asarray(
+            (self.sets[:, edges[:, 0]] != self.sets[:, edges[:, 1]]).sum(axis=0) * 1.0
+        )
 
     def missed(self, edges: Ints, share: Array) -> float:
         """Return by how much the shares (E,) of edges (E, 2) break the cut, below 0 if not."""

@@ -85,12 +85,10 @@ class StationJob:
 
     @property
     def file(self) -> str:
-        """Return the name of its list."""
         return f"{self.plan.station.name}.csv"
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Return its list, in the order of visit, and its program."""
         rows = list(target_rows(self.plan.holes, self.targets.command))
         return {self.file: self.targets.listed(HEADER, rows), **self.program}
 
