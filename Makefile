@@ -101,4 +101,4 @@ lock:  ## pin every dependency by hash, for all supported pythons; those of a ru
 	$(COMPILE) --extra offline --extra build --constraint requirements.lock --output-file requirements-run.lock
 
 clean:
-	rm -rf .venv* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache site
