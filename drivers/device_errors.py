@@ -18,7 +18,7 @@ class ProtocolError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Errors(Generic[Error]):
-    """Makes errors of one class for one kind of device; ``fields`` are the values behind words."""
+    """Makes errors of one class for one kind of device; ``fields`` are the values of its text."""
 
     kind: type[Error]
     device: str
@@ -59,7 +59,7 @@ class Device:
 
     @property
     def refused(self) -> Errors[DeviceRefused]:
-        """Errors of a device that is not worked with."""
+        """Errors of a device that is refused."""
         return Errors(DeviceRefused, self.name, self.fields)
 
     @property
@@ -68,7 +68,7 @@ class Device:
         return Errors(NoReading, self.name, self.fields)
 
     def at(self, **fields: object) -> Device:
-        """Return it with the values of a poll, which its errors keep."""
+        """Return it with the values of a poll for its errors."""
         return replace(self, fields=fields)
 
     def unreached(self, address: str, found: str) -> DeviceError:

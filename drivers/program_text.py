@@ -35,7 +35,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """Characters ``start`` to ``end`` of a file and what is to stand there."""
+    """Characters ``start`` to ``end`` of a file and their new text."""
 
     start: int
     end: int

@@ -113,7 +113,7 @@ class SerialStrip:
         return counts, int(self._ask("X", r"0x[0-9a-fA-F]{2}"), 16)
 
     def alarm_text(self, alarms: int) -> str:
-        """Return the bits of the system register in words."""
+        """Return the text of the bits of the system register."""
         bits = [bit for bit in range(16) if alarms >> bit & 1]
         return "; ".join(self.BITS.get(bit, f"bit {bit} of its register") for bit in bits)
 
@@ -183,7 +183,7 @@ class StripNode(Node):
         return identity
 
     def _check_step(self) -> None:
-        """Refuse a strip whose step, where it tells one, is not that of the cell file."""
+        """Refuse a strip whose step, where it has one, is not that of the cell file."""
         expected_nm = cia.step_nm(self._counts_per_mm)
         for found_nm, where in (
             (self._step(), "6005h"),
@@ -229,7 +229,7 @@ class StripNode(Node):
     def values(self, values: Mapping[int, tuple[int, ...]]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC, of which ``values`` came by identifier.
 
-        Where 6503h is absent or says none, emergencies are the alarms.
+        Where 6503h is absent or has none, emergencies are the alarms.
         """
         counts, *alarms = values[self.pdo.cob_id]
         if not self._has_alarms and self.sensor_fails:
@@ -244,7 +244,7 @@ class CanopenStrip:
     that was reset or that falls silent is lost like any other strip.
     """
 
-    SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
+    SYNCS = 2  # while they bring nothing, a slide that may move is not supervised
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -273,7 +273,6 @@ class CanopenStrip:
         return node.values(inbox.refresh(look)[0])
 
     def alarm_text(self, alarms: int) -> str:
-        """Return the bits of 6503h in words."""
         return cia.alarm_text(alarms)
 
     def statistics(self) -> LinkStatistics:
@@ -344,7 +343,7 @@ class StripReader:
                 self._lost = error
 
     def statistics(self) -> LinkStatistics:
-        """Return the wire's counts since `connect`, of wires that were lost as well."""
+        """Return the counts since `connect`, including wires that were lost."""
         return summed(self._before, self._strip.statistics())
 
     def alarm_text(self, alarms: int) -> str:

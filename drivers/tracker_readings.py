@@ -21,7 +21,7 @@ from hilcell.ports import (
 )
 
 OUTLIER_FACTOR = (
-    6.0  # a repeat this many times the scatter of the others from them is none of theirs
+    6.0  # times the scatter of the others from their mean: a repeat beyond is an outlier
 )
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
 Positive = Annotated[float, Meta(gt=0)]
@@ -54,7 +54,7 @@ def checked_request(near_mm: Array, samples: int = 1, operation: str = "measure"
 
 
 def check_reflector(reflector: str, known: list[str], found: str) -> None:
-    """Refuse a reflector whose constant the tracker has not; ``found`` says which it has."""
+    """Refuse a reflector without a constant in the tracker; ``found`` names those it has."""
     if reflector not in known:
         operation, expected = "choose reflector", repr(reflector)
         raise TRACKER.refused(
@@ -106,7 +106,7 @@ def off_target(off_mm: float, radius_mm: float, operation: str = "measure") -> N
 
 
 def scatter_error(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
-    """Return the error of a result that scatters; ``figures`` are the values behind ``found``."""
+    """Return the error of a result that scatters; ``figures`` are its values."""
     expected, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
     return TRACKER.no_reading("HC-T15", "measure", found, expected=expected, act=act, **figures)
 

@@ -1,4 +1,4 @@
-"""One CAN bus with everything that must go on by itself: receiving, and the PC's heartbeat.
+"""One CAN bus with its background threads: receiving, and the PC's heartbeat.
 
 python-can's Notifier dies silently with the first error of its bus. Here the first error is kept,
 the heartbeat ends with it (so that the drive stops itself), and every use of the link raises it. A
@@ -22,16 +22,16 @@ from drivers.device_errors import RAIL
 from drivers.wires import system_message
 from hilcell.ports import Clock, DeviceError, LinkStatistics
 
-# A PC that was busy finds its own deadline passed and the answer, which came in time, still
-# unread. So the time of a link goes on only when all that has arrived was handed out, and a pause
-# of the PC counts as `PAUSE_S` at most.
-
-PAUSE_S = 0.1
-
 
 class LinkTime:
-    """Written by the receiving thread alone; read by any."""
+    """The time of a link; written by the receiving thread alone, read by any.
 
+    A PC that was busy finds its own deadline passed and the answer, which came in time, still
+    unread. So this time advances only when all that has arrived was handed out, and a pause of the
+    PC counts as `PAUSE_S` at most.
+    """
+
+    PAUSE_S = 0.1
     BEHIND_S = 1.0  # a bus that is never empty must not stop the time
 
     def __init__(self, clock: Clock) -> None:
@@ -50,7 +50,7 @@ class LinkTime:
             self._count(now_s)
 
     def _count(self, now_s: float) -> None:
-        self.listened_s += min(now_s - self.counted_s, PAUSE_S)
+        self.listened_s += min(now_s - self.counted_s, self.PAUSE_S)
         self.counted_s = now_s
 
 
@@ -77,7 +77,7 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
 
 
 class LinkLost(DeviceError):
-    """The gateway or the bus under the link is gone; trying again on this link is of no use."""
+    """The gateway or the bus under the link is gone; this link cannot be used again."""
 
 
 class _Network(canopen.Network):
@@ -141,8 +141,8 @@ class CanLink:
     def start_heartbeat(self, node: int, attended: Callable[[], bool], period_s: float) -> None:
         """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes.
 
-        It pauses while not ``attended``. The first beat has gone out on return: a node that lost
-        the last one starts only after it.
+        It pauses while not ``attended``. The first heartbeat has been sent on return: a node that
+        lost the last one starts only after it.
         """
         self._send_beat(0x700 + node)
         beat = threading.Thread(
@@ -173,7 +173,7 @@ class CanLink:
         return max(recent_s, 0.0 if beat_s is None else now_s - beat_s)
 
     def close(self) -> None:
-        """End both threads and close the bus; an error of the bus that closes is only kept."""
+        """End both threads and close the bus; an error of the bus is stored, not raised."""
         self._end.set()
         self._silent.set()
         for thread in self._threads:
@@ -191,7 +191,7 @@ class CanLink:
         except (can.CanError, OSError, ValueError) as error:
             self._fail(error)
         finally:
-            self._fail(ConnectionError("closed"))  # nobody hears the bus from here on
+            self._fail(ConnectionError("closed"))  # nothing receives from here on
 
     def _next(self) -> can.Message | None:
         now_s, pc_s = time.monotonic(), self.clock.pc_s()
@@ -218,7 +218,7 @@ class CanLink:
                 if attended():
                     self._send_beat(cob_id)
             except DeviceError:
-                return  # kept by `_fail`; the drive now stops itself
+                return  # stored by `_fail`; the drive now stops itself
 
     def _send_beat(self, cob_id: int) -> None:
         self.send(cob_id, bytes((NodeState.OPERATIONAL,)))

@@ -1,8 +1,8 @@
 """Objects, states, words and error codes of CiA 301, 402 and 406. Nothing here does I/O.
 
 The trap: bit 10 "target reached" and bit 12 keep their value from the motion before, so a motion
-has ended only when the set-point was acknowledged in between and the slide stands. Nor does "the
-velocity is zero" say that: a servo that holds a position dithers (`drivers.slide`).
+has ended only when the set-point was acknowledged in between and the slide is at rest. A velocity
+of zero does not show that either: a servo that holds a position dithers (`drivers.slide`).
 
 A strip's measuring step is an array on some makes and a plain value on others, in nanometres
 (multiples of 0.001 um). Error codes are those of EMCY messages (CiA 301, table 26) and of drives
@@ -33,7 +33,7 @@ class NodeState(IntEnum):
 
 
 def state_text(state: int | None) -> str:
-    """Return a state as a heartbeat carries it with its name; None is a node not heard."""
+    """Return a state as a heartbeat carries it with its name; None: no heartbeat yet."""
     if state is None:
         return "not heard"
     known = {each.value: each.name.lower().replace("_", "-") for each in NodeState}
@@ -144,14 +144,14 @@ POWERED = BRAKING | {State.ENABLED}
 
 
 def state_of(statusword: int) -> State:
-    """Return the state that a status word tells (CiA 402-2, table 32)."""
-    seen = {
+    """Return the state of a status word (CiA 402-2, table 32)."""
+    state = {
         0x21: State.READY,
         0x23: State.SWITCHED_ON,
         0x27: State.ENABLED,
         0x07: State.QUICK_STOP_ACTIVE,
     }.get(statusword & 0x6F)
-    return seen or {
+    return state or {
         0x00: State.NOT_READY,
         0x40: State.SWITCH_ON_DISABLED,
         0x0F: State.FAULT_REACTION,
@@ -160,7 +160,7 @@ def state_of(statusword: int) -> State:
 
 
 def next_control(state: State) -> int | None:
-    """Return the control word that leads on towards operation enabled; none from a fault."""
+    """Return the control word of the next transition to operation enabled; none from a fault."""
     return {  # with the transition's number
         State.SWITCH_ON_DISABLED: Control.SHUTDOWN,  # 2
         State.READY: Control.SWITCH_ON,  # 3
@@ -180,7 +180,7 @@ POSITION_ERROR = 1 << 0  # of 6503h
 
 
 def alarm_text(alarms: int) -> str:
-    """Return the alarm bits of 6503h in words."""
+    """Return the text of the alarm bits of 6503h."""
     texts = [f"alarm bit {bit} (see the sensor's manual)" for bit in range(16)]
     texts[0] = "position error: missing magnet, or the head too far from the strip"
     return "; ".join(text for bit, text in enumerate(texts) if alarms >> bit & 1)
@@ -267,7 +267,7 @@ def error_alarm(code: int) -> str:
 
 
 def is_error(code: int) -> bool:
-    """Whether a code reports an error; 00xxh says that errors are gone."""
+    """Whether a code reports an error; 00xxh reports that errors are reset."""
     return code & 0xFF00 != 0
 
 

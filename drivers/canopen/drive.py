@@ -57,8 +57,8 @@ class Drive:
             alarm_text=alarm_text,
         )
         self._guards: MotionGuard  # of the motion that was prepared last
-        self._old_error = False  # of the homing before: it goes when the drive obeys
-        self._left_limit: int | None = None  # where the slide stood on a switch
+        self._old_error = False  # of the homing before: it is reset when the drive obeys
+        self._left_limit: int | None = None  # position on a limit switch
         self._mode, self._unanswered = NO_MODE, 0  # by SDO, and questions in a row without answer
 
     def _poll(self, operation: str) -> Snapshot:
@@ -93,17 +93,17 @@ class Drive:
         return self._mode
 
     def _fault(self, operation: str, found: str, state: State) -> DeviceError:
-        """Return what a drive in fault says; one that names no error is in fault all the same."""
+        """Return the error of a drive in fault, also of one that names no error."""
         try:
             code = self._sdo.read(Object.ERROR_CODE, tries=1)
         except DeviceError as silent:
-            code, said = 0, f"its error (603Fh) is unknown: {silent.found}"
+            code, text = 0, f"its error (603Fh) is unknown: {silent.found}"
         else:
-            said = f"error {cia.error_text(code)}"
+            text = f"error {cia.error_text(code)}"
         return RAIL.failed(
             cia.error_alarm(code),
             operation,
-            f"{found}, {said}",
+            f"{found}, {text}",
             act="put the cause right, then resume",
             state=state.value,
             error_code=code,
@@ -185,14 +185,14 @@ class Drive:
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll.
 
-        The bit that says "attained" may still be set from an earlier homing. Then it must be seen
-        to go, or the position to change.
+        Bit 12 "homing attained" may still be set from an earlier homing. Then it must be reset, or
+        the position must change.
         """
         stale = before.has(Bit.ACKNOWLEDGED) and now.has(Bit.ACKNOWLEDGED)
         return not stale or abs(now.position - before.position) > self._limits.window
 
     def _arrived(self, now: Snapshot, target: int) -> bool:
-        """Whether the slide is there; the drive's bit alone may be the last motion's, or a lie."""
+        """Whether the slide is at the target; bit 10 may be of the last motion, or wrong."""
         reached = now.has(Bit.TARGET_REACHED) and not now.has(Bit.ACKNOWLEDGED)
         return reached and abs(now.position - target) <= self._limits.window
 
@@ -232,9 +232,9 @@ class Drive:
         moving: bool = False,
         at_rest: bool = False,
     ) -> Snapshot:
-        """Poll by SYNC until ``done``; raises when neither that nor progress comes in time.
+        """Poll by SYNC until ``done``; raises where neither that nor progress comes in time.
 
-        Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
+        ``planned_s``, in cell time, bounds a motion that makes progress.
         """
         stall_s = self.STALL_S + self._limits.windows.dwell_s * at_rest
         limits = MotionLimits(planned_s, stall_s, self._limits.window)
@@ -266,7 +266,7 @@ class Drive:
                     limit_s=limits.limit_s,
                 )
             if moving and not done(now):
-                self._clock.wait(self.POLL_S)  # also at its start, while it seems to stand
+                self._clock.wait(self.POLL_S)  # also at its start, while it seems still
             else:
                 self.slide.pause()
 
@@ -314,10 +314,10 @@ class Drive:
         self._guards.check(operation, now)
 
     def _check_limit(self, operation: str, before: Snapshot, target: int) -> None:
-        """Refuse a motion that leads towards the switch on which the slide stands.
+        """Refuse a motion towards the limit switch on which the slide is.
 
-        Homing to a switch ends on it. Status bit 11 does not say which switch is active: 60FDh
-        does, and without it the end of the travel at which the slide stands.
+        Homing to a switch ends on it. Status bit 11 does not tell the switches apart: 60FDh
+        does, and without it the end of the travel at which the slide is.
         """
         if not before.has(Bit.INTERNAL_LIMIT):
             return
@@ -329,7 +329,7 @@ class Drive:
         self._left_limit = before.position
 
     def _side(self, now: Snapshot) -> int:
-        """Return on which limit switch the slide stands: -1, 1, or 0 where nothing says it."""
+        """Return the limit switch on which the slide is: -1, 1, or 0 where that is unknown."""
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS) or 0
         side = {1: -1, 2: 1}.get(inputs & cia.LIMIT_SWITCHES, 0)
         near, limits = self.AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
@@ -340,7 +340,7 @@ class Drive:
     def _at_switch(self, now: Snapshot) -> bool:
         """Whether the slide is at a limit switch other than the one that it leaves.
 
-        Status bit 11 is also that of a limit of current or speed: 60FDh tells it from a switch.
+        Status bit 11 may also be a limit of current or speed: 60FDh shows whether it is a switch.
         """
         if not now.has(Bit.INTERNAL_LIMIT):
             return False
@@ -354,7 +354,7 @@ class Drive:
         return inputs is None or inputs & cia.LIMIT_SWITCHES != 0
 
     def _at(self, now: Snapshot) -> Device:
-        """Return the rail, whose errors keep the values of a poll."""
+        """Return the rail with the values of a poll, for its errors."""
         scale = self._limits.counts_per_mm
         return RAIL.at(
             position_mm=now.position / scale,
@@ -365,7 +365,6 @@ class Drive:
         )
 
     def _state_text(self, now: Snapshot) -> str:
-        """Return the values of a poll, in words."""
         return (
             f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}"
@@ -373,7 +372,7 @@ class Drive:
 
 
 def _cause(now: Snapshot, *, moving: bool) -> tuple[str, str]:
-    """Return why a drive does not go on, as its status word tells it, and what to do."""
+    """Return why a drive does not move on, by its status word, and what to do."""
     if moving:
         return "", "check the slide for an obstacle and the drive, then resume"
     if not now.has(Bit.VOLTAGE_ENABLED):

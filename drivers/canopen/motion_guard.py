@@ -1,14 +1,13 @@
 """The bounds of one slide, and the guards of one motion: its speed and its scale.
 
-The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's
-own). A drive in rpm or in 0.1 counts/s obeys a speed that nobody meant and reports it back as
-right. The positions (6064h) and the time are free of that unit.
+The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's own). A
+drive in rpm or in 0.1 counts/s moves at another speed than ordered and reports it back as right.
+The positions (6064h) and the time do not depend on that unit.
 
-When a position was taken, nobody knows. By the cell's clock it was before the end of its look, and
-after the look before, or after that one's where a frame came twice. So every duration is an
-interval, and so is every speed: a PC that looks late widens it and proves nothing. One step that
-stands out from the others counts as the next one: homing sets a new reference, and a reference may
-be lost.
+The time of a position is unknown. By the cell's clock it was before the end of its poll, and after
+the poll before, or after the one before that where a frame came twice. So every duration is an
+interval, and so is every speed: a PC that polls late widens it. The largest step counts as the next
+largest: homing sets a new reference, and a reference may be lost.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class Limits:
     windows: Windows  # at rest
 
     def mm(self, counts: float) -> str:
-        """Return a position, or a speed a second, in words."""
+        """Return the text of a position, or of a speed per second."""
         return f"{counts / self.counts_per_mm:.3f} mm"
 
     def travel_s(self, distance: float) -> float:
@@ -63,15 +62,15 @@ OVERSPEED = 1.2
 class SpeedBounds:
     """Bounds by the last polls; each value (n - 2,), of the window from poll i to the newest."""
 
-    gone: Array  # to where the slide is now, less a step that stands out
+    gone: Array  # displacement up to now, without the excess of the largest step
     path: Array  # all steps
     at_least_s: Array
     at_most_s: Array
-    between_s: Array  # the longest time between two looks
+    between_s: Array  # the longest time between two polls
     slowest: Array  # by the drive; 0 where it has changed its direction
     fastest: Array
-    seen_s: Array  # from look to look
-    said: Array  # the way by the drive's speeds
+    seen_s: Array  # from poll to poll
+    said: Array  # the distance by the drive's speeds
 
     @staticmethod
     def _sums(values: Array) -> Array:
@@ -97,9 +96,9 @@ class SpeedBounds:
 
     @classmethod
     def of(cls, since_s: Array, until_s: Array, position: Array, speed: Array) -> SpeedBounds:
-        """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
+        """Return the bounds by polls, arrays (n,): each taken between ``since_s`` and ``until_s``.
 
-        ``speed`` is signed, as the drive says it; units are the caller's.
+        ``speed`` is signed, by the drive; units are the caller's.
         """
         steps, size = np.diff(position), np.abs(speed)
         forward = speed * np.sign(speed[-1])
@@ -120,7 +119,7 @@ class SpeedBounds:
 
 @dataclass(frozen=True, slots=True)
 class Speeds:
-    """Mean speeds over a window: by positions and time, and by 606Ch; and the way in it."""
+    """Mean speeds over a window, by positions and time and by 606Ch, and its distance."""
 
     by_positions: float
     by_drive: float
@@ -128,20 +127,18 @@ class Speeds:
 
     @property
     def factor(self) -> float:
-        """Return how many times faster the slide is than its drive says."""
+        """The ratio of the speed by positions to that by the drive."""
         return self.by_positions / self.by_drive if self.by_drive else np.inf
 
 
 class SpeedGuard:
-    """The looks at one motion."""
+    """Compares the drive's speed with positions and time, over the polls of one motion."""
 
     POLLS = 50  # one second of polls
-    CONTRADICTION = 1.5  # filters, and speeds that change between two looks
+    CONTRADICTION = 1.5  # filters, and speeds that change between two polls
     FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
-    FAST_MM, SLOW_MM = (
-        0.5,
-        2.0,
-    )  # way from which on a slide counts as faster, or slower, than it says
+    # Distances from which on a slide counts as faster, or slower, than its drive reports.
+    FAST_MM, SLOW_MM = 0.5, 2.0
 
     def __init__(
         self, now_s: float, speed: float, acceleration: float, units_per_mm: float
@@ -150,21 +147,21 @@ class SpeedGuard:
         self._before_s = self._now_s = now_s
         self._speed, self._acceleration = speed, acceleration
         self._units_per_mm = units_per_mm
-        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=self.POLLS)
-        self._found: SpeedBounds | None = None
+        self._polls: deque[tuple[float, float, float, float]] = deque(maxlen=self.POLLS)
+        self._bounds: SpeedBounds | None = None
 
     def add(self, position: float, speed: float, now_s: float) -> None:
-        """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
+        """Add a poll that has ended at ``now_s``; one at the same time is ignored."""
         if not now_s > self._now_s:
             return
-        self._looks.append((self._before_s, now_s, position, speed))
+        self._polls.append((self._before_s, now_s, position, speed))
         self._before_s, self._now_s = self._now_s, now_s
-        if len(self._looks) > 2:
-            self._found = SpeedBounds.of(*np.array(self._looks, dtype=float).T)
+        if len(self._polls) > 2:
+            self._bounds = SpeedBounds.of(*np.array(self._polls, dtype=float).T)
 
     def contradiction(self) -> Speeds | None:
-        """Return the speeds of a window in which 606Ch says another one than the positions."""
-        if (found := self._found) is None:
+        """Return the speeds of a window in which 606Ch contradicts the positions; else None."""
+        if (found := self._bounds) is None:
             return None
         most = found.fastest + self._acceleration * (found.between_s / 2 + self.FASTER_LAG_S)
         least = np.maximum(0.0, found.slowest - self._acceleration * self.SLOWER_LAG_S)
@@ -174,8 +171,8 @@ class SpeedGuard:
         return self._speeds(found, ~agree)
 
     def overspeed(self) -> Speeds | None:
-        """Return the speeds of a window in which the positions prove too high a speed."""
-        if (found := self._found) is None:
+        """Return the speeds of a window in which the positions prove overspeed; else None."""
+        if (found := self._bounds) is None:
             return None
         allowed = np.full_like(found.gone, OVERSPEED * self._speed)
         longest = self._distance(self.FAST_MM, allowed, found.at_most_s)
@@ -185,7 +182,7 @@ class SpeedGuard:
         return margin_mm * self._units_per_mm + speed * duration_s
 
     def _speeds(self, found: SpeedBounds, where: NDArray[np.bool_]) -> Speeds | None:
-        """Return the mean speeds of the longest window of those ``where`` something is proven."""
+        """Return the mean speeds of the longest window ``where`` a bound is broken; else None."""
         if not where.any():
             return None
         longest = int(np.argmax(where))
@@ -195,7 +192,7 @@ class SpeedGuard:
 
 
 class MotionGuard:
-    """Positions, times and the strip beside the drive's own word."""
+    """Checks one motion by positions, times and strip, independently of the drive's speed."""
 
     FROZEN = 0.01  # no unit of speed differs so far from another
 
@@ -209,7 +206,7 @@ class MotionGuard:
         self._take_scale(before)
 
     def add(self, now: Snapshot, now_s: float) -> None:
-        """Take a poll that has ended at ``now_s`` of the cell."""
+        """Add a poll that has ended at ``now_s`` of the cell."""
         self._speed.add(now.position, now.velocity, now_s)
         self._take_scale(now)
 

@@ -36,9 +36,9 @@ GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 
 
 def has_sensor_error(register: int) -> bool:
-    """Whether an error register leaves a sensor in doubt: by anything but its communication.
+    """Whether an error register (1001h) has errors other than of communication.
 
-    The generic bit comes with each error; which of the others does is the maker's choice.
+    The generic bit comes with each error; the other bits depend on the maker.
     """
     return register not in (0, COMMUNICATION, GENERIC | COMMUNICATION)
 
@@ -46,25 +46,25 @@ def has_sensor_error(register: int) -> bool:
 class NodeMonitor:
     """Listens to one node; ``check`` raises the first thing that went wrong.
 
-    Emergencies of the family ``in_pdo`` repeat what a PDO says with each of its values, or what
-    `sensor_fails` says where no PDO has it: neither is a failure here.
+    Emergencies of the family ``in_pdo`` repeat a PDO, or set `sensor_fails` where no PDO has the
+    alarms: neither is a failure here.
     """
 
     HEARTBEAT_AGE_S = 1.0  # of link time
 
     def __init__(self, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
-        self.sensor_fails = False  # from an emergency of that family on, until it is gone
+        self.sensor_fails = False  # from an emergency of that family on, until its reset
         self.number, self._in_pdo = node, in_pdo
         self._link = link
-        self._heard_s = 0.0
+        self._received_s = 0.0
         self._set_up = self._armed = False
         self._code = self._failure = self._act = ""
         link.subscribe(0x700 + node, self._on_heartbeat)
         link.subscribe(0x080 + node, self._on_emergency)
 
     def arm(self) -> None:
-        """Take emergencies and silence from now on as failures, too."""
+        """Treat emergencies and silence from now on as failures, too."""
         self._armed = True
 
     def check(self, operation: str) -> None:
@@ -75,7 +75,7 @@ class NodeMonitor:
             raise RAIL.failed(self._code, operation, self._failure, act=self._act, node=self.number)
 
     def _poll(self) -> None:
-        age_s = self._link.time.listened_s - self._heard_s
+        age_s = self._link.time.listened_s - self._received_s
         if not age_s <= self.HEARTBEAT_AGE_S:
             self._fail("HC-R02", f"node {self.number}: no heartbeat for {age_s:.1f} s")
         elif self.state != NodeState.OPERATIONAL:
@@ -84,7 +84,7 @@ class NodeMonitor:
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
-        self._heard_s = self._link.time.listened_s
+        self._received_s = self._link.time.listened_s
         if self._set_up and self.state == NodeState.BOOT_UP:
             self._fail("HC-R03", f"node {self.number}: unexpected boot-up: the node was reset")
 
@@ -92,7 +92,7 @@ class NodeMonitor:
         code, register, _vendor = struct.unpack("<HB5s", data)
         if code >> 8 == self._in_pdo:
             self.sensor_fails = True
-        elif not cia.is_error(code):  # one is gone; the register has those that are left
+        elif not cia.is_error(code):  # one is reset; the register has those that remain
             self.sensor_fails = has_sensor_error(register)
         if self._armed and cia.is_error(code) and code >> 8 != self._in_pdo:
             found = f"EMCY {cia.error_text(code)}, error register 0x{register:02X}"
@@ -185,7 +185,7 @@ class Node(NodeMonitor):
             self._check()
 
     def begin_set_up(self) -> None:
-        """Take a boot-up from now on as a failure: the settings would be lost."""
+        """Treat a boot-up from now on as a failure: the settings would be lost."""
         self._set_up = True
         self.command(NodeCommand.ENTER_PRE_OPERATIONAL)
 
@@ -290,8 +290,8 @@ def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:
     """Let a drive stop on a ramp that is as steep as that of its motions; raises `Unsupported`.
 
     Steeper ones of its quick stop (6085h) stay. A drive without that object stops on the ramp of
-    its motions, where it can be asked to. One that will not brake in a fault is seen when it does
-    not come to rest.
+    its motions, where it can be asked to. One that does not brake in a fault is detected when it
+    does not come to rest.
     """
     held, ramp = sdo.read_if_present(Object.QUICK_STOP_DECELERATION), Option.QUICK_STOP_RAMP
     if held is None and sdo.offer(Object.QUICK_STOP_OPTION, 0, Option.SLOW_DOWN_RAMP) is None:
@@ -320,7 +320,7 @@ def start_nodes(link: CanLink, nodes: Sequence[Node], check: Callable[[], None])
     next_s = link.time.listened_s
     deadline_s = next_s + OPERATIONAL_S
     for node in nodes:
-        node.state = None  # the next heartbeat says it
+        node.state = None  # until the next heartbeat
     while waiting := [node for node in nodes if node.state != NodeState.OPERATIONAL]:
         link.check()
         now_s = link.time.listened_s

@@ -1,9 +1,9 @@
 """The rail's process image: readings of drive and strip at one SYNC, and the drive's commands.
 
-A PDO is mapped by SDO and read back (CiA 301, 7.5.2). One that is received does not say when it was
-sampled. So all are synchronous, and a reading counts only when every one of them came after the
-SYNC that asked for it. On a slow gateway the answer to an earlier SYNC may still be under way: it
-is waited for, and does not count.
+A PDO is mapped by SDO and read back (CiA 301, 7.5.2). A received PDO has no time of
+sampling. So all are synchronous, and a reading counts only when every one of them came after the
+SYNC that asked for it. On a slow gateway the answer to an earlier SYNC may still be in transit: it
+is awaited, and does not count.
 
 The trap: a stop from another thread must not be undone by a control word that the worker was just
 about to send. Both pass one lock; after a quick stop no word that enables the drive goes out.
@@ -43,7 +43,7 @@ class Transmission(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pdo:
-    """One PDO; its mapping (16xxh or 1Axxh) stands 200h above its ``parameters``."""
+    """One PDO; its mapping (16xxh or 1Axxh) is 200h above its ``parameters``."""
 
     DISABLED, NO_RTR = 1 << 31, 1 << 30
 
@@ -62,10 +62,10 @@ class Pdo:
         return replace(self, objects=self.objects[:-1], layout=self.layout[:-1])
 
     def configure(self, sdo: SdoChannel) -> None:
-        """Write it in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
+        """Write it in the order of the standard (7.5.2.36): off, emptied, filled, on.
 
         A part that the device refuses to change is right where it reads so already. Bit 30 (no
-        remote frames) stays as found: devices that know none refuse to have it cleared. Raises
+        remote frames) is left unchanged: devices without remote frames refuse to clear it. Raises
         `Unsupported`.
         """
         what, parameters = f"{self._what} with identifier {self.cob_id:03X}h", self.parameters
@@ -130,12 +130,12 @@ class Inbox:
         self._sent = 0  # SYNCs
         self._answered = dict.fromkeys(self._pdos, 0)  # so many of them, by each PDO
         self._arrived_s = dict.fromkeys(self._pdos, 0.0)
-        self._heard_s = 0.0  # of link time
+        self._received_s = 0.0  # of link time
         for cob_id in self._pdos:
             link.subscribe(cob_id, self._on_pdo)
 
     def expect(self, pdo: Pdo) -> None:
-        """Take a PDO of this inbox as it is mapped in this device."""
+        """Replace a PDO of this inbox by the one that is mapped in this device."""
         self._pdos[pdo.cob_id] = pdo
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
@@ -186,7 +186,7 @@ class Inbox:
             with self._changed:
                 if all(count > sent for count in self._answered.values()):
                     return True
-                if now_s > max(began_s, self._heard_s) + REPLY_S:  # frames until then count
+                if now_s > max(began_s, self._received_s) + REPLY_S:  # frames until then count
                     answered = all(self._answered[cob_id] > before[cob_id] for cob_id in before)
                     if answered:
                         self._answered = dict.fromkeys(self._answered, self._sent)
@@ -198,7 +198,7 @@ class Inbox:
         with self._changed:
             self._values[cob_id] = values
             self._answered[cob_id] = min(self._sent, self._answered[cob_id] + 1)
-            self._heard_s = self._link.time.listened_s
+            self._received_s = self._link.time.listened_s
             self._arrived_s[cob_id] = self._link.time.emptied_s
             self._changed.notify_all()
 
@@ -224,7 +224,7 @@ class Snapshot(Poll):
         taken_s: float,
         mode: int = NO_MODE,
     ) -> Snapshot:
-        """Return what was read; the status word says whether the drive has power."""
+        """Return a snapshot; the status word shows whether the drive has power."""
         powered = cia.state_of(statusword) in cia.POWERED
         return cls(position, velocity, strip, alarms, powered, taken_s, statusword, mode)
 
@@ -324,7 +324,7 @@ class ProcessImage:
                 self._send(Control.QUICK_STOP)
             finally:
                 self._lock.release()
-        else:  # another frame hangs in the gateway; this one goes out all the same
+        else:  # another frame hangs in the gateway; this one is sent all the same
             self._send(Control.QUICK_STOP)
 
     @property

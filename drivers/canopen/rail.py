@@ -105,7 +105,7 @@ class CanopenRail:
         self._statistics = LinkStatistics()
         self._image: ProcessImage | None = None
         self._drive: Drive | None = None
-        self._ended_s: float | None = None  # when the last motion was seen to have ended
+        self._ended_s: float | None = None  # when the end of the last motion was detected
         self._held_by_sdo = 0
         self._nodes: tuple[Node, ...] = ()
         self._feed: StripReader | None = None  # of a strip that is not on the bus
@@ -276,7 +276,7 @@ class CanopenRail:
         release = Release(link, image, sdo, self._limits.windows, node=node, rest=rest)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)
-        # From here on nobody produces the heartbeat; without this the drive would go to fault.
+        # From here on there is no heartbeat; without this the drive would go to fault.
         if not image.stopped:
             sdo.write(Object.CONSUMER_HEARTBEAT, 1, 0)
 
@@ -294,20 +294,20 @@ class CanopenRail:
 class Release:
     """The end of a session: the drive without power, the slide at rest, and both confirmed.
 
-    It looks without the run's clock, which no longer waits after a stop. No PDO is confirmed, so a
-    drive that goes on after a quick stop is asked again at each look, then by SDO and by the end of
-    the PC's heartbeat, then to take its power away. One without power may still roll: it counts as
-    held only when its positions stand for a dwell, or where they stood before.
+    It polls without the run's clock, which no longer waits after a stop. No PDO is confirmed, so a
+    drive that continues after a quick stop is stopped again at each poll, then by SDO and by the
+    end of the PC's heartbeat, then by taking its power away. One without power may still roll: it
+    counts as held only when its positions are at rest for a dwell, or where they were before.
 
     A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301,
     1029h). It then sends and obeys no PDO, but it answers SDO: the same values are read and the
-    same control words are written that way.
+    same control words are written by SDO.
     """
 
     RELEASE_S = 5.0  # wire deadline, beside two dwells
     SILENT_S = 1.0  # more than a poll takes that nothing answers
     POLL_S = 0.02
-    OBEY_POLLS = 5  # looks within which a drive shows that it obeys
+    OBEY_POLLS = 5  # polls within which a drive shows that it obeys
     NO_STRIP = -1  # alarms: SDO asks the drive alone
 
     def __init__(
@@ -320,16 +320,16 @@ class Release:
         node: Node,
         rest: Rest | None,
     ) -> None:
-        """``node`` is the drive; ``rest`` is where its slide is known to stand."""
+        """``node`` is the drive; ``rest`` is where its slide is known to be at rest."""
         self._link, self._image, self._sdo = link, image, sdo
         self._windows, self._node, self._rest = windows, node, rest
         self._standstill = Standstill(windows)
-        self._ignored = 0  # looks at a drive that goes on, though it was asked to stop
+        self._ignored = 0  # polls of a drive that continues, though it was asked to stop
         self.by_sdo = node.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
-        self._began_s, self._polls = time.monotonic(), 0  # of asking this way
+        self._began_s, self._polls = time.monotonic(), 0  # of asking by this means
 
     def leave_held(self) -> None:
-        """Return when the drive has no power and the slide stands; raises `DeviceError`."""
+        """Return when the drive has no power and the slide is at rest; raises `DeviceError`."""
         limit_s = self.RELEASE_S + 2 * self._windows.dwell_s
         deadline, had_power = Deadline(limit_s, self.SILENT_S), True
         while True:
@@ -356,7 +356,7 @@ class Release:
             time.sleep(self.POLL_S)
 
     def _stands_as_before(self, now: Snapshot) -> bool:
-        """Whether a slide that was known to stand has not moved since."""
+        """Whether a slide that was known to be at rest has not moved since."""
         windows, rest = self._windows, self._rest
         return (
             rest is not None
@@ -366,8 +366,8 @@ class Release:
 
     def _take_power(self, now: Snapshot) -> None:
         windows, passed_s = self._windows, time.monotonic() - self._began_s
-        # A busy PC looks seldom: until it has looked as often as rest needs, time tells nothing.
-        # These looks fit into the deadline, however slow: a slide that creeps is always braked.
+        # A busy PC polls seldom: until it has polled as often as rest needs, time shows nothing.
+        # These polls fit into the deadline, however slow: a slide that creeps is always braked.
         restless = passed_s > 2 * windows.dwell_s and self._polls >= READINGS
         if self._standstill.rest is not None:
             self._control(Control.DISABLE_VOLTAGE)
@@ -386,7 +386,7 @@ class Release:
                 self._sdo.command(Object.CONTROLWORD, 0, controlword)
             except DeviceError:
                 self._link.check()
-                return  # the next poll shows that the drive has kept its power
+                return  # the next poll shows that the drive still has power
         elif controlword == Control.QUICK_STOP:
             self._image.quick_stop()
         else:
@@ -400,7 +400,7 @@ class Release:
         self._sdo.post(Object.CONTROLWORD, 0, Control.QUICK_STOP)
 
     def _answer(self, deadline: Deadline) -> Snapshot:
-        """Return the next poll that is answered; one that is not proves nothing before the end."""
+        """Return the next poll that is answered; only the last one without an answer raises."""
         silent: DeviceError | None = None
         while True:
             over = deadline.expired()
@@ -427,7 +427,7 @@ class Release:
                 return now
 
     def _ask(self, *, by_sdo: bool) -> None:
-        """Change the way of asking: earlier looks prove nothing now."""
+        """Ask by SDO or by PDO: earlier polls no longer count."""
         self.by_sdo = by_sdo
         self._standstill.forget()
         self._began_s, self._polls = time.monotonic(), 0

@@ -105,7 +105,7 @@ class SdoChannel:
 
     TRIES = 3
     LATE_S = 0.5  # a late reply has come by then
-    DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
+    DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled in transit
 
     def __init__(
         self, number: int, node: RemoteNode, link: CanLink, check: Callable[[], None]
@@ -192,7 +192,7 @@ class SdoChannel:
     def command(self, index: int, sub: int, value: int) -> str:
         """Write what the device obeys at once; its state shows whether it did.
 
-        Return the operation in words; raises `Aborted` or `DeviceError`.
+        Return the operation's text; raises `Aborted` or `DeviceError`.
         """
         operation = f"write {_name(index, sub)}"
         data = self._object(index, sub).encode_raw(value)

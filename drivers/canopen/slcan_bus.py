@@ -3,7 +3,7 @@
 python-can's own class loses its receiver to one byte >= 0x80 or one malformed line, takes a
 truncated frame for a short one, and calls a write that was late, but complete, an error. A stop
 must get out while another thread waits for the port. So no thread holds a lock while it waits:
-lines stand in one queue, and the thread that finds the port ready sends.
+lines wait in one queue, and the thread that finds the port ready sends.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class SlcanBus(can.BusABC):
     def _open_channel(self, bitrate: int) -> None:
         """Close the channel, set its bit rate and open it, one command behind the other's answer.
 
-        An answer does not say to which command; a channel that is closed may refuse to be closed.
+        An answer does not name its command; a closed channel may refuse to be closed.
         """
         self._put(b"\rC\r")
         if self._taken_command() is not None:
@@ -190,7 +190,7 @@ class SlcanBus(can.BusABC):
             mine = self._taken + len(self._unsent)
             self._push()
         while self._taken < mine:
-            # The kernel looks at the port again when the time is over, however late this thread is.
+            # The kernel checks the port again after the time, however late this thread is.
             try:
                 _, ready, _ = select.select([], [self._port], [], limit_s)
             except (OSError, ValueError) as error:
@@ -212,7 +212,7 @@ class SlcanBus(can.BusABC):
         self._taken += taken
 
     def shutdown(self) -> None:
-        """Close the channel and the port, also when the far side is gone."""
+        """Close the channel and the port, also when the far side has closed."""
         if self._is_shutdown:
             return
         super().shutdown()

@@ -33,7 +33,7 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
         (canopen_rail.Release, "RELEASE_S", 0.5),
         (sdo, "REPLY_S", 0.1),
         (sdo.SdoChannel, "LATE_S", 0.15),
-        (can_link, "PAUSE_S", 0.0),
+        (can_link.LinkTime, "PAUSE_S", 0.0),
         (supervision, "time", time),
         (canopen_rail, "time", time),
         (slcan_bus, "select", time),

@@ -28,7 +28,7 @@ class RailTime(WireTime):
 
     def silence(self, a_look_s: float = A_LOOK_S) -> None:
         super().silence(a_look_s)
-        can_link.PAUSE_S = a_look_s
+        can_link.LinkTime.PAUSE_S = a_look_s
 
     def select(
         self, read: list[int], write: list[int], failed: list[int], limit_s: float

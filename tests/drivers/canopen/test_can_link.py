@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.canopen import can_link
-from drivers.canopen.can_link import PAUSE_S, CanLink, LinkTime, heartbeat_period_s, open_bus
+from drivers.canopen.can_link import CanLink, LinkTime, heartbeat_period_s, open_bus
 from drivers.canopen.nodes import PC_HEARTBEAT_LIMIT_MS
 from drivers.canopen.process_image import STALE_S
 from drivers.canopen.rail import CanopenRail
@@ -31,7 +31,7 @@ def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
     of_link.emptied(start_s + 0.02, 1.0)
     assert of_link.listened_s == pytest.approx(0.02)
     of_link.emptied(start_s + 100.0, 2.0)
-    assert of_link.listened_s == pytest.approx(0.02 + PAUSE_S)
+    assert of_link.listened_s == pytest.approx(0.02 + LinkTime.PAUSE_S)
     assert of_link.emptied_s == 2.0
 
 
@@ -40,7 +40,7 @@ def test_a_bus_that_is_never_empty_does_not_stop_the_time() -> None:
     start_s = of_link.counted_s
     for frame in range(3000):
         of_link.behind(start_s + frame / 1000)
-    assert of_link.listened_s == pytest.approx(2 * PAUSE_S)
+    assert of_link.listened_s == pytest.approx(2 * LinkTime.PAUSE_S)
     assert of_link.emptied_s == 1.0, "what comes now may have waited since then"
 
 
@@ -75,7 +75,7 @@ def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
 ) -> None:
     now = DrivenClock()
     monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
-    monkeypatch.setattr(can_link, "PAUSE_S", PAUSE_S)
+    monkeypatch.setattr(can_link.LinkTime, "PAUSE_S", 0.1)
     pauses = pausing(monkeypatch, lambda: now.wait(3600.0))
     rail = connect()
     asked = len(peer.frames(question))

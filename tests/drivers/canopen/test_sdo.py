@@ -24,7 +24,7 @@ PROFILE_VELOCITY = (0x6081, 0)
 @pytest.fixture(autouse=True)
 def _short_limits(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> None:
     """Let a pause of this PC count as one look, and none while a node still has a question."""
-    monkeypatch.setattr(can_link, "PAUSE_S", A_LOOK_S)
+    monkeypatch.setattr(can_link.LinkTime, "PAUSE_S", A_LOOK_S)
     monkeypatch.setattr(slcan_bus, "select", RailTime(peer))
     monkeypatch.setattr(sdo, "REPLY_S", 0.2)
     monkeypatch.setattr(sdo.SdoChannel, "LATE_S", 0.1)
