@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from hilcell.cell.devices import abilities, streams_of
+from hilcell.cell.devices import abilities, streaming_tracker
 from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import PORTS, Port
 from hilcell.conformance.promises import promises_of
@@ -129,7 +129,7 @@ class GuardedStreams(GuardedTracker):
     def stream(
         self, near_mm: Array, reflector: str, rate_hz: float
     ) -> AbstractContextManager[Stream]:
-        return streams_of(self._session.devices.tracker).stream(near_mm, reflector, rate_hz)
+        return streaming_tracker(self._session.devices.tracker).stream(near_mm, reflector, rate_hz)
 
 
 class GuardedHome(Home):

@@ -118,7 +118,7 @@ def floor_nest_points(cell: Cell) -> Span:
 
 def _tracker_check(cell: Cell) -> Span:
     """Return the span of the floor nests that verify the tracker."""
-    return readings(cell, len(cell.layout.floor), cell.proof_samples)
+    return readings(cell, len(cell.layout.floor), cell.verification_samples)
 
 
 def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:

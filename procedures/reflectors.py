@@ -64,7 +64,7 @@ class Reflectors:
     @staticmethod
     def _places_of(cell: Cell) -> list[str]:
         seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
-        return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
+        return [*(nest.name for nest in cell.layout.fixed_nests), FLANGE, *seats]
 
 
 def reflector_table(result: Result) -> Table:

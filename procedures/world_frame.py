@@ -161,7 +161,7 @@ class TwoFaces:
             session.pause(f"the tracker's axes are off: {found.text}")
 
     def _nests(self, cell: Cell) -> list[Nest]:
-        return cell.layout.floor if self._number else cell.layout.standing
+        return cell.layout.floor if self._number else cell.layout.fixed_nests
 
     def result(self, log: Log) -> Result:
         """Return the comparison of both faces, if any."""

@@ -139,7 +139,7 @@ def _volume(cell: Cell, wider_mm: float) -> Callable[[Array], NDArray[np.bool_]]
     They are those of the arm's reach, and by the nests.
     """
     layout, rail, near_mm = cell.layout, cell.rail, wider_mm + STEP_MM
-    nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
+    nests_mm = np.array([nest.xyz_mm for nest in layout.fixed_nests])
     low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
     joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (20_000, 6))
     tools_mm = forward(cell.robot.arm(), joints_rad)[:, :3, 3]  # in {B}, near all it reaches

@@ -19,7 +19,7 @@ import msgspec
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.player import ClockReadings, EventTime, RecordedWire
 from fakes.time import CountedTime
-from hilcell.cell.devices import TABLES, stand_ins, stated_options
+from hilcell.cell.devices import TABLES, placeholder_addresses, checked_options
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
@@ -56,7 +56,7 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
 
     Raises `SettingsError` where one is missing or not whole, and for those of another cell.
     """
-    found = sessions(folder_of(cell))
+    found = sessions(cell_folder(cell))
     if session > len(found):
         what = f"the recorded run was resumed {len(found) - 1} times"
         raise SettingsError(DATA, [f"{found[0]}: {what}; its replay goes no further"])
@@ -100,7 +100,7 @@ def _unlike(cell: Cell, session: int, paths: Mapping[str, Path], wires: Recorded
     )
 
 
-def folder_of(cell: Cell) -> Path:
+def cell_folder(cell: Cell) -> Path:
     return Path("" if cell.simulation is None else cell.simulation.data)
 
 
@@ -120,8 +120,8 @@ def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
 
 def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
     """Return, in words, the wires of a cell of which there is no recording."""
-    anywhere = stand_ins(cell)  # but for drivers not installed: the check of the cell states that
-    stated = stated_options(cell, anywhere, anywhere)
+    anywhere = placeholder_addresses(cell)  # but for drivers not installed: the check of the cell states that
+    stated = checked_options(cell, anywhere, anywhere)
     for table, options in stated.items():
         for channel in can_interfaces(options):
             yield f"{table}: {channel} is a CAN interface, of which no recording can be played"
@@ -189,7 +189,7 @@ class RecordedCell:
         **_: object,
     ) -> None:
         paths, pieces = read_run(cell, session)
-        self._resumed = len(sessions(folder_of(cell))) > session
+        self._resumed = len(sessions(cell_folder(cell))) > session
         self.address = ""
         self._wires: list[RecordedWire] = []
         self._time, channels = EventTime(), dict[str, str]()
@@ -205,9 +205,9 @@ class RecordedCell:
             channels[name] = self._wires[-1].channel
         for each in self._wires:
             each.start()
-        anywhere = stand_ins(cell)
+        anywhere = placeholder_addresses(cell)
         recorded = {name.partition(".")[0] for name in channels}
-        self.options = with_addresses(stated_options(cell, anywhere, recorded), channels)
+        self.options = with_addresses(checked_options(cell, anywhere, recorded), channels)
 
     def _expect_end(
         self, paths: Mapping[str, Path], clock: Sequence[Piece], wires: Recorded
@@ -230,7 +230,7 @@ class RecordedCell:
 
     @classmethod
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
-        folder = folder_of(cell)
+        folder = cell_folder(cell)
         path = recordings(folder)[CLOCK]
         head = run_header(read_recording(path), path)
         if (head.procedure, head.seed) != (procedure, seed):

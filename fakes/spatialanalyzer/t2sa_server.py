@@ -263,7 +263,7 @@ def write(path: Path, points: dict[str, Array]) -> None:
 def _reachable_mm(cell: Cell) -> Array:
     """Return places (N, 3), tracker's frame, throughout the arm's reach, and the nests."""
     rail, layout = cell.rail, cell.layout
-    nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
+    nests_mm = np.array([nest.xyz_mm for nest in layout.fixed_nests])
     reach_mm = sum(math.hypot(joint.a_mm, joint.d_mm) for joint in cell.robot.joint)
     reach_mm += float(np.linalg.norm(cell.robot.smr_mm))
     sample_mm = 400.0

@@ -208,7 +208,7 @@ class _Lines:
             how, clause = f"two holds, each of the scatter of {len(again)} approaches", "4.2.2"
         else:
             held_mm2, freedom = hold_covariance(self.log.cell), None
-            how = f"two holds, each proven within ±{self.log.cell.rail.held_within_mm:g} mm"
+            how = f"two holds, each proven within ±{self.log.cell.rail.hold_limit_mm:g} mm"
             clause = "4.3.7"
         return Influence(
             "Strip", MEASURED, f"{how}, along the rail", clause, "world",

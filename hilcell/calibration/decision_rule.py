@@ -17,7 +17,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from hilcell.calibration.measurement_budget import expanded_mm, measurement_budget
-from hilcell.cell.devices import tracker_class
+from hilcell.cell.devices import tracker_accuracy
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
@@ -65,7 +65,7 @@ def stated_mm2(cell: Cell) -> float:
 
 def class_warning(cell: Cell, range_mm: float) -> str:
     """Return why hardly any largest error could be accepted by the tracker's class, or ""."""
-    stated = tracker_class(cell)
+    stated = tracker_accuracy(cell)
     if stated is None:
         return ""
     samples, limit_mm = cell.tracker.samples, cell.validation.max_tolerance_mm

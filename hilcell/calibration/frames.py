@@ -216,7 +216,7 @@ def base_covariance(log: Log, station: Station) -> Array:
 def hold_covariance(cell: Cell) -> Array:
     """Return the covariance (3, 3) in {W} of a held slide: along the rail, by the interlock."""
     along = np.array(cell.layout.rail_direction)
-    return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
+    return rectangular_variance(cell.rail.hold_limit_mm) * np.outer(along, along)
 
 
 def has_own_place(cell: Cell, key: str) -> bool:

@@ -23,7 +23,7 @@ from hilcell.calibration.frames import Frames, base_covariance, hold_covariance,
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.position_errors import block_diagonal, visits_mm
-from hilcell.cell.devices import sights_apart_rad
+from hilcell.cell.devices import least_separation_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import (
     FrameError,
@@ -46,12 +46,12 @@ from hilcell.model.suspicion import Suspicion
 
 def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     """Return which points (N, 3) in nominal {B} the tracker cannot tell from a nest, (N,)."""
-    apart_rad = sights_apart_rad(cell)
+    apart_rad = least_separation_rad(cell)
     if not apart_rad or cell.layout.by_hand:
         return np.zeros(len(points_mm), dtype=bool)
     T_W_B = cell.layout.nominal_base(station.rail_mm)
     slide_mm = np.array([nest.xyz_mm for nest in cell.layout.slide]).reshape(-1, 3)
-    floor_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
+    floor_mm = np.array([nest.xyz_mm for nest in cell.layout.fixed_nests])
     nests_mm = np.vstack([floor_mm, apply(T_W_B, slide_mm)])
 
     def directions(world_mm: Array) -> Array:

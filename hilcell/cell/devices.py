@@ -1,4 +1,4 @@
-"""Devices of a cell, found through entry points and built from the cell file's tables."""
+"""Devices of a cell: drivers from entry points, built from the cell file's tables."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ from hilcell.decoding import learn
 from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_location
 
 
-def misfits(kind: type, port: type) -> list[str]:
-    """Return what keeps a driver's class from being one of a port, in words."""
+def port_mismatches(kind: type, port: type) -> list[str]:
+    """Return why a driver's class does not satisfy a port."""
     options = getattr(kind, "Options", None)
     typed = isinstance(options, type) and issubclass(options, msgspec.Struct)
     methods = [name for name in vars(port) if not name.startswith("_")]
     lacking = [name for name in methods if not callable(getattr(kind, name, None))]
     if missing := ([] if typed else ["Options (a msgspec.Struct)"]) + lacking:
         return [f"it has no {', '.join(missing)}"]
-    found = [_misfit("__init__", kind, ("options", "clock"))]
+    mismatches = [_call_mismatch("__init__", kind, ("options", "clock"))]
     for name in methods:
-        words = inspect.signature(getattr(port, name)).parameters
-        found.append(_misfit(name, getattr(kind, name), words))
+        parameters = inspect.signature(getattr(port, name)).parameters
+        mismatches.append(_call_mismatch(name, getattr(kind, name), parameters))
     try:
         learn(options)
     except Exception as error:  # noqa: BLE001 - an annotation is any expression
-        found.insert(0, f"its Options have a type that cannot be used: {one_line(error)}")
-    return [each for each in found if each]
+        mismatches.insert(0, f"its Options have a type that cannot be used: {one_line(error)}")
+    return [each for each in mismatches if each]
 
 
-def _misfit(name: str, call: Callable[..., object], words: Iterable[str]) -> str:
-    """Return why a method does not take the values that it is called with; "" where it does."""
+def _call_mismatch(name: str, call: Callable[..., object], parameters: Iterable[str]) -> str:
+    """Return why a method does not accept these arguments, or ""."""
     try:
         signature = inspect.signature(call)
-    except (TypeError, ValueError):  # of a callable that is not Python's
+    except (TypeError, ValueError):  # not written in Python
         return ""
     try:
-        signature.bind(*words)
+        signature.bind(*parameters)
     except TypeError as error:
-        wanted = ", ".join(each for each in words if each != "self")
-        return f"its {name} does not take ({wanted}): {error}"
+        expected = ", ".join(each for each in parameters if each != "self")
+        return f"its {name} does not accept ({expected}): {error}"
     return ""
 
 
@@ -74,8 +74,8 @@ def load_entry(group: str, name: str) -> Any:
     except Exception as error:
         why = error if isinstance(error, ImportError | AttributeError) else one_line(error)
         raise SettingsError(group, [f"{name!r} cannot be loaded: {why}"]) from error
-    if group in PORTS and (found_misfits := misfits(loaded, PORTS[group])):
-        what = f"{name!r} is no driver: {'; '.join(found_misfits)}"
+    if group in PORTS and (mismatches := port_mismatches(loaded, PORTS[group])):
+        what = f"{name!r} is not a driver: {'; '.join(mismatches)}"
         raise SettingsError(group, [f"{what}; see hilcell.ports.{PORTS[group].__name__}"])
     return loaded
 
@@ -91,10 +91,10 @@ def _entries(group: str) -> EntryPoints:
 
 @cache
 def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoints]:
-    """Return hilcell's entry points by group: each look reads the metadata of all packages."""
-    found = entry_points()
-    groups = [group for group in found.groups if group.startswith("hilcell.")]
-    return {group: found.select(group=group) for group in groups}
+    """Return hilcell's entry points by group; cached, for it reads the metadata of all packages."""
+    every = entry_points()
+    groups = [group for group in every.groups if group.startswith("hilcell.")]
+    return {group: every.select(group=group) for group in groups}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,31 +104,31 @@ class Devices:
     rail: ports.Rail
     robot: ports.Robot
     tracker: ports.Tracker
-    rail_rides: bool = False  # on the robot, as its external axis
+    rail_on_robot: bool = False  # the rail is an external axis of the robot
 
     def named(self) -> dict[str, ports.Rail | ports.Robot | ports.Tracker]:
-        """Return the devices by name, in the order in which they are opened."""
-        if self.rail_rides:
+        """Return the devices by name, in the order of connection."""
+        if self.rail_on_robot:
             return {"Robot": self.robot, "Rail": self.rail, "Tracker": self.tracker}
         return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
 
 
-def streams_of(tracker: ports.Tracker) -> ports.Streams:
-    """Return a tracker that streams; raises `DeviceRefused` where it does not."""
+def streaming_tracker(tracker: ports.Tracker) -> ports.Streams:
+    """Return the tracker if it streams; raises `DeviceRefused`."""
     if isinstance(tracker, ports.Streams):
         return tracker
     raise _unable("HC-T43", "Tracker", "stream", "stream", "at rest")
 
 
-def turning_over(tracker: ports.Tracker) -> ports.TwoFaces:
-    """Return a tracker that turns over; raises `DeviceRefused` where it does not."""
+def two_face_tracker(tracker: ports.Tracker) -> ports.TwoFaces:
+    """Return the tracker if it measures in two faces; raises `DeviceRefused`."""
     if isinstance(tracker, ports.TwoFaces):
         return tracker
     raise _unable("HC-T43", "Tracker", "change face", "measure_back", "in one face")
 
 
-def sweeps_of(robot: ports.Robot) -> ports.Sweeps:
-    """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
+def sweeping_robot(robot: ports.Robot) -> ports.Sweeps:
+    """Return the robot if it sweeps an axis; raises `DeviceRefused`."""
     if isinstance(robot, ports.Sweeps):
         return robot
     raise _unable("HC-B42", "Robot", "sweep", "sweep", "at rest")
@@ -139,14 +139,14 @@ def _unable(code: str, device: str, doing: str, method: str, instead: str) -> po
     return ports.DeviceRefused(code, device, doing, f"no `{method}`", expected=wanted, act=act)
 
 
-def sights_apart_rad(cell: Cell) -> float:
-    """Return how far apart in direction the tracker wants reflectors; 0 where it does not say."""
+def least_separation_rad(cell: Cell) -> float:
+    """Return the least angle between reflectors that the tracker separates; 0 if unknown."""
     return float(getattr(load_entry("trackers", cell.tracker.driver), "SIGHTS_APART_RAD", 0.0))
 
 
-def tracker_class(cell: Cell) -> ports.StatesAccuracy | None:
-    """Return the tracker's accuracy class, None where its driver states none."""
-    anywhere = {} if cell.simulation is None else stand_ins(cell).get("tracker", {})
+def tracker_accuracy(cell: Cell) -> ports.StatesAccuracy | None:
+    """Return the tracker's accuracy class, None if its driver has none."""
+    anywhere = {} if cell.simulation is None else placeholder_addresses(cell).get("tracker", {})
     try:
         _, options = driver_options(cell, "tracker", "trackers", anywhere)
     except SettingsError:
@@ -155,7 +155,7 @@ def tracker_class(cell: Cell) -> ports.StatesAccuracy | None:
 
 
 def abilities(cell: Cell) -> dict[str, bool]:
-    """Return the abilities of the cell's drivers beside those of every driver."""
+    """Return the optional abilities of the cell's drivers."""
     tracker = load_entry("trackers", cell.tracker.driver)
     return {
         "tracker_streams": issubclass(tracker, ports.Streams),
@@ -186,7 +186,7 @@ def build_devices(
     rides = isinstance(built["rail"], ports.RobotDrivenRail)
     if rides:
         built["rail"].attach_robot(built["robot"])
-    return Devices(**built, rail_rides=rides)
+    return Devices(**built, rail_on_robot=rides)
 
 
 def driver_options(
@@ -194,21 +194,21 @@ def driver_options(
 ) -> tuple[Callable[..., Any], msgspec.Struct]:
     """Return a driver class and its checked options.
 
-    The cell's own values of the same names (travel, speed, tool point, reflector) are handed on;
-    they stand in the file once. Raises `SettingsError`, also where the options state one again.
+    Options with the names of the table's keys (travel, speed, tool point, reflector) get the
+    table's values. Raises `SettingsError`, also if the options repeat such a key.
     """
     shared = getattr(cell, table)
     kind = load_entry(group, shared.driver)
     wanted = set(kind.Options.__struct_fields__)
     stated = msgspec.to_builtins(shared)
     problems = [
-        f"{key}: {value!r} here, but {table}.{key} is {stated[key]!r}; state it in [{table}] only"
+        f"{key}: {value!r} here, but {table}.{key} is {stated[key]!r}; set it in [{table}] only"
         for key, value in shared.options.items()
         if key in stated
     ]
     if foreign := ", ".join(key for key in addresses if key not in wanted):
-        found = f"the simulated {table} listens at {foreign}, unknown to driver {shared.driver!r}"
-        act = "name a simulator that speaks its protocol, or delete [simulation]"
+        found = f"the simulated {table} has the options {foreign}, driver {shared.driver!r} has not"
+        act = "use a simulator of its protocol, or delete [simulation]"
         raise SettingsError(table, [f"{found}; {act}"])
     own = {key: value for key, value in shared.options.items() if key not in stated}
     values = {name: value for name, value in stated.items() if name in wanted}
@@ -221,7 +221,7 @@ def driver_options(
     return kind, options
 
 
-def stated_options(
+def checked_options(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]], tables: Container[str] = dict(TABLES)
 ) -> dict[str, dict[str, object]]:
     """Return the checked options of drivers as plain values; raises `SettingsError`."""
@@ -232,19 +232,19 @@ def stated_options(
     }
 
 
-def device_places(
+def device_addresses(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]]
 ) -> dict[str, list[str]]:
-    """Return where the cell's devices are reached, in one spelling, and which are reached there."""
-    found: dict[str, list[str]] = {}
-    for table, options in stated_options(cell, addresses).items():
+    """Return the addresses of the cell's devices, normalised, each with its tables."""
+    tables: dict[str, list[str]] = {}
+    for table, options in checked_options(cell, addresses).items():
         for place in places(options):
-            found.setdefault(place, []).append(table)
-    return found
+            tables.setdefault(place, []).append(table)
+    return tables
 
 
 def unknown_drivers(drivers: Mapping[str, str]) -> list[str]:
-    """Return the problems of drivers by table, as a cell file states them."""
+    """Return the problems of drivers, given by table."""
     problems: list[str] = []
     for table, group in TABLES:
         try:
@@ -258,7 +258,7 @@ def check_options(cell: Cell) -> None:
     """Check options, addresses, simulator, catalogues; raises `SettingsError` with all problems."""
     problems: list[str] = []
     unknown = False
-    anywhere = {} if cell.simulation is None else stand_ins(cell)
+    anywhere = {} if cell.simulation is None else placeholder_addresses(cell)
     for table, group in TABLES:
         try:
             driver_options(cell, table, group, anywhere.get(table, {}))
@@ -269,7 +269,7 @@ def check_options(cell: Cell) -> None:
     if cell.simulation is not None:
         try:
             simulator = load_entry("simulators", cell.simulation.simulator)
-            if not unknown:  # it would say the same again
+            if not unknown:  # it would report the same
                 simulator.check(cell)
         except SettingsError as error:
             key = "simulation.simulator" if error.source == "simulators" else error.source
@@ -278,12 +278,12 @@ def check_options(cell: Cell) -> None:
         robot = load_entry("robots", cell.robot.driver)
         if is_robot_driven(cell) and not issubclass(robot, ports.ExternalAxis):
             problems.append(
-                f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot "
-                f"driver {cell.robot.driver!r} moves none; name another of both"
+                f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, but robot "
+                f"driver {cell.robot.driver!r} moves none; change one of them"
             )
         problems += [
-            f"{' and '.join(tables)} share the address {place}; give each its own"
-            for place, tables in device_places(cell, anywhere).items()
+            f"{' and '.join(tables)} have the same address {place}"
+            for place, tables in device_addresses(cell, anywhere).items()
             if len(tables) > 1
         ]
     try:
@@ -294,9 +294,9 @@ def check_options(cell: Cell) -> None:
         raise SettingsError(cell.name, problems)
 
 
-def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
-    """Return a place for each device that the file gives none: a simulated cell fills it in."""
-    found: dict[str, dict[str, object]] = {}
+def placeholder_addresses(cell: Cell) -> dict[str, dict[str, object]]:
+    """Return an address for each device without one: a simulated cell replaces it."""
+    addresses: dict[str, dict[str, object]] = {}
     for n, (table, group) in enumerate(TABLES, start=1):
         shared = getattr(cell, table)
         try:
@@ -306,23 +306,23 @@ def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
         own_places = {"host": "127.0.0.1", "channel": f"socket://127.0.0.1:{n}"}
         wanted = {each.name for each in msgspec.structs.fields(options) if each.required}
         unstated = set(options.__struct_fields__).difference(shared.options)
-        found[table] = {key: place for key, place in own_places.items() if key in unstated}
+        addresses[table] = {key: place for key, place in own_places.items() if key in unstated}
         strip = shared.options.get("strip", {} if "strip" in wanted else None)
         if isinstance(strip, Mapping):
-            other = f"socket://127.0.0.1:{n + len(TABLES)}"  # no strip shares the drive's wire
-            found[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
-    return found
+            other = f"socket://127.0.0.1:{n + len(TABLES)}"  # not the drive's
+            addresses[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
+    return addresses
 
 
 def is_replay(cell: Cell) -> bool:
-    """Whether a run of the cell only repeats a recorded one."""
+    """Whether runs of the cell replay a recorded one."""
     return cell.simulation is not None and issubclass(
         load_entry("simulators", cell.simulation.simulator), ports.RepeatsRun
     )
 
 
-def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
-    """Refuse what a cell that repeats a recorded run was not recorded with; `SettingsError`."""
+def check_replay(cell: Cell, procedure: str, seed: int) -> None:
+    """Refuse a procedure or seed that a replayed run does not have; raises `SettingsError`."""
     if cell.simulation is not None and is_replay(cell):
         load_entry("simulators", cell.simulation.simulator).check_run(cell, procedure, seed)
 
@@ -330,10 +330,10 @@ def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
 def start_simulation(
     cell: Cell, *, seed: int | None, speed: float, session: int = 1, **more: object
 ) -> ports.SimulatedCell | None:
-    """Start the simulated cell beside the engine, where the cell file asks for one.
+    """Start the simulated cell of the cell file, if any.
 
-    ``seed`` is its machine's, None for one that runs already. ``session`` is the run's, which one
-    that repeats a run has to know. ``more`` is for `hilcell sim` alone: faults, ports, truth.
+    ``seed`` is its machine's, None for a running one. A replay needs the run's ``session``.
+    ``more`` (faults, ports, truth) is for `hilcell sim`.
     """
     if cell.simulation is None:
         return None
@@ -344,7 +344,7 @@ def start_simulation(
 
 
 def in_process_cell(cell: Cell, seed: int) -> ports.InProcessCell:
-    """Return the simulated cell without wires; raises `SettingsError` where there is none."""
+    """Return the simulated cell without wires; raises `SettingsError`."""
     if cell.simulation is None:
         raise SettingsError("simulation", ["missing; a cell without it has real devices only"])
     found: ports.InProcessCell = load_entry("in_process_cells", cell.simulation.simulator)(
@@ -366,9 +366,9 @@ class ConnectFailed(ports.DeviceError):
 def connect_all(
     devices: Devices, claim: Callable[[list[ports.Identity]], None]
 ) -> list[ports.Identity]:
-    """Open every device and return the identities; raises `ConnectFailed` naming all failures.
+    """Connect all devices and return the identities; raises `ConnectFailed` with all failures.
 
-    ``claim`` takes the identities of each device before the next is opened; its error ends it.
+    ``claim`` receives the identities of each device before the next is connected, and may raise.
     """
     identities: list[ports.Identity] = []
     failures: dict[str, ports.DeviceError] = {}

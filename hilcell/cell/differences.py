@@ -1,7 +1,7 @@
-"""Keys in which a cell differs from itself at another time, or does not from a built-in cell.
+"""Differences of a cell from its earlier state, and from the built-in cells.
 
-Runs, locks and calibrations are kept apart by the cell's name and serial number: a real cell copied
-from a built-in one that still has those would mix its calibrations with simulated ones.
+Name and serial number of a cell separate its runs, locks and calibrations: a real cell copied from
+a built-in one with the same values would mix its calibrations with simulated ones.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from hilcell.cell.source import built_in_cells
 
 
 def differences(before: Cell, now: Cell, *, without: str = "") -> str:
-    """Return the keys that differ, each with both values; the table ``without`` is left out."""
+    """Return the keys that differ with both values, except in the table ``without``."""
     frozen, given = msgspec.to_builtins(before), msgspec.to_builtins(now)
     for values in (frozen, given):
         values.pop(without, None)
     keys = list(_different(frozen, given))
-    named = 3  # the others are counted
-    more = f", and {len(keys) - named} more" if len(keys) > named else ""
-    return ", ".join(keys[:named]) + more
+    most = 3
+    more = f", and {len(keys) - most} more" if len(keys) > most else ""
+    return ", ".join(keys[:most]) + more
 
 
 def _different(before: object, now: object, key: str = "") -> Iterator[str]:
@@ -41,9 +41,9 @@ def _different(before: object, now: object, key: str = "") -> Iterator[str]:
         yield f"{key} {one} -> {other}"
 
 
-def check_copied(where: str, cell: Cell) -> str:
-    """Return a warning for a simulated cell that has the name or serial of a built-in one, and for
-    a real one whose lengths are certified by nobody.
+def check_identity(where: str, cell: Cell) -> str:
+    """Return a warning for a simulated cell with the name or serial of a built-in one, and for a
+    real one with lengths that have no certificate.
 
     Raises `SettingsError` for a real cell with such a name or serial.
     """
@@ -51,22 +51,22 @@ def check_copied(where: str, cell: Cell) -> str:
         return ""
     built_in = {name: load_cell(name) for name in built_in_cells()}
     problems = [
-        f"{key}: {found!r} is that of the built-in cell {name}; give this cell one of its own"
+        f"{key}: {own!r} is that of the built-in cell {name}; change it"
         for name, other in built_in.items()
         if cell.simulation is None or cell.digest != other.digest
-        for key, found, taken in (
+        for key, own, taken in (
             ("name", cell.name, other.name),
             ("serial", cell.serial, other.serial),
         )
-        if found == taken
+        if own == taken
     ]
     simulated = "simulated"  # the certificate of each length in the built-in cells
     if cell.simulation is None:
         if problems:
             raise SettingsError(where, problems)
         problems = [
-            f"layout.length {' to '.join(each.nests)}: the certificate is {simulated!r}, expected "
-            "the number of the bar's own; state its length and u_mm, too"
+            f"layout.length {' to '.join(each.nests)}: expected the number of the bar's "
+            f"certificate, got {simulated!r}; set its length and u_mm, too"
             for each in cell.layout.length
             if each.certificate == simulated
         ]

@@ -27,8 +27,8 @@ from hilcell.cell.settings import (
 )
 from hilcell.cell.source import (
     built_in_cells,
-    folder_of,
-    of_options,
+    cell_folder,
+    explain_exchange,
     parsed,
     read_source,
     with_lines,
@@ -56,21 +56,19 @@ from hilcell.cell.tables import (
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
 from hilcell.decoding import Json
 
-# A cell file without ``[rail]`` is completed here alone: by a rail whose driver is `NO_RAIL`, a
-# slide that never moves and has no nests, and one station at 0. So base, journal, plans and
-# calibration files have one form, with a rail or without.
+# A cell file without ``[rail]`` gets a rail with the driver `NO_RAIL`, a slide that never moves and
+# has no nests, and one station at 0, so that all other code is the same with a rail and without.
 
-NO_RAIL = "none"  # the driver of a rail that is not there
+NO_RAIL = "none"
 
 
-def completed(values: Json) -> Json:
-    """Return a cell file's tables, with those of a robot that stands where there is no rail."""
+def with_rail(values: Json) -> Json:
+    """Return a cell file's tables, completed if it has no rail."""
     if "rail" in values:
         return values
 
     def with_defaults(defaults: Json, table: object) -> object:
-        """Return a table with defaults; a value that is no table is left to the checks."""
-        return {**defaults, **table} if isinstance(table, Mapping) else table
+        return {**defaults, **table} if isinstance(table, Mapping) else table  # checked later
 
     name = "BASE"
     stations = values.get("station", [{"name": name}])
@@ -102,10 +100,9 @@ Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
 class PlanTable(Frozen, frozen=True, kw_only=True):
-    """How `calibrate` spends the robot's time: in full, or as little as its verdict needs.
+    """The plan of `calibrate`: full, or quick, as short as the verdict allows.
 
-    ``grid_orientations`` are others than the grid's, A, B, C in {B}: the vertices are measured in
-    each of them as well.
+    ``grid_orientations``: further orientations (A, B, C in {B}) in which all vertices are measured.
     """
 
     quick: bool = False
@@ -123,7 +120,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     def samples(self, full: int, quick: int) -> int:
-        """Return how many readings are averaged: as many as in full, in a quick plan fewer."""
+        """Return the number of averaged readings in this plan."""
         return min(full, quick) if self.quick else full
 
     @property
@@ -133,7 +130,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
 
     @property
     def pose_counts(self) -> tuple[int, int]:
-        """Return the least and the most poses that are measured beside the grid's."""
+        """The least and the most poses that are measured besides the grid's."""
         if self.tilt_deg:
             return self.tilt_poses, self.tilt_poses
         return 0, self.most_poses if self.quick else 0
@@ -143,12 +140,12 @@ Mass = Annotated[float, Meta(ge=0, le=10_000)]
 
 
 class Iso9283Table(Frozen, frozen=True, kw_only=True):
-    """How the test is made, and what the laboratory states of it.
+    """The test of ISO 9283 and its conditions.
 
     ``velocity_percent`` of the rated velocity, None for `robot.speed_percent`. ``calibration``: a
-    run whose correction the commanded poses carry, "" for the robot as it is. Limits of AP_p, RP_l,
-    AD and RD are judged where they are stated, and with several reflectors on the flange those of
-    the largest AP and RP of an angle (deg); AP of angles wants a calibration.
+    run that corrects the commanded poses, "" for none. Optional limits of AP_p, RP_l, AD and RD,
+    and, with several reflectors on the flange, of the largest AP and RP of an angle (deg); AP of
+    angles requires a calibration.
     """
 
     cycles: Annotated[int, Meta(ge=3, le=1000)] = 30
@@ -166,16 +163,16 @@ class Iso9283Table(Frozen, frozen=True, kw_only=True):
 
 
 class RecheckTable(Frozen, frozen=True, kw_only=True):
-    """Which calibration is re-checked, "" for the cell's current one, and by how many poses."""
+    """The re-checked calibration, "" for the current one, and the number of poses."""
 
     calibration: str = ""
     poses: Annotated[int, Meta(ge=4, le=10)] = 7
 
 
 class TouchTable(Frozen, frozen=True, kw_only=True):
-    """Poses by which a station is measured again after each stop, 0: none.
+    """Number of poses that re-measure a station after each stop, 0 for none.
 
-    For the procedure of that name: the station ("" for the grid's), the calibration as above.
+    For the procedure `touch`: the station ("" for the grid's), and the calibration as above.
     """
 
     poses: Annotated[int, Meta(ge=0, le=100)] = 8
@@ -184,7 +181,7 @@ class TouchTable(Frozen, frozen=True, kw_only=True):
 
 
 class TargetsTable(Frozen, frozen=True, kw_only=True):
-    """Targets to measure: a CSV, the station ("" for the grid's), the calibration as above."""
+    """Targets to measure: a CSV file, the station ("" for the grid's), the calibration as above."""
 
     file: str
     station: str = ""
@@ -192,9 +189,9 @@ class TargetsTable(Frozen, frozen=True, kw_only=True):
 
 
 class SweepsTable(Frozen, frozen=True, kw_only=True):
-    """Axes 1 to 6, each swept over what the cube needs of it and ``margin_deg`` more.
+    """Axis sweeps, over the cube's range of each axis and ``margin_deg`` beyond.
 
-    An axis faster than 1 deg/s excites the arm; axes 4 and 6 hardly move a tool point.
+    Above 1 deg/s an axis excites the arm; axes 4 and 6 hardly move the tool point.
     """
 
     enabled: bool = True
@@ -205,11 +202,11 @@ class SweepsTable(Frozen, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if len(set(self.axes)) != len(self.axes):
-            raise ValueError(f"axes must differ, found {', '.join(map(str, self.axes))}")
+            raise ValueError(f"axes must differ, got {', '.join(map(str, self.axes))}")
 
 
 class CertificateTable(Frozen, frozen=True, kw_only=True):
-    """Laboratory and customer as the first page and the DCC name them; "" is a line to fill in.
+    """Laboratory and customer for the first page and the DCC; "" leaves a line to fill in.
 
     ``country`` is the laboratory's, two letters (ISO 3166-1).
     """
@@ -227,8 +224,8 @@ Kelvin = Annotated[float, Meta(gt=0, le=60)]
 
 
 class RoomTable(Frozen, frozen=True, kw_only=True):
-    """From the grid's first point on: suspended beyond ``range_k``, resumed within ``back_k`` for
-    ``steady_s``.
+    """Ambient temperature since the grid's first point: a run is suspended beyond ``range_k``, and
+    continues after ``steady_s`` within ``back_k``.
     """
 
     range_k: Kelvin = 3.0
@@ -248,7 +245,7 @@ MOST_POINTS = 100_000  # of the grid, and of targets in it
 
 
 class Station(Frozen, frozen=True, kw_only=True):
-    """A place on the rail where the robot works: the strip's recorded reading defines it."""
+    """A working position on the rail, defined by its strip reading."""
 
     name: Name
     rail_mm: Length
@@ -277,16 +274,16 @@ class RailTable(Frozen, frozen=True, kw_only=True):
             refuse_descending(self, "travel_min_mm", "travel_max_mm")
 
     @property
-    def held_within_mm(self) -> float:
-        """Return how far a held slide may read off its station.
+    def hold_limit_mm(self) -> float:
+        """Largest deviation of a held slide from its station.
 
-        The approach is held to the tolerance; readings at rest may still turn over by one count.
+        The approach ends within the tolerance; readings at rest may flicker by one count more.
         """
         return 2.0 * self.strip_tolerance_mm
 
 
 class TrackerTable(Frozen, frozen=True, kw_only=True):
-    """The tracker: its range, its reflector, where it roughly stands in {W}."""
+    """The tracker: its range, its reflector, its approximate pose in {W}."""
 
     driver: Name
     reflector: str
@@ -305,7 +302,7 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
 
 
 class GridTable(Frozen, frozen=True, kw_only=True):
-    """The cube that is measured, in nominal {B}, with one tool orientation."""
+    """The measured cube, in nominal {B}, with one tool orientation."""
 
     station: Name
     centre: Pose
@@ -316,10 +313,12 @@ class GridTable(Frozen, frozen=True, kw_only=True):
         for size in self.size_mm:
             cells = size / self.pitch_mm
             if not (round(cells) >= 1 and abs(cells - round(cells)) < 1e-9):
-                raise ValueError(f"size {size} mm is no multiple of the pitch {self.pitch_mm} mm")
+                raise ValueError(
+                    f"size_mm: expected a multiple of the pitch {self.pitch_mm} mm, got {size} mm"
+                )
         vertices = math.prod(count + 1 for count in self.cells)
         if not vertices <= MOST_POINTS:
-            raise ValueError(f"{vertices} vertices, at most {MOST_POINTS} are measured")
+            raise ValueError(f"expected at most {MOST_POINTS} vertices, got {vertices}")
 
     @property
     def cells(self) -> tuple[int, ...]:
@@ -328,9 +327,8 @@ class GridTable(Frozen, frozen=True, kw_only=True):
 
 
 def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:
-    """Return the widest pitch that fills a box of ``cells`` (3,), two along one edge at least.
-
-    Of a grid of one cell no vertex can be left out to judge a model.
+    """Return the widest pitch that fills a box of ``cells`` (3,), with two along one edge at least:
+    cross-validation needs more than one cell.
     """
     shared = math.gcd(*cells)
     halves = 1 if max(cells) // shared > 1 else 2
@@ -338,7 +336,7 @@ def coarsest_pitch_mm(cells: Sequence[int], pitch_mm: float) -> float:
 
 
 class BaseFrameTable(Frozen, frozen=True, kw_only=True):
-    """How {B} is found from circles of axes 1 and 6 (section 4.2)."""
+    """Circles of axes 1 and 6 that determine {B} (section 4.2)."""
 
     axis_1_deg: Six
     axis_1_sweep_deg: Sweep
@@ -351,7 +349,7 @@ class BaseFrameTable(Frozen, frozen=True, kw_only=True):
         least_deg = 10.0
         refuse(
             [
-                f"{axis}_sweep_deg: {begin} .. {end} deg is no arc; sweep at least {least_deg}"
+                f"{axis}_sweep_deg: expected an arc of {least_deg} deg, got {begin} .. {end}"
                 for axis, (begin, end) in sweeps.items()
                 if not abs(end - begin) >= least_deg
             ]
@@ -359,7 +357,7 @@ class BaseFrameTable(Frozen, frozen=True, kw_only=True):
 
 
 class SurveyTable(Frozen, frozen=True, kw_only=True):
-    """How the rail is surveyed there and back, and how often a station is approached."""
+    """The survey of the rail in both directions, and the approaches of a station."""
 
     from_mm: Length = 0.0
     to_mm: Length = 2000.0
@@ -370,15 +368,15 @@ class SurveyTable(Frozen, frozen=True, kw_only=True):
         steps = (self.to_mm - self.from_mm) / self.step_mm
         if not (round(steps) >= 3 and abs(steps - round(steps)) < 1e-9):
             length = f"{self.from_mm} .. {self.to_mm} mm"
-            raise ValueError(f"{length} is not three or more steps of {self.step_mm} mm")
+            raise ValueError(f"expected three or more steps of {self.step_mm} mm, got {length}")
         if not steps <= 10_000:
-            raise ValueError(f"{steps:.0f} steps, at most 10000 are driven")
+            raise ValueError(f"expected at most 10000 steps, got {steps:.0f}")
 
 
 class ValidationTable(Frozen, frozen=True, kw_only=True):
-    """Random targets: per grid cell at the grid's station, in all at the other stations.
+    """Random targets: per grid cell at the grid's station, in total at the other stations.
 
-    ``max_tolerance_deg`` is of the tool's orientation, which is judged where it is stated.
+    ``max_tolerance_deg`` limits the orientation error of the tool, if given.
     """
 
     per_cell: Count = 5
@@ -389,13 +387,13 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
 
 
 class CampaignTable(Frozen, frozen=True, kw_only=True):
-    """A list of poses to drive, with the reflectors and where the tracker expects them."""
+    """A list of poses, with reflectors and their expected positions."""
 
     poses: str
 
 
 class SettleTable(Frozen, frozen=True, kw_only=True):
-    """Times in the cell's clock, and the oldest reading that an interlock believes."""
+    """Settling times by the cell's clock, and the largest age of a reading for interlocks."""
 
     robot_s: Wait = 1.0
     rail_s: Wait = 2.0
@@ -403,9 +401,9 @@ class SettleTable(Frozen, frozen=True, kw_only=True):
 
 
 class SimulationTable(Frozen, frozen=True, kw_only=True):
-    """A simulated cell: found by its entry point; ``address`` attaches to one already running.
+    """A simulated cell by its entry point; ``address`` attaches to a running one.
 
-    ``sizes`` are tables of the machine that differ from its file.
+    ``sizes`` replace values of the machine file.
     """
 
     simulator: Name
@@ -444,9 +442,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
     targets: TargetsTable | None = None
     simulation: SimulationTable | None = None
 
-    # Work that is done with the cell, its pace, how it is judged, and statements about it: none
-    # moves a measured point.
-    NOT_THE_CELL = (
+    # Work done with the cell, its speed, its evaluation and descriptions: no effect on a measured
+    # point.
+    OUTSIDE_DIGEST = (
         "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
         "certificate", "iso9283", "tool", "rail.homing_mm_s", "rail.standstill_dwell_s",
         "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
@@ -458,7 +456,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         refuse(problem for check in self.checks() for problem in check())
 
     def checks(self) -> Sequence[Callable[[], Iterable[str]]]:
-        """Return the checks of several tables; an unread station hides no other."""
+        """Return the checks across tables; an unread station does not prevent others."""
         try:
             stations = range(len(self.station))
         except Unread:
@@ -491,23 +489,23 @@ class Cell(Frozen, frozen=True, kw_only=True):
             yield f"grid.station: expected one of {', '.join(names)}, got {self.grid.station!r}"
 
     def _bad_fixed(self) -> Iterator[str]:
-        """Yield what a cell without a rail states of one."""
+        """Yield values that need a rail, in a cell without one."""
         if self.has_rail:
             if not self.layout.slide:
                 yield "layout.slide: a slide needs nests"
             return
         if len(self.station) > 1:
-            yield f"station: a cell without [rail] has one station, got {len(self.station)}"
+            yield f"station: expected one station without [rail], got {len(self.station)}"
         for n, station in enumerate(self.station):
             if station.rail_mm or station.strip_mm:
                 yield (
-                    f"station[{n}].rail_mm: {station.rail_mm} of {station.name}, but the cell has "
-                    "no [rail]; state it, or leave the station out"
+                    f"station[{n}].rail_mm: expected 0 without [rail], got {station.rail_mm} of "
+                    f"{station.name}"
                 )
         if self.layout.slide:
-            yield "layout.slide: nests ride on a slide, but the cell has no [rail]"
+            yield "layout.slide: expected no nests of a slide without [rail]"
         if self.touch.poses:
-            yield "touch.poses: expected 0: they follow a slide's stops, and there is no [rail]"
+            yield "touch.poses: expected 0 without [rail]"
 
     def _bad_station(self, n: int) -> Iterator[str]:
         rail, station = self.rail, self.station[n]
@@ -553,7 +551,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @property
     def has_rail(self) -> bool:
-        """Whether the robot rides on a rail; without one it stands on the floor."""
+        """Whether the robot is on a rail, not on the floor."""
         return self.rail.driver != NO_RAIL
 
     @property
@@ -565,7 +563,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def pauses_at_first_pass(self) -> bool:
         """Whether an attended run pauses before the robot first leaves the grid's cube.
 
-        Unless the file says otherwise it does, except in a simulated cell, where nobody stands.
+        By default, except in a simulated cell.
         """
         stated = self.robot.first_pass_pause
         return self.simulation is None if stated is None else stated
@@ -575,44 +573,44 @@ class Cell(Frozen, frozen=True, kw_only=True):
             yield "robot.more_smr_mm: expected mounted reflectors, got layout.reflectors by_hand"
         if self.validation.max_tolerance_deg is not None and not self.robot.more_smr_mm:
             yield (
-                "validation.max_tolerance_deg: one reflector measures no orientation; state the "
-                "others on the flange in robot.more_smr_mm, or leave the limit out"
+                "validation.max_tolerance_deg: one reflector measures no orientation; add the "
+                "others on the flange to robot.more_smr_mm, or omit the limit"
             )
         test = self.iso9283
         if not self.robot.more_smr_mm and (test.ap_limit_deg, test.rp_limit_deg) != (None, None):
             yield "iso9283: one reflector measures no angles (ap_limit_deg, rp_limit_deg)"
         elif test.ap_limit_deg is not None and not test.calibration:
             yield (
-                "iso9283.ap_limit_deg: expected iso9283.calibration, which knows where the "
-                "reflectors are on the flange"
+                "iso9283.ap_limit_deg: requires iso9283.calibration, which has the positions of "
+                "the reflectors on the flange"
             )
 
     @cached_property
     def surroundings(self) -> Surroundings | None:
-        """Return what the arm keeps clear of; None where the file states nothing of it."""
+        """The volumes that the arm must avoid; None without an envelope."""
         envelope = self.robot.envelope
         if envelope is None:
             return None
         return Surroundings(self.robot.arm(), envelope, self.layout, self.keep_out)
 
     @property
-    def proof_samples(self) -> int:
-        """Return how many readings of a floor nest prove the tracker."""
+    def verification_samples(self) -> int:
+        """Number of readings of a floor nest that verify the tracker."""
         return self.plan.samples(self.layout.nest_samples, quick=2)
 
     @property
     def nest_samples(self) -> int:
-        """Return how many readings of a nest are averaged."""
+        """Number of averaged readings of a nest."""
         return self.plan.samples(self.layout.nest_samples, quick=5)
 
     @cached_property
     def digest(self) -> str:
-        """Return SHA-256 over canonical JSON of the cell, without `NOT_THE_CELL`."""
+        """SHA-256 of the cell's canonical JSON, without `OUTSIDE_DIGEST`."""
         values = msgspec.to_builtins(self)
-        for path in self.NOT_THE_CELL:
+        for path in self.OUTSIDE_DIGEST:
             table, _, key = path.rpartition(".")
             (values[table] if table else values).pop(key)
-        if not self.robot.more_smr_mm:  # as in files that know no such key
+        if not self.robot.more_smr_mm:  # as in files without this key
             values["robot"].pop("more_smr_mm")
         if self.validation.max_tolerance_deg is None:
             values["validation"].pop("max_tolerance_deg")
@@ -620,7 +618,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @property
     def reference(self) -> Station:
-        """Return the grid's station, at which the robot's error is measured."""
+        """The grid's station, at which the robot's error is measured."""
         return self.station_named(self.grid.station)
 
     def station_named(self, name: str) -> Station:
@@ -629,7 +627,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
             if station.name == name:
                 return station
         known = ", ".join(station.name for station in self.station)
-        raise SettingsError(self.name, [f"station {name!r} is unknown; known here: {known}"])
+        raise SettingsError(self.name, [f"unknown station {name!r}; known: {known}"])
 
 
 def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
@@ -639,29 +637,30 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
     values = parsed(text, where)
     override_all(values, changed)
     try:
-        cell = convert(completed(values), Cell, where)
-        stated = with_certificates(cell.uncertainty, folder_of(where))
-        return msgspec.structs.replace(cell, uncertainty=stated)
+        cell = convert(with_rail(values), Cell, where)
+        uncertainty = with_certificates(cell.uncertainty, cell_folder(where))
+        return msgspec.structs.replace(cell, uncertainty=uncertainty)
     except SettingsError as error:
         raise located(where, error.problems, changed) from None
 
 
 def located(where: str, problems: Iterable[str], overrides: Mapping[str, str]) -> SettingsError:
-    """Return the problems of a cell file, each with its line where it has one.
+    """Return the problems of a cell file with their lines, where known.
 
-    Options of a driver that an override has exchanged are not those of the file.
+    Options of a driver that an override replaced are not in the file.
     """
     exchanged = exchanged_drivers(parsed(read_source(where), where), overrides)
-    problems = [of_options(each, exchanged) for each in problems]
+    problems = [explain_exchange(each, exchanged) for each in problems]
     overrides = {**overrides, **{f"{table}.options": "" for table in exchanged}}
     if where in built_in_cells():
         return SettingsError(where, list(problems))
     return SettingsError(where, with_lines(problems, read_source(where), where, overrides))
 
 
-def stated_drivers(where: str, overrides: Mapping[str, str]) -> dict[str, str]:
-    """Return the driver that a cell file states in each table, sound or not."""
+def driver_names(where: str, overrides: Mapping[str, str]) -> dict[str, str]:
+    """Return the driver of each table of a cell file, valid or not."""
     values = parsed(read_source(where), where)
     override_all(values, overrides)
-    found = {name: table.get("driver") for name, table in values.items() if isinstance(table, dict)}
-    return {name: driver for name, driver in found.items() if isinstance(driver, str)}
+    tables = {name: table for name, table in values.items() if isinstance(table, dict)}
+    drivers = {name: table.get("driver") for name, table in tables.items()}
+    return {name: driver for name, driver in drivers.items() if isinstance(driver, str)}

@@ -91,7 +91,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
 
     def _bad_lengths(self) -> Iterator[str]:
         """Yield lengths that are not those of nests on floor and bars."""
-        at_mm = {nest.name: nest.xyz_mm for nest in self.standing}
+        at_mm = {nest.name: nest.xyz_mm for nest in self.fixed_nests}
         for n, each in enumerate(self.length):
             unknown = [name for name in each.nests if name not in at_mm]
             for name in unknown:
@@ -109,7 +109,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
             yield f"bar: no length has nest {', '.join(unused)}"
 
     @property
-    def standing(self) -> list[Nest]:
+    def fixed_nests(self) -> list[Nest]:
         """Return the nests in {W}, which do not ride on the slide."""
         return [*self.floor, *self.bar]
 

@@ -87,10 +87,10 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
                 )
                 if not joint.min_deg <= deg <= joint.max_deg
             ]
-            + list(self._bad_seats())
+            + list(self._bad_reflector_places())
         )
 
-    def _bad_seats(self) -> Iterator[str]:
+    def _bad_reflector_places(self) -> Iterator[str]:
         """Yield what makes several reflectors no measure of an orientation."""
         if not self.more_smr_mm:
             return

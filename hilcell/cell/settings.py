@@ -1,7 +1,7 @@
-"""Strict reading of settings: every problem at once, each with its path and the nearest key.
+"""Strict reading of settings: all problems at once, each with its path and the nearest key.
 
-TOML and msgspec let NaN and infinities through, and msgspec stops at the first problem; so each
-field is converted on its own and every float is checked to be finite.
+TOML and msgspec accept NaN and infinity, and msgspec stops at the first problem; so each field is
+converted separately and every float must be finite.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ S = TypeVar("S")
 
 
 class Unread(AttributeError):
-    """A field that could not be read: the check that reads it is left out, and no other.
+    """A field that could not be read: only the checks that need it are skipped.
 
-    A name that is no field at all is a defect of the check, and stays an AttributeError.
+    An unknown name is a defect of the check, and remains an AttributeError.
     """
 
 
 def is_read(table: S, field: Callable[[S], object]) -> bool:
-    """Whether a field of a table could be read: not `Unread`, by an attribute that there is."""
+    """Whether a field of a table could be read."""
     try:
         field(table)
     except Unread:
@@ -57,7 +57,7 @@ def is_read(table: S, field: Callable[[S], object]) -> bool:
 
 
 class SettingsError(HilcellError):
-    """Settings refused; ``problems`` lists every one of them, the message as many as are read."""
+    """Invalid settings; ``problems`` has all of them, the message a limited number."""
 
     code = "HC-C11"
 
@@ -71,22 +71,18 @@ class SettingsError(HilcellError):
 def read_text(path: Path) -> str:
     """Return a file's text; raises `OSError`, `UnicodeDecodeError`.
 
-    Reading a device file or a FIFO may never end, and a huge file fills the memory, so only regular
-    files of a size are read that a file of settings may have.
+    Refuses devices and FIFOs, which may never end, and files that are too large for settings.
     """
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
-    if found.st_size > MOST_BYTES:
-        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, expected at most {MOST_BYTES}")
-    return path.read_text("utf-8-sig")  # editors of Windows write a mark
+    if status.st_size > MOST_BYTES:
+        raise OSError(errno.EFBIG, f"it has {status.st_size} bytes, expected at most {MOST_BYTES}")
+    return path.read_text("utf-8-sig")  # Windows editors write a byte order mark
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return what a file holds, which may be a pipe; raises `OSError` also for a device.
-
-    What never ends, or is larger than `MOST_BYTES`, would fill the memory.
-    """
+    """Return the content of a file or pipe; raises `OSError` above `MOST_BYTES`."""
     with path.open("rb") as file:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
@@ -95,7 +91,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_file(path: Path) -> bytes:
-    """Return what a file holds, as `read_bytes` does; raises `SettingsError`."""
+    """Return as `read_bytes`; raises `SettingsError`."""
     try:
         return read_bytes(path)
     except OSError as error:
@@ -103,7 +99,7 @@ def read_file(path: Path) -> bytes:
 
 
 def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:
-    """Return the error for a file that could not be opened or is no text; ``kind`` was expected."""
+    """Return the error for a file that cannot be read; ``kind`` was expected."""
     match error:
         case IsADirectoryError():
             problem = f"is a folder, not a {kind}"
@@ -122,9 +118,9 @@ def convert(
     source: str,
     also: Callable[[T], Iterable[str]] = lambda _: (),
 ) -> T:
-    """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once.
+    """Build ``kind`` from plain values; raises `SettingsError` with all problems.
 
-    ``also`` yields further problems. A field of its table that could not be read raises `Unread`.
+    ``also`` yields further problems; fields of its argument that were not read raise `Unread`.
     """
     problems: list[str] = []
     try:
@@ -138,9 +134,9 @@ def convert(
 
 
 def refuse(problems: Iterable[str]) -> None:
-    """Refuse a table in its ``__post_init__``, for several reasons at once."""
-    if found := list(problems):
-        raise ValueError("\n".join(found))
+    """Refuse a table in its ``__post_init__`` for several reasons."""
+    if lines := list(problems):
+        raise ValueError("\n".join(lines))
 
 
 def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: list[str]) -> Any:
@@ -148,7 +144,7 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
     fields = _fields(kind)
     if not isinstance(values, Mapping):
         problems.append(f"{place}: expected a table, got {_short(values)}")
-        return _Unsound(kind, {field.name: msgspec.NODEFAULT for field in fields.values()})
+        return _PartialTable(kind, {field.name: msgspec.NODEFAULT for field in fields.values()})
     for key in [key for key in values if key not in fields]:
         hint = did_you_mean(key, fields) or f"; known here: {', '.join(sorted(fields))}"
         problems.append(f"{clean(f'{path}{key}')}: unknown key{hint}")
@@ -165,19 +161,19 @@ def _struct(values: object, kind: type[msgspec.Struct], path: str, problems: lis
             return kind(**built)
         except ValueError as error:
             refused = str(error).splitlines()
-    unsound = _Unsound(kind, built)
-    for line in refused or _refused(unsound):
-        named = re.match(r"(\w+)[\w.\[\]]*:", line)  # as a table's own check begins
-        known = named is not None and named[1] in fields
+    partial = _PartialTable(kind, built)
+    for line in refused or _refused(partial):
+        key = re.match(r"(\w+)[\w.\[\]]*:", line)  # of a table's own check
+        known = key is not None and key[1] in fields
         problems.append(f"{path}{line}" if known else f"{place}: {line}")
-    return unsound
+    return partial
 
 
-class _Unsound:
-    """A table with problems of its own, so that the checks of tables around it can be made.
+class _PartialTable:
+    """Replaces an invalid table in the checks of the tables around it.
 
-    It has the properties, methods and constants of its kind. A field that could not be read,
-    `msgspec.NODEFAULT` here, raises `Unread`.
+    It has the properties, methods and constants of its kind; fields that could not be read
+    (`msgspec.NODEFAULT`) raise `Unread`.
     """
 
     def __init__(self, kind: type[msgspec.Struct], built: Mapping[str, object]) -> None:
@@ -195,24 +191,24 @@ class _Unsound:
         return found.__get__(self, self._kind) if hasattr(found, "__get__") else found
 
 
-def _refused(table: _Unsound) -> list[str]:
-    """Return what a table's own checks refuse; one that reads an unread field is left out."""
+def _refused(table: _PartialTable) -> list[str]:
+    """Return the problems of a table's own checks, without those that need an unread field."""
     own = getattr(table, "__post_init__", None)
     checks = table.checks() if hasattr(table, "checks") else [own] if own else []
-    found: list[str] = []
+    problems: list[str] = []
     for check in checks:
         try:
-            found += check() or ()
+            problems += check() or ()
         except Unread:
             continue
         except ValueError as error:
-            found += str(error).splitlines()
-    return found
+            problems += str(error).splitlines()
+    return problems
 
 
 @cache
 def _fields(kind: type[msgspec.Struct]) -> Mapping[str, msgspec.structs.FieldInfo]:
-    """Return a table's fields by key; their annotations are evaluated once."""
+    """Return a table's fields by key; cached, for annotations are evaluated."""
     return {field.encode_name: field for field in msgspec.structs.fields(kind)}
 
 
@@ -225,9 +221,9 @@ def _short(value: object) -> str:
 
 
 def near_misses(word: str, known: Iterable[str], most: int = 1) -> list[str]:
-    """Return the known words of which this one may be a slip, the likeliest first."""
-    one_slip = 0.75  # of characters in common, in words of five
-    plain = {each.lstrip("-"): each for each in known}  # dashes are in common of all options
+    """Return the known words that resemble this one, the most similar first."""
+    one_slip = 0.75  # share of common characters in words of five
+    plain = {each.lstrip("-"): each for each in known}  # all options begin with dashes
     matcher = difflib.SequenceMatcher(b=word[:LONGEST_VALUE].lstrip("-"))
     alike = {}
     for each in sorted(plain):
@@ -238,7 +234,7 @@ def near_misses(word: str, known: Iterable[str], most: int = 1) -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return the end of a sentence that names the nearest known word; empty without one."""
+    """Return the end of a message that suggests the nearest known word, or ""."""
     near = near_misses(word, known)
     return f'; did you mean "{near[0]}"?' if near else ""
 
@@ -259,28 +255,28 @@ def _value(value: object, kind: object, path: str, problems: list[str]) -> objec
         return typed(value, kind)
     except msgspec.ValidationError as error:
         member = re.search(r" - at `\$\[(\d+)\]`$", str(error))
-        if member and isinstance(value, list) and typing.get_origin(_stated(kind)) is list:
-            n, (inner,) = int(member[1]), typing.get_args(_stated(kind))
+        if member and isinstance(value, list) and typing.get_origin(_without_none(kind)) is list:
+            n, (inner,) = int(member[1]), typing.get_args(_without_none(kind))
             return _value(value[n], inner, f"{path}[{n}]", problems)
         allowed = range_text(kind)
         hint = f"; allowed: {allowed}" if allowed else ""
         metas = getattr(kind, "__metadata__", ())
         words = next((meta.description for meta in metas if meta.description), "")
         if isinstance(value, str) and words:
-            wanted, hint = f"expected {words}", ""
+            problem, hint = f"expected {words}", ""
         elif expected := _EXPECTED.match(str(error)):
-            wanted = f"expected {_KINDS[expected[1]]}"
+            problem = f"expected {_KINDS[expected[1]]}"
         elif str(error).startswith("Invalid enum value"):  # msgspec repeats the value
-            wanted = "expected a known word"
+            problem = "expected a known word"
         else:
-            wanted = str(error)
-        problems.append(f"{path}: {wanted}, got {_short(value)}{hint}")
+            problem = str(error)
+        problems.append(f"{path}: {problem}, got {_short(value)}{hint}")
         return msgspec.NODEFAULT
 
 
 def range_text(kind: object) -> str:
-    """Return the bounds of a number or of a tuple's members, or the words allowed; "" without."""
-    kind = _stated(kind)
+    """Return the bounds of a number or of a tuple's members, or the allowed words, or ""."""
+    kind = _without_none(kind)
     if typing.get_origin(kind) is typing.Literal:
         return ", ".join(f'"{word}"' for word in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
@@ -292,20 +288,20 @@ def range_text(kind: object) -> str:
     return ", ".join(bounds)
 
 
-def _stated(kind: object) -> object:
-    """Return the kind of a value that may be left out, without None."""
+def _without_none(kind: object) -> object:
+    """Return the type of an optional value without None."""
     options = [each for each in typing.get_args(kind) if each is not types.NoneType]
     union = typing.get_origin(kind) in (typing.Union, types.UnionType)
     return options[0] if union and len(options) == 1 else kind
 
 
 def _inner_struct(kind: object) -> type[msgspec.Struct] | None:
-    kind = _stated(kind)
+    kind = _without_none(kind)
     return kind if isinstance(kind, type) and issubclass(kind, msgspec.Struct) else None
 
 
 def _not_finite(value: object, path: str) -> Iterator[str]:
-    """Yield the members of a value that are not finite, each with its place."""
+    """Yield the members of a value that are not finite, with their paths."""
     if isinstance(value, float) and not math.isfinite(value):
         yield f"{path}: {value} is not a finite number"
     elif isinstance(value, list):
@@ -317,9 +313,9 @@ def _not_finite(value: object, path: str) -> Iterator[str]:
 
 
 def override_all(values: Json, changed: Mapping[str, str]) -> None:
-    """Set each ``a.b.c`` to a TOML value, or to the bare text where it is not one.
+    """Set each ``a.b.c`` to a TOML value, or to the bare text if it is not one.
 
-    Options of a driver that is exchanged are not the new one's.
+    Options of a replaced driver are removed.
     """
     for name in exchanged_drivers(values, changed):
         values[name].pop("options")
@@ -343,13 +339,13 @@ def override_all(values: Json, changed: Mapping[str, str]) -> None:
 
 
 def exchanged_drivers(values: Json, changed: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return the drivers of then and now of each table whose options are of another driver."""
-    found = {}
+    """Return the old and the new driver of each table whose driver is replaced."""
+    drivers = {}
     for key in changed:
         name, _, last = key.rpartition(".")
         table = values.get(name)
         if last == "driver" and isinstance(table, dict) and "options" in table:
             then, now = str(table.get("driver")), changed[key].strip("\"' ")
             if then != now:
-                found[name] = then, now
-    return found
+                drivers[name] = then, now
+    return drivers

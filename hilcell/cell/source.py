@@ -1,4 +1,4 @@
-"""The text of a cell file, built in or at a path, and its line that gives a value its path."""
+"""The text of a cell file, built in or at a path, and the line of each value."""
 
 from __future__ import annotations
 
@@ -21,35 +21,33 @@ def read_source(where: str) -> str:
     if not where.strip():
         known = ", ".join(built_in_cells())
         raise SettingsError(
-            "cell", [f"no cell was named; built in are: {known}; or give a path to a TOML file"]
+            "cell", [f"expected a built-in cell ({known}) or the path of a cell file, got ''"]
         )
     if where in built_in_cells():
         return (resources.files("hilcell.cells") / f"{where}.toml").read_text("utf-8")
     try:
-        return normalize("NFC", read_text(Path(where)))  # the letters of names, however typed
+        return normalize("NFC", read_text(Path(where)))  # one encoding of each letter
     except FileNotFoundError:
         names = built_in_cells()
         hint = f"; built in: {', '.join(names)}{did_you_mean(where, names)}"
-        raise SettingsError(
-            where, [f"no such file, and no built-in cell of that name{hint}"]
-        ) from None
+        raise SettingsError(where, [f"no such file or built-in cell{hint}"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(where, error, "cell file") from error
 
 
-def folder_of(where: str) -> Path:
-    """Return where the files lie that a cell file names."""
+def cell_folder(where: str) -> Path:
+    """Return the folder of the files to which a cell file refers."""
     return Path() if where in built_in_cells() else Path(where).parent
 
 
 def parsed(text: str, where: str) -> Json:
     """Return the tables of a cell file; raises `SettingsError`."""
-    at_line = re.compile(r"\(at line (\d+)")  # tomllib says it in words only
+    at_line = re.compile(r"\(at line (\d+)")  # in the message of tomllib
     try:
         return deepcopy(_tables(text))
     except RecursionError:
         raise SettingsError(where, ["nested too deeply"]) from None
-    except ValueError as error:  # also an integer of more digits than Python reads
+    except ValueError as error:  # also too many digits of an integer
         place = at_line.search(str(error))
         line = f"{where}:{place[1]}: " if place else ""
         raise SettingsError(where, [f"{line}not valid TOML: {error}"]) from error
@@ -57,7 +55,7 @@ def parsed(text: str, where: str) -> Json:
 
 @lru_cache(maxsize=8)
 def _tables(text: str) -> Json:
-    """Return the tables of a text; a study reads one cell for each of its cases."""
+    """Return the tables of a text; cached, for a study reads one cell many times."""
     return tomllib.loads(text)
 
 
@@ -68,17 +66,16 @@ def built_in_cells() -> list[str]:
     )
 
 
-# -- lines: proven by parsing, or none -------------------------------------------------------------
+# -- lines of values -------------------------------------------------------------------------------
 
-# `tomllib` keeps no lines. A line is the value's if the text above it, parsed, lacks the path and
-# the text with it has the path; text that ends within an array is closed first.
+# `tomllib` has no line numbers. A line is the value's if the text above it, parsed, lacks the path
+# and the text with it has the path; text that ends within an array is closed first.
 
 
 def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable[str]) -> list[str]:
-    """Return problems, which begin with a path and ": ", in the order of their lines.
+    """Return problems, which begin with a path and ": ", with file and line, in that order.
 
-    Each has file and line where one is proven. Paths in ``changed``, such as ``rail.speed_mm_s``,
-    have values that are not the file's.
+    The line is omitted if it is unknown, or if the path is in ``changed``, the overrides.
     """
     located = []
     for problem in problems:
@@ -88,15 +85,15 @@ def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable
     return by_line(located, where)
 
 
-def of_options(problem: str, exchanged: Mapping[str, tuple[str, str]]) -> str:
-    """Return a problem of options with why the file's do not count, where a driver is exchanged."""
-    table, _, found = problem.partition(".options: ")
-    if not found or table not in exchanged:
+def explain_exchange(problem: str, exchanged: Mapping[str, tuple[str, str]]) -> str:
+    """Return a problem of options, with an explanation if their driver was replaced."""
+    table, _, rest = problem.partition(".options: ")
+    if not rest or table not in exchanged:
         return problem
     then, now = exchanged[table]
     return (
         f"{problem}; the options of {then!r} in the cell file do not apply to {now!r}: "
-        f"state them by --set {table}.options.KEY=VALUE, or driver and options in the file"
+        f"set them by --set {table}.options.KEY=VALUE, or driver and options in the file"
     )
 
 
@@ -109,7 +106,7 @@ def by_line(problems: Iterable[str], where: str) -> list[str]:
 def line_of(text: str, path: str) -> int | None:
     """Return the line of ``a.b[2].c``, or of the nearest table around it; counted from 1."""
     lines = text.split("\n")
-    longest = 5000  # lines: each that may be the one is parsed with all above it
+    longest = 5000  # lines: each candidate is parsed with all lines above it
     if len(lines) > longest or re.fullmatch(r"[\w-]+(\[\d+\]|\.[\w-]+)*", path) is None:
         return None
     steps = re.findall(r"[\w-]+|\[\d+\]", path)
@@ -117,22 +114,22 @@ def line_of(text: str, path: str) -> int | None:
         steps.pop()
     if not steps:
         return None
-    # Lines that may give the path: its last key with "=", or in a table's header.
+    # Candidates: the last key with "=", or in a table's header.
     key = re.escape(next(step for step in reversed(steps) if not step.startswith("[")))
     begins = rf"(?<![\w-])[\"']?{key}[\"']?\s*=|^\s*\[.*(?<![\w-])[\"']?{key}[\"']?\s*\]"
     if steps[-1].startswith("["):
         begins += r"|\{"
     candidates = [n for n, line in enumerate(lines, 1) if re.search(begins, line)]
-    proven = [
+    matches = [
         n
         for n in candidates
         if _has("\n".join(lines[:n]), steps) and _has("\n".join(lines[: n - 1]), steps) is False
     ]
-    return proven[0] if len(proven) == 1 else None
+    return matches[0] if len(matches) == 1 else None
 
 
 def _has(text: str, steps: Sequence[str]) -> bool | None:
-    """Whether a text that may end within arrays has a path; None where it cannot be closed."""
+    """Whether a text that may end within arrays has a path; None if it cannot be closed."""
     for closed_by in ("", "\n]", "\n]\n]"):
         try:
             values: Any = tomllib.loads(text + closed_by)
@@ -148,6 +145,6 @@ def _has(text: str, steps: Sequence[str]) -> bool | None:
 
 
 def _overlap(path: str, other: str) -> bool:
-    """Whether one of two paths is the other, or holds it."""
+    """Whether one path equals or contains the other."""
     short, long = sorted((path, other), key=len)
     return long == short or long.startswith((f"{short}.", f"{short}["))

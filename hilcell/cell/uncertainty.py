@@ -28,7 +28,7 @@ MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\me
 COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 
 
-class NotRead(Exception):
+class CertificateError(Exception):
     """A certificate that does not state what it is read for."""
 
 
@@ -43,24 +43,24 @@ class InstrumentDcc:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a certificate; raises `NotRead`."""
+        """Read a certificate; raises `CertificateError`."""
         try:
             text = read_text(path)
         except UnicodeDecodeError:
-            raise NotRead("is not UTF-8 text") from None
+            raise CertificateError("is not UTF-8 text") from None
         except OSError as error:
-            raise NotRead(f"cannot be read: {error.strerror}") from error
+            raise CertificateError(f"cannot be read: {error.strerror}") from error
         longest = 4_000_000  # characters
         if len(text) > longest:
-            raise NotRead(f"has {len(text)} characters, expected at most {longest}")
+            raise CertificateError(f"has {len(text)} characters, expected at most {longest}")
         if "<!DOCTYPE" in text:
-            raise NotRead("declares a document type; a DCC has none")
+            raise CertificateError("declares a document type; a DCC has none")
         try:
             root = ElementTree.fromstring(text)  # noqa: S314 - without a document type, see above
         except (ElementTree.ParseError, ValueError) as error:
-            raise NotRead(f"is no XML: {error}") from None
+            raise CertificateError(f"is no XML: {error}") from None
         if root.tag != f"{DCC}digitalCalibrationCertificate":
-            raise NotRead(f"is no DCC: its root is {clean(root.tag)}")
+            raise CertificateError(f"is no DCC: its root is {clean(root.tag)}")
         core = f"{DCC}administrativeData/{DCC}coreData/{DCC}"
         laboratory = f"{DCC}administrativeData/{DCC}calibrationLaboratory/{DCC}contact/{DCC}name/"
         said = (f"{core}uniqueIdentifier", f"{core}endPerformanceDate", f"{laboratory}{DCC}content")
@@ -74,24 +74,26 @@ class InstrumentDcc:
         """
         found = [each for each in self.root.iter(f"{DCC}quantity") if each.get("id") == id]
         if len(found) != 1:
-            raise NotRead(f"expected one quantity of the id {id!r}, got {len(found)}")
+            raise CertificateError(f"expected one quantity of the id {id!r}, got {len(found)}")
         lengths = [each for each in found[0].iter() if self._unit(each) in MM]
         if not lengths:
-            raise NotRead(f"quantity {id!r} is no length in {', '.join(MM)}")
+            raise CertificateError(f"quantity {id!r} is no length in {', '.join(MM)}")
         values, expanded = self._values(lengths[0], id)
         largest_mm = MM[self._unit(lengths[0])] * max(
             abs(value) + U for value, U in zip(values, expanded, strict=True)
         )
         if not largest_mm <= self.MOST_MM:
             error = f"{largest_mm:g} mm"
-            raise NotRead(f"quantity {id!r}: expected errors <= {self.MOST_MM:g} mm, got {error}")
+            raise CertificateError(
+                f"quantity {id!r}: expected errors <= {self.MOST_MM:g} mm, got {error}"
+            )
         return largest_mm
 
     @staticmethod
     def _text(root: Element, path: str) -> str:
         found = clean(root.findtext(path, ""))
         if not found:
-            raise NotRead(f"does not say {path.rpartition(DCC)[2]}")
+            raise CertificateError(f"does not say {path.rpartition(DCC)[2]}")
         return found
 
     @staticmethod
@@ -114,12 +116,14 @@ class InstrumentDcc:
         )
         expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
         if not (values and expanded and min(factors) > 0 and min(expanded) >= 0):
-            raise NotRead(
+            raise CertificateError(
                 f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0"
             )
         sizes = {len(values), len(expanded), len(factors)} - {1}
         if len(sizes) > 1:
-            raise NotRead(f"quantity {id!r} has {len(values)} values and {len(expanded)} U")
+            raise CertificateError(
+                f"quantity {id!r} has {len(values)} values and {len(expanded)} U"
+            )
         count = len(values)
         wide = [U * (count if len(U) == 1 else 1) for U in (expanded, factors)]
         return values, [U * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
@@ -134,7 +138,7 @@ class InstrumentDcc:
             except ValueError:
                 figure = math.nan
             if not math.isfinite(figure):
-                raise NotRead(f"{name}: expected a figure, got {clean(word)!r}")
+                raise CertificateError(f"{name}: expected a figure, got {clean(word)!r}")
             yield figure
 
 
@@ -196,14 +200,16 @@ def with_certificates(stated: UncertaintyTable, folder: Path) -> UncertaintyTabl
             continue
         try:
             if getattr(stated, f"{name}_certificate"):
-                raise NotRead(f"names the certificate; so does {name}_certificate: state one")
+                raise CertificateError(
+                    f"names the certificate; so does {name}_certificate: state one"
+                )
             certificate = InstrumentDcc.read(folder / place)
             found[f"{name}_certificate"] = certificate.words
             if id and not limit:
-                raise NotRead("names a quantity, which nothing is computed from")
+                raise CertificateError("names a quantity, which nothing is computed from")
             if id:
                 found[limit] = certificate.largest_error_mm(id)
-        except NotRead as reason:
+        except CertificateError as reason:
             problems.append(f"uncertainty.{name}_dcc: {place} {reason}")
     if problems:
         raise SettingsError("uncertainty", problems)

@@ -21,7 +21,7 @@ def undetectable_errors(cell: Cell, *, two_faces: bool) -> list[str]:
     scaled_mm = 1e-6 * scale_ppm * np.linalg.norm(centre_mm - layout.floor[0].xyz_mm)
     scaled = f"{scale_ppm:g} ppm move targets by {scaled_mm:.2f} mm"
     slipped_mm = np.radians(slip_deg) * np.linalg.norm(centre[:3, 3])
-    at_mm = {nest.name: nest.xyz_mm for nest in layout.standing}
+    at_mm = {nest.name: nest.xyz_mm for nest in layout.fixed_nests}
     lengths_mm = [at_mm[one] - at_mm[other] for one, other in (bar.nests for bar in layout.length)]
     # The smallest scale error that the U (k = 2) of a certified length reveals.
     least_ppm = min((2e6 * each.u_mm / each.length_mm for each in layout.length), default=np.inf)

@@ -17,8 +17,8 @@ from hilcell.cell.devices import (
     start_simulation,
     unknown_drivers,
 )
-from hilcell.cell.differences import check_copied
-from hilcell.cell.file import Cell, load_cell, located, stated_drivers
+from hilcell.cell.differences import check_identity
+from hilcell.cell.file import Cell, load_cell, located, driver_names
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import by_line
 from hilcell.cell.undetectable_errors import undetectable_errors
@@ -102,7 +102,7 @@ def _read(lines: SimpleQueue[str | None]) -> None:
 
 def check(args: Check) -> int:
     cell = _load_checked(args.cell, dict(args.settings))
-    if warning := check_copied(args.cell, cell):
+    if warning := check_identity(args.cell, cell):
         print_message(warning)
     for table in (cell.touch, cell.targets):
         if table is not None and table.station:
@@ -145,7 +145,7 @@ def _load_checked(where: str, overrides: dict[str, str]) -> Cell:
     try:
         cell = load_cell(where, overrides)
     except SettingsError as error:
-        unknown = unknown_drivers(stated_drivers(where, overrides))
+        unknown = unknown_drivers(driver_names(where, overrides))
         problems = [*error.problems, *located(where, unknown, overrides).problems]
         raise SettingsError(where, by_line(problems, where)) from None
     try:

@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.atomic_files import NotWritten
 from hilcell.cell.addresses import THIS_MACHINE
-from hilcell.cell.devices import PORTS, check_options, device_places, installed, load_entry
+from hilcell.cell.devices import PORTS, check_options, device_addresses, installed, load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.console import print_data, print_json
@@ -303,7 +303,7 @@ def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
     if cell.simulation is not None:
         return {"cell": Finding("ok", f"{cell.name}: simulated; a run starts its devices")}
     checked: dict[str, Finding] = {}
-    for place, tables in device_places(cell, {}).items():
+    for place, tables in device_addresses(cell, {}).items():
         if tables == ["rail"] and not cell.has_rail:
             continue
         check = f"{' and '.join(tables)} at {place}"

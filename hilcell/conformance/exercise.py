@@ -170,7 +170,7 @@ class TrackerUse(DeviceUse):
         super().__init__(cell)
         self.reflector = cell.tracker.reflector
         self.tolerance = cell.tracker.find_radius_mm
-        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
+        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.fixed_nests])
         self.near_mm: Array = apply(inverse(cell.tracker.pose.matrix()), nests_mm)
 
     def ask(self, device: Tracker) -> TrackerReading:

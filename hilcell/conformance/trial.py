@@ -24,7 +24,7 @@ from hilcell.cell.devices import (
     driver_options,
     is_robot_driven,
     start_simulation,
-    stated_options,
+    checked_options,
 )
 from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import PORTS, USES, Driver, Port, Reading
@@ -268,7 +268,7 @@ class Bench:
         if self._simulated is None:
             raise NotApplicable(SIMULATED_ONLY)
         self.clock.inner = self._simulated.clock(self.clock.stop)
-        self._wires.lead_to(stated_options(self.cell, self._simulated.options, self._tables))
+        self._wires.lead_to(checked_options(self.cell, self._simulated.options, self._tables))
 
     @property
     def _tables(self) -> list[str]:

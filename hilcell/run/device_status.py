@@ -15,7 +15,7 @@ from typing import Generic, TypeAlias, TypeVar
 import numpy as np
 
 from hilcell import ports
-from hilcell.cell.devices import Devices, streams_of, sweeps_of, turning_over
+from hilcell.cell.devices import Devices, streaming_tracker, sweeping_robot, two_face_tracker
 from hilcell.cell.file import Cell, Station
 from hilcell.errors import DriverDefect, HilcellError, with_location
 from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, StripLost
@@ -141,7 +141,7 @@ class CellMonitor:
             _WatchedRail(devices.rail, self.rail, self),
             _WatchedRobot(devices.robot, self.robot, self),
             _WatchedTracker(devices.tracker, self.tracker, self),
-            devices.rail_rides,
+            devices.rail_on_robot,
         )
         self._refreshed_s = 0.0
 
@@ -295,7 +295,7 @@ class _WatchedRobot(_Watched[ports.Robot]):
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[ports.Sweep]:
-        sweeps = sweeps_of(self._device)
+        sweeps = sweeping_robot(self._device)
         with self._own.watch(moving=True), sweeps.sweep(axis, end_rad, speed_rad_s) as sweep:
             yield sweep
 
@@ -312,12 +312,12 @@ class _WatchedTracker(_Watched[ports.Tracker]):
             return self._monitor.take_tracker(self._device.measure(near_mm, reflector, samples))
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> ports.TrackerReading:
-        turning = turning_over(self._device)
+        turning = two_face_tracker(self._device)
         with self._call():
             return self._monitor.take_tracker(turning.measure_back(near_mm, reflector, samples))
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[ports.Stream]:
-        streams = streams_of(self._device)
+        streams = streaming_tracker(self._device)
         with self._own.watch(), streams.stream(near_mm, reflector, rate_hz) as stream:
             yield stream

@@ -22,7 +22,7 @@ from hilcell import __version__
 from hilcell.atomic_files import NotWritten
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.from_run import calibration_after
-from hilcell.cell.devices import build_devices, device_places, is_replay, start_simulation
+from hilcell.cell.devices import build_devices, device_addresses, is_replay, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.clock import WallClock
 from hilcell.decoding import Json
@@ -179,7 +179,7 @@ class Engine:
 
     def _lock_devices(self, addresses: Addresses, stack: ExitStack) -> None:
         """Lock the devices' addresses; raises `CellLocked`, `StorageError`."""
-        for place, tables in device_places(self.plan.cell, addresses).items():
+        for place, tables in device_addresses(self.plan.cell, addresses).items():
             what = f"device {' and '.join(tables)} at {place}"
             stack.enter_context(locked(lock_of_device(place), what, self.journal.run))
         if note := locks_folder()[1]:

@@ -148,7 +148,7 @@ def check_held(cell: Cell, rail: RailReading, station: Station | None, operation
 
 def check_strip(cell: Cell, rail: RailReading, station: Station, operation: str) -> None:
     """Raise `Blocked` for a strip reading more than one count beyond the tolerance."""
-    limit_mm = cell.rail.held_within_mm + 1e-9
+    limit_mm = cell.rail.hold_limit_mm + 1e-9
     if not abs(rail.strip_mm - station.strip_mm) <= limit_mm:
         raise Blocked(
             "HC-S05",

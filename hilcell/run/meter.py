@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
-from hilcell.cell.devices import turning_over
+from hilcell.cell.devices import two_face_tracker
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
 from hilcell.model.events import NoReadingOf, ReadingTime, Seated
@@ -54,7 +54,7 @@ class Meter(Mover):
     ) -> TrackerReading:
         """Return one measurement; raises `NoReading`, and `DeviceError` for an older one."""
         tracker = self.devices.tracker
-        take = turning_over(tracker).measure_back if back else tracker.measure
+        take = two_face_tracker(tracker).measure_back if back else tracker.measure
         reflector, began_s = self.cell.tracker.reflector, self.clock.pc_s()
         reading = take(near_mm, reflector, samples)
         if not reading.taken_s >= began_s:
@@ -125,7 +125,7 @@ class Meter(Mover):
             return known
         self.checkpoint()
         self.request_reflector(nest.name, nest.xyz_mm)
-        samples = self.cell.proof_samples if id.kind == "control" else self.cell.nest_samples
+        samples = self.cell.verification_samples if id.kind == "control" else self.cell.nest_samples
         return self._measure_floor_nest(id, nest, samples)
 
     def second_face_point(self, id: PointId, nest: Nest, samples: int) -> Point:
@@ -182,7 +182,7 @@ class Meter(Mover):
         layout = self.cell.layout
         if place in self.log.sights:
             sight = self.log.sights[place]
-            rides = place not in {nest.name for nest in layout.standing}
+            rides = place not in {nest.name for nest in layout.fixed_nests}
             T_L_W = inverse(self.frames.tracker_in_world())
             along = T_L_W[:3, :3] @ np.array(layout.rail_direction)
             moved_mm = (strip_mm - sight.strip_mm) * rides * along

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
-from hilcell.cell.devices import streams_of, sweeps_of
+from hilcell.cell.devices import streaming_tracker, sweeping_robot
 from hilcell.cell.file import RailTable, Station
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import VisitedPoses
@@ -464,7 +464,7 @@ class Mover(RunContext):
         the cell's clock in which they arrived, joints the cell's clock before and after each
         request; the reader of the stream pairs them.
         """
-        tracker, robot = streams_of(self.devices.tracker), sweeps_of(self.devices.robot)
+        tracker, robot = streaming_tracker(self.devices.tracker), sweeping_robot(self.devices.robot)
         check_joint_limits(self.cell, order.target_rad, order.key)
         check_volumes_known(self.cell, order.key)
         self.robot_to(order.start_rad, order.key)

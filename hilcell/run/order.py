@@ -85,8 +85,8 @@ class Order(Signature):
         """
         # `--help` does without these.
         from hilcell.calibration.lookup import calibrated_machine, with_calibration
-        from hilcell.cell.devices import check_options, check_repeated, load_entry
-        from hilcell.cell.differences import check_copied
+        from hilcell.cell.devices import check_options, check_replay, load_entry
+        from hilcell.cell.differences import check_identity
         from hilcell.cell.file import load_cell, located
         from hilcell.cell.settings import SettingsError
         from hilcell.journal.runs import check_space, new_run
@@ -95,7 +95,7 @@ class Order(Signature):
         cell = load_cell(self.cell, dict(self.settings))
         run_plan.check_of_simulator(cell, "--speed", self.speed)
         run_plan.check_of_simulator(cell, "--machine-seed", self.machine_seed)
-        if warning := check_copied(self.cell, cell):
+        if warning := check_identity(self.cell, cell):
             say(warning)
         procedure: Procedure = load_entry("procedures", self.procedure)
         run_plan.check_attended(cell, procedure, unattended=self.attendance.unattended)
@@ -114,7 +114,7 @@ class Order(Signature):
         except SettingsError as error:
             raise located(self.cell, error.problems, dict(self.settings)) from None
         steps = procedure.plan(cell, self.seed)
-        check_repeated(cell, self.procedure, self.seed)
+        check_replay(cell, self.procedure, self.seed)
         if not self.dry_run:
             check_space(self.runs, steps.points)
         return run_plan.NewRun(

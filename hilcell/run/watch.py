@@ -393,7 +393,7 @@ class Watch(Meter):
             return SlideOffset(0.0, 0.0)
         first = (here or before)[0]
         straight_mm = 0.5  # between stations by the strip: its error, the rail's tilt and lean
-        held_mm = 2.0 * self.cell.rail.held_within_mm if here else straight_mm
+        held_mm = 2.0 * self.cell.rail.hold_limit_mm if here else straight_mm
         limit_mm = held_mm + float(self._limits_mm([first], [now])[0])
         at_mm = apply(self.log.matrix("world"), positions_mm([first, now]))
         travel_mm = station.strip_mm - self.cell.station_named(first.station).strip_mm

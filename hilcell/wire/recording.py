@@ -31,7 +31,7 @@ from typing import IO, Literal, Self, cast
 
 import msgspec
 
-from hilcell.cell.devices import stated_options
+from hilcell.cell.devices import checked_options
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, decoded
@@ -238,7 +238,7 @@ class WireRecording:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
         folder, began_s = self._unused(folder), time.monotonic()
-        stated = stated_options(cell, addresses)
+        stated = checked_options(cell, addresses)
         orders = [
             RelayOrder(name, str(folder / f"{name}{SUFFIX}"), began_s, place)
             for name, place in wire_places(stated).items()

@@ -82,7 +82,7 @@ def test_reflectors_stand_near_their_nominal_places(cell: Cell) -> None:
     at_mm = truth.reflectors_in_world()
     base = cell.layout.nominal_base(truth.rail.slide_mm())
     assert set(at_mm) == {
-        *(nest.name for nest in cell.layout.standing + cell.layout.slide),
+        *(nest.name for nest in cell.layout.fixed_nests + cell.layout.slide),
         FLANGE,
     }
     for nest in cell.layout.floor:

@@ -52,7 +52,7 @@ def carried(folder: Path, different: str) -> tuple[Log, list[str]]:
 @pytest.mark.parametrize("different", ["", "flange", "F2"])
 def test_the_one_that_differs_is_named(tmp_path: Path, different: str) -> None:
     log, titles = carried(tmp_path, different)
-    assert len(titles) == len(CELL.layout.standing) + 1 + 1  # each, and all put back
+    assert len(titles) == len(CELL.layout.fixed_nests) + 1 + 1  # each, and all put back
     rows = REFLECTORS.result(log)["reflectors"]
     wrong = [row for row in rows if not row["holds"]]
     assert [row["place"] for row in wrong] == [name for name in [different] if name]

@@ -26,7 +26,7 @@ from drivers import strips
 from drivers.canopen import process_image, sdo
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.player import EventTime, Exchange, Script, exchanges, landmarks
-from hilcell.cell.devices import check_options, stand_ins
+from hilcell.cell.devices import check_options, placeholder_addresses
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
@@ -181,7 +181,7 @@ def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) 
     folder = tmp_path / "r1"
     folder.mkdir()
     cell = load_cell("paper")
-    WireRecording(cell, stand_ins(cell), folder, HEAD).close()
+    WireRecording(cell, placeholder_addresses(cell), folder, HEAD).close()
     drivers = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
     check_options(load_cell("paper", drivers))
     cell = load_cell("paper", drivers | {"tracker.driver": "leica-geocom"})

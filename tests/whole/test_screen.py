@@ -60,7 +60,7 @@ def to_procedure(name: str) -> str:
     return "\x1b[B" * (names.index(name) - names.index("calibrate"))
 
 
-def folder_of(runs: Path) -> Path:
+def cell_folder(runs: Path) -> Path:
     """Return the only run."""
     (folder,) = run_folders(runs)
     return folder
@@ -99,7 +99,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.answer(ENTER)
             terminal.shows("× FAULT", "HC-B")
             assert cell.ask(do="clear")["ok"]
-            wait_for(lambda: live_engine(folder_of(tmp_path)) is None)
+            wait_for(lambda: live_engine(cell_folder(tmp_path)) is None)
             terminal.shows("space  resume")
             terminal.press(" ")  # three keys: resume, yes, acknowledge
             terminal.shows("Resume this run?")
@@ -108,7 +108,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
             terminal.press("k")
             terminal.until(lambda text: "HC-B" not in text)
             terminal.shows("● DONE")
-        assert judged(folder_of(tmp_path)) == []
+        assert judged(cell_folder(tmp_path)) == []
 
 
 def test_esc_right_after_the_start_is_heard(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
         with screen(tmp_path, *words) as first:
             start(first)
             first.shows("► RUNNING")
-            folder = folder_of(tmp_path)
+            folder = cell_folder(tmp_path)
             first.process.kill()
             wait_for(lambda: state_of(folder) == "paused")
             with Terminal(["tui", "--runs", str(tmp_path), "last"]) as second:
@@ -151,7 +151,7 @@ def test_an_engine_that_is_suspended_is_silent_and_not_gone(
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED)
         terminal.shows("► RUNNING")
-        folder = folder_of(tmp_path)
+        folder = cell_folder(tmp_path)
         engine = live_engine(folder)
         assert engine is not None
         os.kill(engine.pid, signal.SIGSTOP)
@@ -186,4 +186,4 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
                 terminal.shows("● reflector visible")
                 terminal.answer(ENTER)
             terminal.shows("● DONE")
-        assert judged(folder_of(tmp_path)) == []
+        assert judged(cell_folder(tmp_path)) == []

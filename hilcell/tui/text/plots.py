@@ -241,7 +241,7 @@ class Measured:
         """
         shown = [each for name, each in self.strip_mm.items() if pick in ("", name)]
         values = np.concatenate([np.zeros(0), *shown])
-        within_mm, count = self.log.cell.rail.held_within_mm, len(values)
+        within_mm, count = self.log.cell.rail.hold_limit_mm, len(values)
         series = (Series("strip", LIVE, _middles(count), values),) if count else ()
         return Plot("strip's reading less the station's, mm", "point", _counted(count), series,
                     (within_mm, -within_mm), "station held within")  # fmt: skip
@@ -524,7 +524,7 @@ class Figures:
         ]
         rail = self.of.log.cell.rail
         rows.append(("", "approached", (None, None, rail.strip_tolerance_mm)))
-        rows.append(("", "held within", (None, None, rail.held_within_mm)))
+        rows.append(("", "held within", (None, None, rail.hold_limit_mm)))
         words = (
             "max: largest distance from the station, either way. An approach ends within the "
             "tolerance; a slide at rest may read up to twice as far off."

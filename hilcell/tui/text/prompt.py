@@ -110,7 +110,7 @@ class PromptText:
 
     def _place(self) -> list[Content]:
         at, place, layout = BLANK, self.prompt.place, self.view.log.cell.layout
-        nests = {nest.name: nest for nest in (*layout.slide, *layout.standing)}
+        nests = {nest.name: nest for nest in (*layout.slide, *layout.fixed_nests)}
         if nest := nests.get(place):
             xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
             at = Content.assemble(("at ", "$label"), xyz)
@@ -218,7 +218,7 @@ class Site:
             rail_mm = held[-1].rail_mm if held else log.cell.reference.rail_mm
         T_W_B = layout.nominal_base(rail_mm)
         slide = {nest.name: cls._above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
-        standing = {nest.name: cls._above(nest.xyz_mm) for nest in layout.standing}
+        standing = {nest.name: cls._above(nest.xyz_mm) for nest in layout.fixed_nests}
         nests = slide if prompt.place in slide else standing
         keys = view.measured.get(view.step.number, set()) if view.step else set()
         done = frozenset(log.points[key].id.nest for key in keys if key in log.points)

@@ -51,7 +51,7 @@ def test_every_place_of_a_cell_is_within_the_search(paper: NamedPoints) -> None:
     places = [apply(base, at_mm[None])[0] for base, at_mm in zip(bases, reached, strict=True)]
     slide = [nest.xyz_mm for nest in cell.layout.slide]
     places = [each for each in places if each[2] > 0]
-    places += [nest.xyz_mm for nest in cell.layout.standing]
+    places += [nest.xyz_mm for nest in cell.layout.fixed_nests]
     places += list(apply(bases[0], np.array(slide)))
     for at_mm in apply(T, np.array(places)):
         if cell.tracker.min_range_mm <= np.linalg.norm(at_mm) <= cell.tracker.max_range_mm:

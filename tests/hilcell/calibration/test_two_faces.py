@@ -11,7 +11,7 @@ from hilcell.calibration.instrument import AXES, BothFaces, judged_faces
 from hilcell.cell.file import load_cell
 
 CELL = load_cell("paper")
-NESTS = {nest.name: nest.xyz_mm for nest in CELL.layout.standing}
+NESTS = {nest.name: nest.xyz_mm for nest in CELL.layout.fixed_nests}
 LIMIT_MM = 0.015 + 0.012
 FAULTS = ("tracker.collimation", "tracker.transit", "tracker.index")
 

@@ -8,7 +8,7 @@ import pytest
 
 import hilcell.cell.addresses as places_module
 from hilcell.cell.addresses import places
-from hilcell.cell.devices import device_places
+from hilcell.cell.devices import device_addresses
 from hilcell.cell.file import load_cell
 
 
@@ -78,13 +78,13 @@ def test_a_name_server_that_hangs_is_not_waited_for(monkeypatch: pytest.MonkeyPa
 def test_defaults_of_the_driver_are_part_of_the_place() -> None:
     """paper states no port for robot and tracker: the drivers know them."""
     stated = load_cell("paper", {"robot.options.port": "7000", "robot.options.host": "localhost"})
-    assert device_places(load_cell("paper"), {}) == device_places(stated, {})
-    assert device_places(stated, {})["this machine:7000"] == ["robot"]
+    assert device_addresses(load_cell("paper"), {}) == device_addresses(stated, {})
+    assert device_addresses(stated, {})["this machine:7000"] == ["robot"]
 
 
 def test_devices_at_one_place_are_named_together() -> None:
     one = load_cell("paper", {"robot.options.port": "700"})
-    assert device_places(one, {})["this machine:700"] == ["robot", "tracker"]
+    assert device_addresses(one, {})["this machine:700"] == ["robot", "tracker"]
 
 
 def test_the_line_of_a_strip_is_a_place_beside_the_bus() -> None:

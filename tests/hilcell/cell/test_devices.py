@@ -7,7 +7,7 @@ from threading import Event
 import msgspec
 import pytest
 
-from hilcell.cell.devices import abilities, build_devices, check_options, driver_options, stand_ins
+from hilcell.cell.devices import abilities, build_devices, check_options, driver_options, placeholder_addresses
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
@@ -74,7 +74,7 @@ def test_a_driver_that_cannot_be_built_is_refused_with_its_line(
     request.addfinalizer(lambda: sys.modules.pop("plant_0", None))
     cell = load_cell("paper", {"robot.driver": "mine"})
     with pytest.raises(SettingsError) as caught:
-        build_devices(cell, stand_ins(cell), WallClock(Event()))
+        build_devices(cell, placeholder_addresses(cell), WallClock(Event()))
     (problem,) = caught.value.problems
     assert problem.startswith("robot.driver: ")
     assert "plant_0.py, line 9" in problem

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.cell.differences import check_copied
+from hilcell.cell.differences import check_identity
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 
@@ -15,7 +15,7 @@ REAL = PAPER.split("[simulation]")[0]
 
 def warning_of(file: Path, text: str) -> str:
     file.write_text(text)
-    return check_copied(str(file), load_cell(str(file)))
+    return check_identity(str(file), load_cell(str(file)))
 
 
 def own(text: str) -> str:
@@ -54,10 +54,10 @@ def test_a_simulated_cell_that_differs_is_warned_of(file: Path) -> None:
 def test_cells_of_their_own_and_the_built_in_ones_are_not(file: Path) -> None:
     assert warning_of(file, own(REAL)) == ""
     assert warning_of(file, PAPER) == ""  # the same cell
-    assert check_copied("paper", load_cell("paper", {"rail.speed_mm_s": "9.0"})) == ""
+    assert check_identity("paper", load_cell("paper", {"rail.speed_mm_s": "9.0"})) == ""
     overridden = {"name": "shop", "serial": "HC-7"}
     file.write_text(own(REAL).replace("HC-7", "HC-2014"))
-    assert check_copied(str(file), load_cell(str(file), overridden)) == ""
+    assert check_identity(str(file), load_cell(str(file), overridden)) == ""
 
 
 def test_a_real_cell_s_lengths_need_a_certificate(file: Path) -> None:

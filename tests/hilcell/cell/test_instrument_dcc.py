@@ -6,7 +6,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.uncertainty import InstrumentDcc, NotRead
+from hilcell.cell.uncertainty import InstrumentDcc, CertificateError
 
 ERRORS = (
     "<si:valueXMLList>0.002 -0.006 0.004</si:valueXMLList>"
@@ -76,15 +76,15 @@ def test_the_largest_error_and_its_u_at_k_2_are_the_limit(
     ids=["document type", "mismatched tag", "another root", "no number", "too long", "empty"],
 )
 def test_what_is_no_certificate_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(NotRead):
+    with pytest.raises(CertificateError):
         InstrumentDcc.read(written(tmp_path, text))
 
 
 def test_no_file_and_no_text_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(NotRead):
+    with pytest.raises(CertificateError):
         InstrumentDcc.read(tmp_path / "none.xml")
     (tmp_path / "sixteen.xml").write_bytes(dcc().encode("utf-16"))
-    with pytest.raises(NotRead):
+    with pytest.raises(CertificateError):
         InstrumentDcc.read(tmp_path / "sixteen.xml")
 
 
@@ -105,7 +105,7 @@ def test_no_file_and_no_text_are_refused(tmp_path: Path) -> None:
 )
 def test_a_quantity_that_means_something_else_is_refused(tmp_path: Path, quantities: str) -> None:
     found = InstrumentDcc.read(written(tmp_path, dcc(quantities)))
-    with pytest.raises(NotRead):
+    with pytest.raises(CertificateError):
         found.largest_error_mm("errors")
 
 

@@ -313,8 +313,8 @@ def test_a_robot_that_cannot_park_on_a_clear_way_stays(post: Bed) -> None:
 def test_a_sweep_through_a_volume_is_not_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: Cell, code: str
 ) -> None:
-    monkeypatch.setattr(mover, "streams_of", lambda tracker: tracker)
-    monkeypatch.setattr(mover, "sweeps_of", lambda robot: robot)
+    monkeypatch.setattr(mover, "streaming_tracker", lambda tracker: tracker)
+    monkeypatch.setattr(mover, "sweeping_robot", lambda robot: robot)
     bed = Bed(tmp_path, cell=cell)
     bed.robot.joints_rad = LEFT
     order = mover.SweepCommand("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.cell.devices import Devices, sweeps_of
+from hilcell.cell.devices import Devices, sweeping_robot
 from hilcell.errors import EXIT_INTERNAL, DriverDefect, exit_code
 from hilcell.ports import DeviceError, RailReading, TrackerReading
 from hilcell.run import device_status
@@ -63,7 +63,7 @@ def test_a_robot_that_sweeps_moves(board: Board) -> None:
     devices = Devices(board.rail, Sweeping(CELL, board.clock), board.tracker)
     monitor = CellMonitor(devices, board.clock, CELL)
     moving = []
-    with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
+    with sweeping_robot(monitor.devices.robot).sweep(0, 1.0, 0.1):
         moving.append(monitor.robot.moving)
     assert [*moving, monitor.robot.moving] == [True, False]
 
