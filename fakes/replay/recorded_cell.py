@@ -19,7 +19,7 @@ import msgspec
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.player import ClockReadings, EventTime, RecordedWire
 from fakes.time import CountedTime
-from hilcell.cell.devices import TABLES, placeholder_addresses, checked_options
+from hilcell.cell.devices import TABLES, checked_options, placeholder_addresses
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
@@ -120,7 +120,7 @@ def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
 
 def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
     """Return, in words, the wires of a cell of which there is no recording."""
-    anywhere = placeholder_addresses(cell)  # but for drivers not installed: the check of the cell states that
+    anywhere = placeholder_addresses(cell)  # missing drivers are reported elsewhere
     stated = checked_options(cell, anywhere, anywhere)
     for table, options in stated.items():
         for channel in can_interfaces(options):

@@ -7,7 +7,13 @@ from threading import Event
 import msgspec
 import pytest
 
-from hilcell.cell.devices import abilities, build_devices, check_options, driver_options, placeholder_addresses
+from hilcell.cell.devices import (
+    abilities,
+    build_devices,
+    check_options,
+    driver_options,
+    placeholder_addresses,
+)
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock

@@ -6,7 +6,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.cell.uncertainty import InstrumentDcc, CertificateError
+from hilcell.cell.uncertainty import CertificateError, InstrumentDcc
 
 ERRORS = (
     "<si:valueXMLList>0.002 -0.006 0.004</si:valueXMLList>"

@@ -133,7 +133,7 @@ def site(cell_name: str, wanted: str, done: str = "") -> Site:
     cell = load_cell(cell_name)
     layout, base = cell.layout, cell.layout.nominal_base(cell.station[-1].rail_mm)
     slide = {n.name: _xy(apply(base, n.xyz_mm[None])[0]) for n in layout.slide}
-    standing = {n.name: _xy(n.xyz_mm) for n in layout.standing}
+    standing = {n.name: _xy(n.xyz_mm) for n in layout.fixed_nests}
     nests = slide if wanted in slide else standing
     return Site(
         nests=nests, done=frozenset(filter(None, [done])), wanted=wanted, wanted_mm=nests[wanted],
@@ -154,7 +154,7 @@ def sketch_lines(found: Site, columns: int = 46, rows: int = 11) -> list[str]:
 @pytest.mark.parametrize("name", CELLS)
 def test_every_nest_is_named_once_and_the_wanted_one_is_there(name: str) -> None:
     layout = load_cell(name).layout
-    for nests in (layout.standing, layout.slide):
+    for nests in (layout.fixed_nests, layout.slide):
         for nest in nests:
             lines = sketch_lines(site(name, nest.name))
             assert len(lines) == 11
