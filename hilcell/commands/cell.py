@@ -18,7 +18,7 @@ from hilcell.cell.devices import (
     unknown_drivers,
 )
 from hilcell.cell.differences import check_identity
-from hilcell.cell.file import Cell, load_cell, located, driver_names
+from hilcell.cell.file import Cell, driver_names, load_cell, located
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import by_line
 from hilcell.cell.undetectable_errors import undetectable_errors

@@ -21,10 +21,10 @@ import msgspec
 
 from hilcell.cell.devices import (
     TABLES,
+    checked_options,
     driver_options,
     is_robot_driven,
     start_simulation,
-    checked_options,
 )
 from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import PORTS, USES, Driver, Port, Reading
