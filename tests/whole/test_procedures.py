@@ -1,4 +1,6 @@
-"""Every procedure runs alone by its name, and its journal keeps every invariant."""
+"""Every procedure runs alone by its name, as planned, and its journal keeps every invariant."""
+
+from __future__ import annotations
 
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -128,3 +130,22 @@ def test_a_campaign_of_another_robot_is_refused_before_anything_moves(
     assert "check the robot file" in done.stderr
     assert "(hilcell explain HC-C22)" in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_every_step_measures_as_many_points_as_planned(paper: PaperRun) -> None:
+    assert paper.end["state"] == "finished", paper.errors
+    steps = next(event for event in paper.events if event["kind"] == "plan")["steps"]
+    planned = {
+        step["name"]: sum(s["measured"] for s in step["spans"]) if step["spans"] else step["points"]
+        for step in steps
+    }
+    measured = dict.fromkeys(planned, 0)
+    name = ""
+    for event in paper.events:
+        if event["kind"] == "event" and event["what"] == "step":
+            name = event["name"]
+        swept = event["kind"] == "event" and event["what"] == "stream"
+        if swept or (event["kind"] == "point" and not event.get("retaken")):
+            measured[name] += 1
+    assert measured == planned
+    assert sum(planned.values()) > sum(step["points"] for step in steps)  # control points

@@ -1,5 +1,8 @@
-"""Wrong input is refused with one clear message and its exit code before anything moves."""
+"""Wrong input, addresses and ports are refused with one clear message and its exit code."""
 
+from __future__ import annotations
+
+import json
 import socket
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from tests.whole.bench import (
     sets,
     shop_cell,
     shop_values,
+    sim_command,
     simulation,
 )
 from tests.whole.threaded import ThreadedRun
@@ -179,3 +183,48 @@ def test_a_folder_of_runs_that_takes_no_run(tmp_path: Path) -> None:
     done = command("run", "home", "--name", "d", "--runs", tmp_path)
     assert done.returncode == 7
     assert f"{tmp_path}/d" in done.stderr
+
+
+@pytest.mark.wall
+@pytest.mark.usefixtures("faster_than_a_drive")
+def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Path) -> None:
+    ports = {name: free_port() for name in ("rail", "robot", "tracker")}
+    values = shop_values(f"socket://localhost:{ports['rail']}", ports["robot"], ports["tracker"])
+    asked = ",".join(f"{name}={port}" for name, port in ports.items())
+    with sim_command("--speed", "max", "--ports", asked) as simulated:
+        assert simulated.addresses["rail"] == {"channel": f"socket://127.0.0.1:{ports['rail']}"}
+        assert simulated.addresses["robot"]["port"] == ports["robot"]
+        run = ran(tmp_path, "home", values, "--cell", shop_cell(tmp_path), name="r")
+    assert run.end["exit"] == 0, run.done.stderr
+    assert run.result["simulated"] is True
+    first, *rest = run.events
+    assert first["simulated"] is False  # the plan states what is known before anything is opened
+    (connected,) = [e for e in rest if e["kind"] == "event" and e["what"] == "connected"]
+    assert [each["simulated"] for each in connected["devices"]] == [True] * 4
+    kinds = [each["kind"] for each in connected["devices"]]
+    assert kinds == ["drive", "strip", "robot", "tracker"]
+    (row,) = json.loads(command("runs", "--json", "--runs", tmp_path).stdout)["runs"]
+    assert row["simulated"] is True
+    command("report", "r", "--runs", tmp_path, "-o", tmp_path / "r.html")
+    assert "SIMULATION." in (tmp_path / "r.html").read_text("utf-8")
+
+
+def test_a_taken_port_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+        done = command("sim", "--ports", f"tracker={port}")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"port {port} " in done.stderr
+
+
+@pytest.mark.parametrize("text", ["rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", ""])
+def test_ports_that_are_none(text: str) -> None:
+    done = command("sim", "--ports", text)
+    assert done.returncode == 2
+    assert "--ports" in done.stderr
+
+
+def test_a_simulated_cell_that_runs_keeps_its_ports() -> None:
+    done = command("sim", "--set", "simulation.address=127.0.0.1:1", "--ports", "rail=7")
+    assert done.returncode == 2
+    assert "simulation.address" in done.stderr

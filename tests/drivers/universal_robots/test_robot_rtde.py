@@ -1,4 +1,4 @@
-"""What a driver makes of dashboard servers that are older than its questions, or are not there."""
+"""A Universal Robot's stop over both wires, and dashboard servers that are too old or absent."""
 
 from __future__ import annotations
 
@@ -7,14 +7,39 @@ import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
-from drivers.universal_robots.robot_rtde import UrRtdeRobot
+from drivers.device_errors import ROBOT
+from drivers.universal_robots.robot_rtde import Release, UrRtdeRobot
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceRefused
+from hilcell.ports import DeviceError, DeviceRefused
 from tests.drivers.peers import Server, refusal
+
+PANEL_GONE = ROBOT.broken("panel", "stop", "the panel has gone")
+LINK_GONE = ROBOT.broken("link", "stop", "the link has gone")
+
+
+@pytest.mark.parametrize(("panel", "link"), [(None, None), (PANEL_GONE, None), (None, LINK_GONE)])
+def test_a_stop_that_one_wire_takes_is_sent(
+    panel: DeviceError | None, link: DeviceError | None
+) -> None:
+    wires = Mock(), Mock()
+    wires[0].end_script.side_effect, wires[1].send.side_effect = link, panel
+    Release(*wires, session=7).stop()
+    wires[0].end_script.assert_called_once_with(7)
+    wires[1].send.assert_called_once_with("stop")
+
+
+def test_a_stop_that_no_wire_takes_is_an_error() -> None:
+    wires = Mock(), Mock()
+    wires[0].end_script.side_effect, wires[1].send.side_effect = LINK_GONE, PANEL_GONE
+    with pytest.raises(DeviceError, match="the panel has gone"):
+        Release(*wires, session=7).stop()
+    wires[0].end_script.assert_called_once_with(7)
+
 
 OLD = {
     "PolyscopeVersion": "URSoftware 5.4.2.76197 (Jul 2019)",
