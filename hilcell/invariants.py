@@ -21,12 +21,11 @@ from hilcell.geometry.statistics import beam_noise, coverage_factor
 from hilcell.identity import Identity
 from hilcell.journal.journal import RESTORE_ADVICE, Record, StorageError
 from hilcell.journal.log import PROOFS, UNWATCHED_STATES, changed_asset_kinds
-from hilcell.journal.states import OVER, WAITING
 from hilcell.model import events
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, SEAT, Point, Readings
-from hilcell.model.records import Ended, Intended, SeenBefore, StateChanged
+from hilcell.model.records import OVER, WAITING, Ended, Intended, SeenBefore, StateChanged
 from hilcell.model.verdicts import Verdict
 
 FUTURE_S = -0.001  # two readings of one clock

@@ -20,8 +20,7 @@ from procedures.rail import (
     approach_table,
     survey_table,
 )
-from procedures.repeatability import Repeatability
-from procedures.revisits import Revisits, suspicion_words
+from procedures.repeatability import Repeatability, Revisits, suspicion_words
 from procedures.robot_grid import ChosenPoses, RobotGrid
 from procedures.station_frames import FrameRepeatability, StationFrames, frame_repeatability_table
 from procedures.validate import Validate

@@ -90,8 +90,9 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
     if not np.all(inside):
         worst = int(np.argmin(inside))
         raise HilcellError(
-            f"{what}: {int(np.sum(~inside))} of {len(inside)} out of the tracker's range; the first "
-            f"at {range_mm[worst]:.0f} mm, expected {low:.0f} .. {high:.0f} mm; move the tracker",
+            f"{what}: {int(np.sum(~inside))} of {len(inside)} out of the tracker's range; the "
+            f"first at {range_mm[worst]:.0f} mm, expected {low:.0f} .. {high:.0f} mm; move the "
+            "tracker",
             code="HC-C10",
         )
 

@@ -9,7 +9,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from hilcell.calibration.budget import coverages
-from hilcell.calibration.changes import compared
 from hilcell.calibration.decision_rule import (
     check_limits,
     class_warning,
@@ -17,7 +16,6 @@ from hilcell.calibration.decision_rule import (
     judged,
     tolerance_limits,
 )
-from hilcell.calibration.diagnosis import suspected_causes
 from hilcell.calibration.from_run import learnt_so_far
 from hilcell.calibration.grid import grid_of, measured_errors
 from hilcell.calibration.influence import NoBound
@@ -42,14 +40,13 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import Place, SentErrors, TargetBounds
-from hilcell.model.suspicion import Cause
-from hilcell.model.verdicts import OTHERS, VALIDATION, ChangedSince, Oriented, Suspected
+from hilcell.model.verdicts import OTHERS, VALIDATION, Oriented
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures import plan, quick_validation
 from procedures.fit import orients
-from procedures.repeatability import floor
+from procedures.repeatability import floor, judge_suspicions
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch_station import touch_once, touch_spans, touches
 
@@ -262,28 +259,6 @@ class Validate:
         return (
             quick_validation.least_targets(cell) if how == Sent.CHOSEN else quick_validation.BLOCK
         )
-
-
-def judge_suspicions(session: CellSession) -> None:
-    """Journal the run's suspicions.
-
-    A change since the current calibration is a verdict of its own: the operator decides which
-    calibration is right.
-    """
-    found, before = suspected_causes(session.log), session.log.inputs.floor_before
-    suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]
-    session.judge("suspicions", Suspected(holds=not suspected, suspected=suspected))
-    risen = any(each.cause is Cause.NEST_MOVED for each in found)
-    changes = compared(session.log, with_base=not risen)
-    if before is not None and changes:
-        changed = ChangedSince(
-            holds=all(each.holds for each in changes),
-            before=before.run,
-            suspected=[each.text for each in found if each.cause is Cause.CHANGED_SINCE],
-            beyond=[each for each in changes if not each.holds],
-            compared=len(changes),
-        )
-        session.judge("since", changed)
 
 
 def target_poses(cell: Cell, seed: int) -> dict[str, Array]:

@@ -1,7 +1,7 @@
 """The first steps of a run: the drive's reference, {W}, and checks of the tracker.
 
-{W} is constructed from three floor nests (section 5.1). Certified lengths check the tracker's scale,
-its second face the adjustment of its axes, at start and end.
+{W} is constructed from three floor nests (section 5.1). Certified lengths check the tracker's
+scale, its second face the adjustment of its axes, at start and end.
 """
 
 from __future__ import annotations

@@ -34,11 +34,10 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.labels import verdict_label
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
-from hilcell.journal.states import WAITING
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, Point
-from hilcell.model.records import StateChanged
+from hilcell.model.records import WAITING, StateChanged
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import OTHERS, VALIDATION, Verdict
 from hilcell.ports import RecordingEnded

@@ -38,10 +38,9 @@ from hilcell.journal.journal import (
     StorageError,
 )
 from hilcell.journal.runs import JOURNAL, is_run, live_engine, read_records, run_folders, unusable
-from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import CalibrationRevoked, CalibrationUsed, Connected, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
-from hilcell.model.records import Ended, StateChanged
+from hilcell.model.records import OVER, Ended, RunState, StateChanged
 from hilcell.model.results import Place
 from hilcell.model.verdicts import Verdict
 

@@ -32,14 +32,23 @@ from hilcell.geometry.statistics import BeamNoise, beam_noise, reading_variances
 from hilcell.identity import Identity
 from hilcell.journal.calibration_facts import CalibrationFacts, facts_of, outcome
 from hilcell.journal.journal import Body, Journal, NeverBegan, Record
-from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.model import events
 from hilcell.model.events import Three
 from hilcell.model.frame import Frame
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CHECKS, CONTROL, Point, PointId
-from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
+from hilcell.model.records import (
+    OVER,
+    WAITING,
+    CalibrationState,
+    Change,
+    Ended,
+    Intended,
+    Kind,
+    RunState,
+    StateChanged,
+)
 from hilcell.model.verdicts import Fitted, Verdict
 from hilcell.ports import Array
 

@@ -21,6 +21,41 @@ from hilcell.model.verdicts import Verdict, decode_verdict
 
 Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
+# -- the states of a run and of its calibration; `hilcell.run.states` has the transitions ----------
+
+RunState = Literal[
+    "idle",
+    "checking",  # identities and interlocks; nothing moves
+    "running",
+    "pausing",  # after the point in progress
+    "paused",
+    "suspended",  # waits for the answer to a prompt
+    "aborting",  # after the point in progress
+    "stopping",
+    "finished",
+    "aborted",
+    "faulted",
+]
+CalibrationState = Literal[
+    "unknown",
+    "connected",
+    "referenced",
+    "world_framed",
+    "station_held",
+    "base_framed",
+    "grid_measured",
+    "stations_framed",
+    "fitted",
+    "validated",
+]
+
+OVER: tuple[RunState, ...] = ("finished", "aborted", "faulted")
+WAITING: tuple[RunState, ...] = ("paused", "suspended")  # for the operator; nothing moves
+WORKING: tuple[RunState, ...] = ("checking", "running", "pausing", "aborting", "stopping")
+PASSING: tuple[RunState, ...] = ("pausing", "aborting")  # the key ``pausing`` of `status`
+
+# -- the records -----------------------------------------------------------------------------------
+
 
 class StateChanged(msgspec.Struct, frozen=True, kw_only=True):
     """A machine has gone from one state to another; ``by`` says what made a waiting run go on."""

@@ -27,7 +27,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_index
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
-from hilcell.journal.states import OVER
+from hilcell.model.records import OVER
 from hilcell.plant.database import (
     POSTGRESQL,
     SHIPPED,

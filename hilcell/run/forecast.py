@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 from hilcell.decoding import typed
 from hilcell.journal.journal import Record
-from hilcell.journal.states import WORKING, RunState
 from hilcell.model.events import StepBegun, StreamRecorded
 from hilcell.model.plan import PlannedStep, PlanRecord, Span
 from hilcell.model.point import CONTROL, Point
-from hilcell.model.records import Ended, StateChanged
+from hilcell.model.records import WORKING, Ended, RunState, StateChanged
 
 FLANGE, READINGS = "flange", " readings"  # kinds of spans: flange points, nests
 

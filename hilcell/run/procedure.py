@@ -1,24 +1,35 @@
-"""A procedure: its texts, its plan before anything moves, its steps and its result."""
+"""A procedure: its texts, its plan before anything moves, its steps and its result.
+
+`run_in_process` performs one on a simulated cell in this thread, for studies: without a runner,
+wires and an operator, and with the journal in memory.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from typing import Protocol, TypeAlias
 
 import msgspec
 
+from hilcell import __version__
+from hilcell.cell.devices import Devices, connect_all, in_process_cell
 from hilcell.cell.file import Cell
 from hilcell.decoding import Json
+from hilcell.journal.journal import Body, Record, plain_body
 from hilcell.journal.log import Log
-from hilcell.model.events import StepBegun
+from hilcell.model.events import Connected, StepBegun
 from hilcell.model.plan import PlannedStep
-from hilcell.ports import HilcellError, StripLost
+from hilcell.model.records import Kind
+from hilcell.ports import HilcellError, NoReading, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_slide_travel
+from hilcell.run.prompts import Prompt, Verification, unanswered
 from hilcell.run.watch import RemeasureStep
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
@@ -172,3 +183,73 @@ class Procedure:
             session.await_strip(lost)
             return False
         return True
+
+
+# -- in this process -------------------------------------------------------------------------------
+
+
+class MemoryJournal:
+    """Satisfies `hilcell.journal.log.Records`."""
+
+    def __init__(self, folder: Path, moment: str) -> None:
+        """``folder`` takes the streams; every record has the one time ``moment``, ISO 8601."""
+        self.log = Log(packed=False)  # a study reads them all
+        self.path = folder / "journal"
+        self._moment, self._seq = moment, 0
+
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
+        """Apply one record to the log and return it; raises `NotFinite`."""
+        plain, _ = plain_body(body, f"record {self._seq + 1} ({kind} {key or '-'})")
+        self._seq += 1
+        record = Record(self._seq, self._moment, kind, key, plain)
+        self.log.take(record)
+        return record
+
+
+def run_in_process(
+    cell: Cell,
+    procedure: Procedure,
+    *,
+    seed: int,
+    machine_seed: int,
+    folder: Path,
+    plan: Plan | None = None,
+) -> Log:
+    """Perform a procedure on a simulated cell; return its log, without an end.
+
+    ``seed`` draws the random targets, ``machine_seed`` the machine; ``folder`` is that of streams.
+    ``plan`` is the procedure's for this cell and seed, if known. Raises `HilcellError`.
+    """
+    plan = plan or procedure.plan(cell, seed)
+    simulated = in_process_cell(cell, machine_seed)
+    journal = MemoryJournal(folder, datetime.now(UTC).isoformat(timespec="milliseconds"))
+    journal.append(
+        "plan",
+        "",
+        procedure.inputs(cell, plan)
+        | {
+            "cell_file": cell.name,
+            "seed": seed,
+            "machine_seed": machine_seed,
+            "speed": None,
+            "unattended": True,
+            "operator": "",
+            "job": "",
+            "versions": {"hilcell": __version__},
+            "settings": {},
+        },
+    )
+    devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
+    identities = connect_all(devices, lambda _: None)
+    journal.append("event", "", Connected(devices=identities))
+    session = CellSession(
+        cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_no_operator
+    )
+    procedure.perform(session)
+    return journal.log
+
+
+def _no_operator(
+    prompt: Prompt, verify: Callable[[], Verification], cause: NoReading | None
+) -> Verification:
+    raise unanswered(prompt, cause) from cause

@@ -30,7 +30,6 @@ from hilcell.errors import (
 )
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
-from hilcell.journal.states import PASSING
 from hilcell.model.events import (
     AlarmsAcknowledged,
     Announced,
@@ -44,6 +43,7 @@ from hilcell.model.events import (
     ScreenBack,
     ScreenLost,
 )
+from hilcell.model.records import PASSING
 from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status

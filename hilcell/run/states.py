@@ -16,8 +16,8 @@ from typing import cast, get_args
 from transitions import EventData, Machine, MachineError, Transition
 
 from hilcell.journal.log import Log, Records
-from hilcell.journal.states import CalibrationState, RunState
 from hilcell.model.point import Point
+from hilcell.model.records import CalibrationState, RunState
 from hilcell.ports import HilcellError
 
 

@@ -20,8 +20,7 @@ from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
 from hilcell.model.results import Calibrated, Place, TargetBounds
 from hilcell.model.verdicts import OTHERS
-from hilcell.run.in_process import run_in_process
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, run_in_process
 
 IDW = "idw_mm"
 Level: TypeAlias = float | str | None  # of a factor, in a table

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.log import Log
-from hilcell.journal.states import WAITING
 from hilcell.model.events import StepBegun
 from hilcell.model.point import CONTROL, Point
+from hilcell.model.records import WAITING
 from hilcell.run.control import PromptStatus, Status
 from hilcell.run.states import RUN
 

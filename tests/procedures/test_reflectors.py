@@ -13,7 +13,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.in_process import MemoryJournal, run_in_process
+from hilcell.run.procedure import MemoryJournal, run_in_process
 from hilcell.run.prompts import Prompt, Verification
 from procedures.reflectors import REFLECTORS
 

@@ -10,7 +10,7 @@ from fakes.in_process import InProcessCell
 from hilcell.calibration.instrument import axis_off
 from hilcell.cell.file import load_cell
 from hilcell.model.suspicion import Cause
-from hilcell.run import in_process
+from hilcell.run import procedure
 from hilcell.run.procedure import Procedure
 from procedures.calibrate import CALIBRATE, point_table
 from procedures.world_frame import Home, TwoFaces, WorldFrame, left_out
@@ -56,7 +56,7 @@ def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
     simulated = InProcessCell(CELL, 1)
     simulated.tracker._truth.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
     monkeypatch.setattr(in_process, "in_process_cell", lambda cell, seed: simulated)
-    log = in_process.run_in_process(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
+    log = procedure.run_in_process(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
     assert log.verdicts["two-face"].holds is not bool(urad)
     found = axis_off(log)
     assert (found is not None) is bool(urad)

@@ -8,7 +8,7 @@ import pytest
 from hilcell.cell.file import load_cell
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
-from procedures.revisits import visits
+from procedures.repeatability import visits
 from tests.whole.bench import SMALL, OwnCell, command, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.threaded import Event, ThreadedRun, is_state

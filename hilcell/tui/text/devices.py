@@ -10,8 +10,8 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.labels import local_time_text, time_text, with_labels
-from hilcell.journal.states import WAITING
 from hilcell.model.events import NOT_KNOWN
+from hilcell.model.records import WAITING
 from hilcell.run.control import DeviceStatus, Interlock
 from hilcell.tui.layout import BLANK, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.run_view import RunView

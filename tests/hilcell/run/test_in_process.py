@@ -17,8 +17,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.log import Log
 from hilcell.ports import Array, DeviceError, HilcellError, TrackerReading
-from hilcell.run.in_process import run_in_process
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, run_in_process
 from tests.whole.bench import SMALL
 from tests.whole.golden import GoldenRuns
 

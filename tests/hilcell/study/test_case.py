@@ -11,8 +11,7 @@ from hilcell.cell.devices import load_entry
 from hilcell.decoding import typed
 from hilcell.model.results import Calibrated
 from hilcell.ports import NoReading
-from hilcell.run.in_process import run_in_process
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, run_in_process
 from hilcell.study import case
 from hilcell.study.case import RESULTS, calibrate_case, encode_cell, figures, versions
 from hilcell.study.study_file import Study, study_cell
