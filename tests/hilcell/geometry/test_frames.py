@@ -1,19 +1,27 @@
 """Rigid fits and frames: properties, refusals, and a peer."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hilcell.geometry.frames import (
     FrameError,
     apply,
+    from_rotvec,
+    from_zyx,
     inverse,
+    orientations,
     point_uncertainty,
     pose_from_zyx,
     rigid_fit,
+    rotation_levers,
     three_point_frame,
+    to_rotvec,
     zyx_from_pose,
 )
 
@@ -175,3 +183,73 @@ def test_inverse_agrees_with_scipy(T: np.ndarray) -> None:
         inverse(T), RigidTransform.from_matrix(T).inv().as_matrix(), atol=1e-8
     )
     np.testing.assert_allclose(inverse(np.array([T, T]))[1], inverse(T))
+
+
+angles = st.tuples(*[st.floats(-360.0, 360.0)] * 3)
+directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
+turns = st.floats(0.0, np.pi) | st.floats(0.0, 1e-3) | st.floats(np.pi - 1e-6, np.pi)
+
+
+@given(angles)
+@example((0.0, 90.0, 30.0))
+def test_angles(a_b_c_deg: tuple[float, float, float]) -> None:
+    wanted = Rotation.from_euler("ZYX", a_b_c_deg, degrees=True).as_matrix()
+    np.testing.assert_allclose(from_zyx(a_b_c_deg), wanted, rtol=0, atol=1e-15)
+
+
+@given(directions, turns)
+@example((1.0, 0.0, 0.0), 0.0)
+@example((0.6, 0.0, 0.8), 0.99999e-4)
+@example((0.6, 0.0, 0.8), 1.00001e-4)
+@example((0.0, 1.0, 0.0), np.pi)
+def test_rotation_vectors_there_and_back(axis: tuple[float, float, float], turn: float) -> None:
+    vector = turn * np.array(axis) / np.linalg.norm(axis)
+    R = from_rotvec(vector)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), rtol=0, atol=1e-15)
+    back = to_rotvec(R)
+    np.testing.assert_allclose(np.linalg.norm(back), turn, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(from_rotvec(back), R, rtol=0, atol=2e-15)
+
+
+def test_many_at_once() -> None:
+    rng = np.random.default_rng(1)
+    vectors = rng.uniform(-1.5, 1.5, (4, 5, 3))
+    np.testing.assert_allclose(to_rotvec(from_rotvec(vectors)), vectors, rtol=0, atol=1e-14)
+    degrees = rng.uniform(-180, 180, (4, 5, 3))
+    np.testing.assert_allclose(from_zyx(degrees)[2, 3], from_zyx(degrees[2, 3]), rtol=0, atol=0)
+
+
+@pytest.mark.process
+def test_what_starts_an_engine_imports_no_scipy() -> None:
+    """Its import alone takes longer than all else that is needed before a run."""
+    modules = "hilcell.run.runner, procedures.calibrate, drivers.kuka.robot_c3"
+    code = f"import sys, {modules}; sys.exit('scipy' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+PLACES_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 120.0]])
+
+
+@given(seeds)
+def test_a_body_is_turned_as_its_points_are_seen(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = from_rotvec(rng.normal(0.0, 2.0, (4, 3)))
+    seen_mm = np.einsum("nij,kj->nki", R, PLACES_MM) + rng.normal(0.0, 2000.0, (4, 1, 3))
+    np.testing.assert_allclose(orientations(PLACES_MM, seen_mm), R, atol=1e-9)
+
+
+@given(seeds)
+def test_levers_are_the_derivative_of_the_orientation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = from_rotvec(rng.normal(0.0, 2.0, (1, 3)))
+    seen_mm = np.einsum("nij,kj->nki", R, PLACES_MM)
+    off_mm = rng.normal(0.0, 1e-3, seen_mm.shape)
+    turned = to_rotvec(orientations(PLACES_MM, seen_mm + off_mm) @ np.swapaxes(R, 1, 2))
+    wanted = np.einsum("nkij,nkj->ni", rotation_levers(PLACES_MM, R), off_mm)
+    np.testing.assert_allclose(turned, wanted, atol=1e-9)
+
+
+def test_points_that_would_be_mirrored_are_turned() -> None:
+    mirrored = PLACES_MM * [1.0, 1.0, -1.0]
+    found = orientations(PLACES_MM, mirrored[None])
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)

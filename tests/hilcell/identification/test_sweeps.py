@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.axis_motion import SweepStream
+from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.sweeps import (
     Known,
     Records,
@@ -18,8 +20,11 @@ from hilcell.identification.sweeps import (
     Trial,
     swept_axis,
     transmission_curve,
+    without_curve,
     without_lines,
 )
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
 from hilcell.model.events import CurveMeasured
 from tests.hilcell.identification.axis_streams import ARM, Axis, Ripple, periodic
 
@@ -217,3 +222,71 @@ def test_a_trial_has_the_amplitudes_of_least_squares_beside_smooth_errors(sign: 
     prior[-2:] = 0.0
     best = np.linalg.solve(columns.T @ columns + np.diag(prior), columns.T @ records.error_rad)
     np.testing.assert_allclose(explained.amplitude_rad[40], best[-2:], rtol=1e-5)
+
+
+CURVE = TransmissionCurve(
+    axis=1,
+    cycles=np.array([40.0, 203.5]),
+    amplitude_rad=np.array([[30e-6, -10e-6], [0.0, 20e-6]]),
+    covariance_rad2=1e-12 * np.eye(4),
+    shift_rad=350e-6,
+    shift_sigma_rad=50e-6,
+    low_rad=-1.0,
+    high_rad=0.2,
+    noise_rad=5e-6,
+)
+
+
+def test_it_is_the_sum_of_its_waves_at_the_shifted_angle() -> None:
+    q = np.linspace(-1.0, 0.2, 7)
+    at = q + 350e-6
+    wanted = 30e-6 * np.cos(40 * at) - 10e-6 * np.sin(40 * at) + 20e-6 * np.sin(203.5 * at)
+    np.testing.assert_allclose(CURVE.evaluate(q), wanted, atol=1e-18)
+    assert CURVE.basis(q.reshape(7, 1)).shape == (7, 1, 4)
+
+
+RECORDED = TransmissionCurve(
+    axis=1,
+    cycles=np.array([40.0, 203.5]),
+    amplitude_rad=np.array([[30e-6, -10e-6], [0.0, 20e-6]]),
+    covariance_rad2=1e-12 * np.eye(4),
+    shift_rad=0.0,
+    shift_sigma_rad=50e-6,
+    low_rad=-1.0,
+    high_rad=0.2,
+    noise_rad=5e-6,
+)
+FOUND = msgspec.structs.replace(
+    without_curve(1, "", 0.0123),
+    cycles=RECORDED.cycles.tolist(),
+    amplitude_rad=RECORDED.amplitude_rad.tolist(),
+    covariance_rad2=RECORDED.covariance_rad2.tolist(),
+    shift_sigma_rad=50e-6,
+    low_rad=-1.0,
+    high_rad=0.2,
+    noise_rad=5e-6,
+    shown=np.column_stack([np.linspace(-57.3, 11.5, 9), np.full((9, 2), 12.0)]).tolist(),
+    spectrum=[(24.0, 1.0), (25.0, 2.0)],
+)
+
+
+def body_of(found: CurveMeasured) -> dict[str, object]:
+    body: dict[str, object] = msgspec.to_builtins(found)
+    return {"what": "curve"} | body
+
+
+def test_a_log_has_the_curve_as_it_was() -> None:
+    log = Log([Record(1, "", "event", "", body_of(FOUND))])
+    found = transmission_curve(log.curves[2])
+    for name in ("axis", "shift_sigma_rad", "low_rad", "high_rad", "noise_rad"):
+        assert getattr(found, name) == getattr(RECORDED, name)
+    q = np.linspace(-1.0, 0.2, 50)
+    np.testing.assert_array_equal(found.evaluate(q), RECORDED.evaluate(q))
+    np.testing.assert_array_equal(found.covariance_rad2, RECORDED.covariance_rad2)
+
+
+def test_a_result_without_a_curve_says_why() -> None:
+    record = without_curve(4, "upwards: 9 samples")
+    assert not record.holds
+    assert "upwards: 9 samples" in record.words
+    assert len(transmission_curve(record).cycles) == 0

@@ -1,6 +1,6 @@
 """Routes and their bound against every order of small cases; large ones near their bound."""
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -9,7 +9,18 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
 
-from hilcell.programs.route import _evaluated, _Search, lower_bound, route
+from hilcell.programs.route import (
+    Cut,
+    Separation,
+    _evaluated,
+    _Growth,
+    _Program,
+    _Search,
+    cut_bound,
+    lower_bound,
+    route,
+    star,
+)
 from tests.whole.bench import sweep
 
 seeds = st.integers(0, 2**32 - 1)
@@ -155,3 +166,143 @@ def test_single_rows_that_meet_need_the_stars() -> None:
     assert len(found.order) == 125
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
     assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
+
+
+def program_of(seed: int, points: np.ndarray) -> _Program:
+    order = np.random.default_rng(seed).permutation(len(points))
+    return _Program(cdist(points, points), order)
+
+
+def kind_of(cut: Cut) -> str:
+    if len(cut.sets) == 1:
+        return "subtour"
+    return "blossom" if cut.least == 3 * (len(cut.sets) - 1) + 1 else "star"
+
+
+def crossing(seed: int) -> np.ndarray:
+    """Return holes (N, 3) of single rows that cross: their shares break many blossoms."""
+    flat = np.vstack([raster(12, 3, 25.0, 120.0), raster(10, 3, 25.0, 130.0)[:, ::-1]])
+    points = np.pad(flat, ((0, 0), (0, 1)))
+    return points + np.random.default_rng(seed).normal(0, 0.5, points.shape)
+
+
+@settings(max_examples=12)
+@given(seeds, st.integers(4, 7))
+def test_bound_is_below_the_shortest(seed: int, count: int) -> None:
+    points = scattered(seed, count)
+    order = np.random.default_rng(seed).permutation(count)
+    assert cut_bound(cdist(points, points), order, np.inf) <= least(points) * (1 + 1e-12) + 1e-9
+
+
+@given(seeds, st.integers(4, 7), st.integers(0, 6))
+def test_any_prices_prove_a_bound(seed: int, count: int, cuts: int) -> None:
+    points, rng = scattered(seed, count), np.random.default_rng(seed)
+    program = program_of(seed, points)
+    for _ in range(cuts):
+        size = rng.integers(1, count)
+        nodes = np.zeros(count + 1, dtype=bool)
+        nodes[rng.permutation(count + 1)[:size]] = True
+        program.add([Cut(nodes[None], 2.0)])
+        program._cut_price = rng.uniform(1, 50, len(program._cuts))
+    program._node_price = rng.normal(0, 100, count + 1)
+    assert program.proven()[0] <= least(points) + 1e-6
+
+
+def test_every_tour_respects_every_cut() -> None:
+    """In rounds as the bound takes them, on rows that cross; subtours, blossoms and stars."""
+    points, rng = crossing(1), np.random.default_rng(1)
+    program, good = program_of(1, points), np.append(route(points).order, len(points))
+    separation = Separation(good)
+    tours = [rng.permutation(len(points) + 1) for _ in range(20)]
+    tours += [np.arange(len(points) + 1), good]
+    kinds = set()
+    for _ in range(4):
+        program.solve()
+        cuts = separation.broken(program.edges, program.share)
+        for cut in cuts:
+            kinds.add(kind_of(cut))
+            assert program.share @ cut.row(program.edges) < cut.least
+            for tour in tours:
+                steps = np.column_stack([tour, np.roll(tour, -1)])
+                assert cut.row(steps).sum() >= cut.least
+        program.add(cuts)
+    assert kinds == {"subtour", "blossom", "star"}
+
+
+def test_cuts_sharpen_the_bound_where_rows_cross() -> None:
+    points = crossing(1)
+    distance, order = cdist(points, points), np.arange(len(points))
+    assert cut_bound(distance, order, np.inf) > 1.03 * lower_bound(distance, order)
+
+
+def test_edges_that_the_program_has_not_seen_count_too() -> None:
+    """On a bad tour's edges alone the solver finds far too long an answer; that proves nothing."""
+    points = np.random.default_rng(2).uniform(0, 500, (30, 3))
+    distance, good = cdist(points, points), route(points)
+    order = np.random.default_rng(1).permutation(30)
+    tour = np.append(order, 30)
+    program = _Program(distance, order)
+    program.edges = np.sort(np.column_stack([tour, np.roll(tour, -1)]), axis=1)
+    assert program.solve() > 2 * good.travel_mm
+    bound_mm, missing = program.proven()
+    assert bound_mm <= good.travel_mm
+    assert len(missing) > 0
+    assert cut_bound(distance, order, np.inf) <= good.travel_mm
+
+
+def nested(handles: int) -> Cut:
+    """Return a star of three teeth with one node in each shell: levels 0 .. handles, three each."""
+    level, tooth = np.divmod(np.arange(3 * (handles + 1)), 3)
+    return star(level <= np.arange(handles)[:, None], tooth == np.arange(3)[:, None])
+
+
+@pytest.mark.parametrize("handles", [1, 2])
+def test_a_star_against_every_tour(handles: int) -> None:
+    cut = nested(handles)
+    count = cut.sets.shape[1]
+    tours = np.array([(0, *rest) for rest in permutations(range(1, count))])
+    steps = np.stack([tours, np.roll(tours, -1, axis=1)], axis=-1).reshape(-1, 2)
+    left = cut.row(steps).reshape(len(tours), count).sum(axis=1)
+    assert left.min() == cut.least == 4 * handles + 6
+
+
+def test_how_much_shares_miss() -> None:
+    cut = nested(1)
+    edges = np.array([[0, 3], [1, 4], [2, 5]])
+    np.testing.assert_array_equal(cut.row(edges), [1, 1, 1])
+    assert cut.missed(edges, np.array([1.0, 1.0, 0.5])) == pytest.approx(7.5)
+
+
+@settings(max_examples=4)
+@given(st.integers(0, 2**32 - 1))
+def test_grown_stars_have_a_node_of_every_tooth_in_every_shell(seed: int) -> None:
+    """Where rows end on another row."""
+    flat = np.vstack([raster(40, 1, 25.0, 1.0), raster(10, 3, 30.0, 250.0)[:, ::-1] + [240, 20]])
+    points = flat + np.random.default_rng(seed).normal(0, 0.5, flat.shape)
+    program = _Program(cdist(points, points), np.arange(len(points)))
+    separation, most = Separation(np.arange(len(points) + 1)), 0
+    for _ in range(3):
+        program.solve()
+        program.add(separation.broken(program.edges, program.share))
+        matrix = np.zeros((len(points) + 1,) * 2)
+        matrix[tuple(program.edges.T)] = program.share
+        for seed_cut in separation._stars._seeds.values():
+            growth = _Growth(matrix + matrix.T, seed_cut)
+            growth.star()
+            check(growth._handles, growth._teeth)
+            most = max(most, len(growth._handles))
+    assert most > 2
+
+
+def check(handles: np.ndarray, teeth: np.ndarray) -> None:
+    """Fail unless handles are nested, complements counting, and teeth disjoint and everywhere."""
+    first = handles[0]
+    chain = [each if (each | ~first).all() else ~each for each in handles]
+    chain.sort(key=lambda each: each.sum())
+    for inner, outer in pairwise(chain):
+        assert (outer | ~inner).all()
+    level = np.sum(chain, axis=0)
+    for tooth in teeth:
+        assert set(level[tooth]) == set(range(len(chain) + 1))
+    assert teeth.sum(axis=0).max() == 1
+    assert len(teeth) % 2 == 1

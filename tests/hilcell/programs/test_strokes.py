@@ -1,16 +1,26 @@
-"""Strokes after corrected points: what turns with the tool, what the base's axes are."""
+"""A format of robot programs that is no format is refused in words."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation import programs
 from hilcell.compensation.programs import Stroke
 from hilcell.geometry.frames import from_rotvec, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
+
+
+def test_a_format_that_reads_no_program_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "load_entry", lambda _group, _name: lambda _path: ["P1"])
+    with pytest.raises(SettingsError, match=r"format 'src': expected a .*\.Program, got list"):
+        programs.load_program(Path("part.src"))
+
 
 MADE = calibration()
 POSE = T_W_B @ pose_from_zyx(1850.0, 0.0, 950.0, 0.0, 75.0, 0.0)

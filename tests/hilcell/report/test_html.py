@@ -21,7 +21,7 @@ from hilcell.report.drawings.views import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import GLOSSARY, ReportText, glossary_terms, report_html
-from tests.hilcell.identification.test_curve_record import FOUND, body_of
+from tests.hilcell.identification.test_sweeps import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
 from tests.hilcell.verdicts import FITTED, REDO

@@ -42,7 +42,7 @@ from hilcell.tui.screens.start import PlanSummary
 from hilcell.tui.text.finished import report_lines
 from hilcell.tui.themes import NAMES
 from hilcell.tui.widgets import Table
-from tests.hilcell.identification.test_curve_record import FOUND
+from tests.hilcell.identification.test_sweeps import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, RUNS, SAID, SHOWN, isolated
 from tests.hilcell.tui.recording_app import (
     PAGES,

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.instrument import known_lengths, scale
+from fakes.faults import Faults
+from fakes.truth.tracker_truth import TrackerTruth
+from hilcell.calibration.instrument import (
+    AXES,
+    BothFaces,
+    compared_positions,
+    judged_faces,
+    known_lengths,
+    scale,
+)
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
@@ -99,3 +108,81 @@ def test_a_tracker_s_scale_is_judged_when_the_world_is_framed(tmp_path: Path) ->
     assert length["off_ppm"] == pytest.approx(100.0, abs=8.0)
     assert not length["holds"]
     assert judge(events(done.stdout)) == []
+
+
+NESTS = {nest.name: nest.xyz_mm for nest in CELL.layout.fixed_nests}
+LIMIT_MM = 0.015 + 0.012
+FAULTS = ("tracker.collimation", "tracker.transit", "tracker.index")
+
+
+def found(seed: int, fault: str = "", urad: float = 0.0) -> BothFaces:
+    faults = Faults()
+    tracker = TrackerTruth(CELL, seed, faults, lambda: NESTS)
+    if fault:
+        faults.set(fault, urad)
+    front, back = (
+        np.array(
+            [
+                tracker.measurements(name, count, back=back).xyz_mm.mean(axis=0)  # type: ignore[union-attr] # they are in range
+                for name in NESTS
+            ]
+        )
+        for back, count in ((False, 10), (True, 5))
+    )
+    return judged_faces(list(NESTS), front, back, np.full(len(NESTS), LIMIT_MM))
+
+
+@pytest.mark.parametrize(("fault", "unit"), list(zip(FAULTS, AXES, strict=True)))
+@pytest.mark.parametrize("urad", [50.0, -100.0])
+def test_the_axis_that_is_off_is_named_with_its_size(fault: str, unit: str, urad: float) -> None:
+    for seed in range(5):
+        seen = found(seed, fault, urad)
+        assert seen.suspicion is not None
+        assert (seen.suspicion.cause, seen.suspicion.unit) == ("instrument", unit)
+        assert seen.suspicion.size == pytest.approx(urad, abs=8.0)
+
+
+def test_a_tracker_as_it_left_its_last_check_holds() -> None:
+    assert all(found(seed).holds for seed in range(50))
+
+
+def test_a_figure_that_is_none_holds_nothing() -> None:
+    front = np.array([[4000.0, 100.0, -1500.0]])
+    assert not judged_faces(["F1"], front, front * np.nan, np.array([LIMIT_MM])).holds
+
+
+NEST_MM = np.array([4400.0, 100.0, -1500.0])
+BEAM = NEST_MM / np.linalg.norm(NEST_MM)
+NAMES = ["F1", "F2", "F3", "B1", "B2", "flange"]
+REFLECTOR_LIMIT_MM = 0.04
+
+
+def seen(seed: int = 1) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    return NEST_MM + 0.005 * np.random.default_rng(seed).standard_normal((len(NAMES), 3))
+
+
+@pytest.mark.parametrize("prism_mm", [0.15, -0.5])
+def test_a_prism_of_another_length_is_named(prism_mm: float) -> None:
+    at_mm = seen()
+    at_mm[5] += prism_mm * BEAM
+    wrong = [
+        each
+        for each in compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM))
+        if not each.holds
+    ]
+    assert [each.place for each in wrong] == ["flange"]
+    assert wrong[0].along_mm == pytest.approx(prism_mm, abs=0.02)
+    assert wrong[0].across_mm < 0.02
+
+
+def test_reflectors_alike_hold() -> None:
+    for seed in range(50):
+        found = compared_positions(NAMES, seen(seed), np.full(6, REFLECTOR_LIMIT_MM))
+        assert all(each.holds for each in found)
+
+
+def test_a_place_that_is_no_number_holds_nothing() -> None:
+    at_mm = seen()
+    at_mm[2] = np.nan
+    found = compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM))
+    assert not found[2].holds
