@@ -1,4 +1,4 @@
-"""The rail of a cell that has none: a slide that stands at 0, held, for good; no wire."""
+"""The rail of a cell that has none: a slide held at 0; no wire."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class NoRail:
         return []
 
     def home(self) -> None:
-        """Do nothing: the reference is where the robot stands."""
+        """Do nothing: the reference is where the robot is."""
 
     def move_to(self, position_mm: float) -> None:
-        """Refuse any place but 0; raises `DeviceError`."""
+        """Refuse any target but 0; raises `DeviceError`."""
         if not abs(position_mm) <= self.SLACK_MM:
             raise DeviceError(
                 "HC-R36",

@@ -124,7 +124,7 @@ class Watchdog:
 
 @contextmanager
 def on_failure(undo: Callable[[], None]) -> Iterator[None]:
-    """Call ``undo`` where the body raises, a stop included; the error goes on."""
+    """Call ``undo`` where the body raises, a stop included; the error propagates."""
     try:
         yield
     except BaseException:  # also a stop or Ctrl-C: no wire and no motion is left behind
@@ -137,7 +137,7 @@ class MotionLimits:
 
     PLANNED_TIMES = 3.0  # the plan knows no ramps, no blending and no limits of torque
     MARGIN_S = 10.0
-    STEP_S = 1.0  # progress is looked at once in several polls
+    STEP_S = 1.0  # progress is checked once in several polls
 
     def __init__(self, planned_s: float, stall_s: float, progress: float) -> None:
         """``planned_s`` is the motion's duration at full override; ``progress`` in axis units."""
@@ -164,7 +164,7 @@ class MotionLimits:
     def overdue(self, now_s: float, override_percent: float) -> bool:
         """Whether the motion has taken longer than it may; ``now_s`` is the cell's time.
 
-        Between two looks the lower of their overrides counts. A robot that stands is stalled, not
+        Between two polls the lower of their overrides counts. A robot at standstill is stalled, not
         overdue.
         """
         share = override_percent / 100.0
@@ -175,7 +175,7 @@ class MotionLimits:
         return real and not self._stands and not self.spent_s <= self.limit_s
 
     def stall_error(self, where: str, expected: str, axes_deg: Array) -> DeviceError:
-        """Return the error of a motion that gets no further; ``where`` tells its axes."""
+        """Return the error of a motion that gets no further; ``where`` has its axes."""
         waited_s = self._stall_s
         found = f"no axis moved for {waited_s:.0f} s {where}"
         return ROBOT.failed(
@@ -196,7 +196,7 @@ class MotionLimits:
 
 
 def not_at_target(at: str, expected: str, axes_deg: Array, target_deg: Array) -> DeviceError:
-    """Return the error of an arm that does not stand at its target after its acknowledgement."""
+    """Return the error of an arm that is not at rest at its target after its acknowledgement."""
     return ROBOT.failed(
         "HC-B24",
         "move",
@@ -230,13 +230,13 @@ def checked_target(joints_rad: Array, speed_percent: float) -> Array:
 def state_error(
     code: str, variable: str, found: str, expected: str, *, moving: bool
 ) -> DeviceError:
-    """Return the error of a state that forbids to go on; ``moving`` makes it a fault."""
+    """Return the error of a state that forbids to continue; ``moving`` makes it a fault."""
     error, operation = (ROBOT.failed, "move") if moving else (ROBOT.refused, "check")
     return error(code, operation, f"{variable} is {found}", expected=expected, variable=variable)
 
 
 def joints_text(joints_deg: Array) -> str:
-    """Return joints (6,), or all axes (7,) with a slide in mm, in words."""
+    """Return joints (6,), or all axes (7,) with a slide in mm, as text."""
     joints = ", ".join(f"A{n} {each:.3f}" for n, each in enumerate(joints_deg[:6], start=1))
     return f"{joints} deg" + "".join(f", E1 {slide_mm:.3f} mm" for slide_mm in joints_deg[6:])
 

@@ -1,8 +1,9 @@
 """The wire to a KUKA controller and its program hilcell, and the states that work needs of both.
 
-While a motion is under way the program ``hilcell.src`` runs a timer of the controller up to zero;
+While a motion is in progress the program ``hilcell.src`` runs a timer of the controller up to zero;
 there it brakes, latches like HC_STOP, and drops the command. The PC sets the timer back with each
-sign. A sign comes only from the thread that watches the motion: an engine that hangs gives none.
+heartbeat. A heartbeat comes only from the thread that supervises the motion: an engine that hangs
+sends none.
 
 The trap: KUKAVARPROXY drops a client after 30 s without a request, and a stop sent over a dropped
 connection is lost. So a thread asks something harmless of idle connections.
@@ -52,7 +53,7 @@ class ControllerLink:
 
     @contextmanager
     def _unheard(self) -> Iterator[None]:
-        """Have the connection for a request whose answer nobody awaits.
+        """Have the connection for a request whose reply is not awaited.
 
         A request in flight is given a moment to end, because some servers lose a second one that
         arrives in the same segment; then the bytes go out all the same.
@@ -84,18 +85,18 @@ class Controller(Protocol):
 
     @property
     def poll_groups(self) -> Sequence[tuple[str, ...]]:
-        """Return what to look at: each poll of a motion looks at the next of these."""
+        """The variables to read while moving: each poll of a motion reads the next group."""
 
     @property
     def motion_checks(self) -> tuple[str, ...]:
-        """Return what to look at before a motion is ordered."""
+        """The variables to check before a motion is ordered."""
 
     @property
     def joints_variable(self) -> str:
-        """Return the variable of the measured joints, or of the ordered ones without it."""
+        """The variable of the measured joints, or of the ordered ones where there is none."""
 
     def refresh(self) -> None:
-        """From here on, values are to be as new as this call."""
+        """Values that are read next must be newer than this call."""
 
     def has(self, name: str) -> bool:
         """Whether the controller lets a variable be read."""
@@ -116,7 +117,7 @@ class Controller(Protocol):
         """Hand a motion of E1 alone over."""
 
     def heartbeat(self) -> None:
-        """Give the program a sign of life, if one is due."""
+        """Send the program a heartbeat, if one is due."""
 
     def hold_slide(self, held: bool) -> None:
         """Have the program refuse every motion of E1, or allow it."""
@@ -125,18 +126,18 @@ class Controller(Protocol):
         """Return where E1 is in mm, and whether it is held."""
 
     def brake(self) -> None:
-        """Stop the robot; the program has heard it."""
+        """Stop the robot; return when the program has acknowledged it."""
 
     def end_brake(self) -> None:
-        """Tell the program that the stop is over."""
+        """Reset the stop in the program."""
 
     def lower_override(self, found: int, expected: int) -> None:
         """Lower $OV_PRO so that the controller itself knows its old value."""
 
     def restore_override(self) -> None:
-        """Give back an override that was lowered, where nobody has changed it meanwhile.
+        """Restore an override that was lowered, unless it has been changed meanwhile.
 
-        The robot must stand.
+        The robot must be at rest.
         """
 
     def ignoring_stop(self) -> AbstractContextManager[Controller]:
@@ -153,12 +154,12 @@ class Controller(Protocol):
         return value
 
     def release(self) -> None:
-        """Take a stop back, where there is one; nothing moves by it."""
+        """Reset a stop, where there is one; nothing moves by it."""
         if self.value("HC_STOP") is not False:
             self.end_brake()
 
     def has_lowered_override(self) -> bool:
-        """Whether an override is still to be given back."""
+        """Whether a lowered override is still to be restored."""
         return self.integer("HC_OV_OLD") != 0
 
     def check_override(self, expected: int) -> None:
@@ -178,11 +179,11 @@ class Controller(Protocol):
         return self.has("$EX_AX_NUM") and self.integer("$EX_AX_NUM") > 0
 
     def is_mastered(self) -> bool:
-        """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
+        """Whether E1 is mastered; True where the controller has no such variable."""
         return not self.has("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
 
     def check(self) -> None:
-        """Raise what an idle wire has failed by."""
+        """Raise the error of a wire that failed while it was idle."""
         self._keeper.check()
 
     def close(self) -> None:
@@ -193,13 +194,13 @@ class Controller(Protocol):
 
 
 def value_error(name: str, found: object) -> DeviceError:
-    """Return the error for a value that is not what belongs there."""
+    """Return the error of an invalid value."""
     return ROBOT.failed("HC-B26", f"read {name}", str(found), variable=name)
 
 
 @contextmanager
 def value_errors(name: str) -> Iterator[None]:
-    """Raise `DeviceError` where a value is not what belongs there."""
+    """Raise `DeviceError` for an invalid value."""
     try:
         yield
     except ValueError as error:
@@ -207,7 +208,7 @@ def value_errors(name: str) -> Iterator[None]:
 
 
 LOST, STOPPED = 8, 9  # HC_ERR
-# HC_ERR in words, and its alarm.
+# Text of HC_ERR, and its alarm.
 ERRORS = {
     1: ("unknown command", "HC-B20"),
     2: ("target outside the software limits", "HC-B20"),
@@ -218,7 +219,7 @@ ERRORS = {
     STOPPED: ("stopped by HC_STOP", "HC-B21"),
 }
 
-# Variable, the values with which work may go on, the alarm otherwise; causes first.
+# Variable, its valid values, the alarm of any other; causes first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
     "$ALARM_STOP": ((True,), "HC-B10"),
     "$USER_SAF": ((True,), "HC-B11"),
@@ -243,11 +244,11 @@ def frame_text(values: tuple[float, ...] | list[float]) -> str:
 class KeepAlive:
     """Asks something of every connection that has been idle for `IDLE_S`.
 
-    The thread keeps a failure that it finds; the device's next use raises it.
+    The thread stores a failure; the next use of the device raises it.
     """
 
     IDLE_S = 8.0  # of a connection, which is then asked something
-    LOOK_S = 1.0
+    PERIOD_S = 1.0
     JOIN_S = 3.0
 
     def __init__(self, *lines: ControllerLink) -> None:
@@ -258,7 +259,7 @@ class KeepAlive:
         self._thread.start()
 
     def check(self) -> None:
-        """Raise the error that broke a connection since the last look."""
+        """Raise the error that broke a connection."""
         if self._failure is not None:
             raise self._failure
 
@@ -268,7 +269,7 @@ class KeepAlive:
 
     def _run(self) -> None:
         try:
-            while not self._end.wait(self.LOOK_S):
+            while not self._end.wait(self.PERIOD_S):
                 for line in self._lines:
                     if time.monotonic() - line.used_s > self.IDLE_S:
                         line.keep_alive()

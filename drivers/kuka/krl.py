@@ -12,6 +12,8 @@ import math
 import re
 from collections.abc import Mapping
 
+from drivers.device_errors import ProtocolError
+
 Value = float | int | bool | str
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
@@ -24,11 +26,7 @@ _TEXT = r'"[^"]*"'
 _COMPONENT = re.compile(rf"({_NAME})\s+(?:({_NUMBER})|{_TEXT}|{_NAME})", re.ASCII)
 _ANY = rf"{_NAME}\s+(?:{_NUMBER}|{_TEXT}|{_NAME})"
 _STRUCTURE = re.compile(rf"\{{\s*(?:{_NAME}\s*:)?\s*({_ANY}(?:\s*,\s*{_ANY})*)\s*\}}", re.ASCII)
-LARGEST = 1e6  # mm or deg: beyond any rail, and any turn that an axis counts
-
-
-class KrlError(ValueError):
-    """Text that is no KRL value."""
+LARGEST = 1e6  # mm or deg: beyond any rail, and any revolution that an axis counts
 
 
 def parse(text: str) -> Value:
@@ -36,7 +34,7 @@ def parse(text: str) -> Value:
     form = rf"(?P<whole>[+-]?\d+)|(?P<real>{_NUMBER})|(?P<text>{_TEXT})|(?P<name>{_NAME})"
     match = re.fullmatch(form, text.strip(_PADDING), re.ASCII)
     if match is None:
-        raise KrlError(f"{text[:80]!r} is no single KRL value")
+        raise ProtocolError(f"{text[:80]!r} is no single KRL value")
     part = match[0]
     if match.lastgroup == "name":
         part = part.upper()  # KRL's names have no case
@@ -48,29 +46,29 @@ def parse(text: str) -> Value:
 
 
 def numbers(text: str, names: tuple[str, ...]) -> list[float]:
-    """Return components of a flat structure as floats; raises `KrlError` where one is missing."""
+    """Return components of a flat structure; raises `ProtocolError` where one is missing."""
     match = _STRUCTURE.fullmatch(text.strip(_PADDING))
     if match is None:
-        raise KrlError(f"expected a structure of single values, got {text[:80]!r}")
+        raise ProtocolError(f"expected a structure of single values, got {text[:80]!r}")
     components = _COMPONENT.findall(match[1])
     found = {name.upper(): number for name, number in components}
     if len(found) != len(components):
-        raise KrlError(f"a component occurs twice in {text[:80]!r}")
+        raise ProtocolError(f"a component occurs twice in {text[:80]!r}")
     values = {name: float(number) for name, number in found.items() if number}
     for name, value in values.items():
         if not -LARGEST <= value <= LARGEST:
-            raise KrlError(f"{name} is {_finite(found[name]):g}, no position of a robot")
+            raise ProtocolError(f"{name} is {_finite(found[name]):g}, no position of a robot")
     for name in names:
         if name not in values:
-            raise KrlError(f"{name} is missing or no number in {text[:80]!r}")
+            raise ProtocolError(f"{name} is missing or no number in {text[:80]!r}")
     return [values[name] for name in names]
 
 
 def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> str:
-    """Return ``{KIND: A1 1.000000, ...}``; raises `KrlError` for a value that is not finite."""
+    """Return ``{KIND: A1 1.000000, ...}``; raises `ProtocolError` if a value is not finite."""
     for name, number in components.items():
         if not math.isfinite(number):
-            raise KrlError(f"{name} {number} is not finite")
+            raise ProtocolError(f"{name} {number} is not finite")
     body = ", ".join(f"{name} {number:.{decimals}f}" for name, number in components.items())
     return f"{{{kind}: {body}}}"
 
@@ -78,5 +76,5 @@ def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> 
 def _finite(number: str) -> float:
     value = float(number)
     if not math.isfinite(value):
-        raise KrlError(f"{number[:20]} is not finite")
+        raise ProtocolError(f"{number[:20]} is not finite")
     return value

@@ -2,7 +2,7 @@
 
 The robot's driver moves the slide, over its one connection; this driver holds what makes a rail of
 it: readings of drive and strip together, standstill over a dwell, the travel. E1 is absolute, so
-``home`` moves nothing: it wants the axis mastered, and the strip to agree.
+``home`` moves nothing: it requires that the axis is mastered and that the strip agrees.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class KukaE1Rail:
         return self._slide.read(self._ended_s)
 
     def hold(self) -> None:
-        """Have the controller refuse every motion of E1; a reading must say so."""
+        """Have the controller refuse every motion of E1, verified by a reading."""
         self._axis().hold_axis()
         if not self._axis().read_axis().held:
             raise RAIL.failed(
@@ -164,12 +164,12 @@ class KukaE1Rail:
         self._before = None
 
     def _poll(self, operation: str) -> Poll:
-        """Look at axis and strip; the speed is that since the last look."""
+        """Poll axis and strip; the speed is that since the last poll."""
         self._clock.check()
         axis, now_s = self._axis().read_axis(), self._clock.now_s()
         strip, alarms = self._strip.poll(self._clock.check)
         before, self._before = self._before, (axis.position_mm, now_s)
-        speed_mm_s = 0.0  # of the first look; standstill wants several
+        speed_mm_s = 0.0  # of the first poll; standstill needs several
         if before is not None:
             speed_mm_s = (axis.position_mm - before[0]) / max(now_s - before[1], self.CYCLE_S)
         return Poll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)

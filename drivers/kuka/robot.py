@@ -1,10 +1,10 @@
 """A KUKA robot and its resident program ``krl/hilcell.src``, over any wire that reaches both.
 
 The PC hands over a target and a number; the program moves and acknowledges with that number. An
-acknowledgement alone proves nothing: motion has ended only when the number is this command's, the
-axes stand at the target and two looks, more than a cycle of the controller apart, see the same:
+acknowledgement alone does not suffice: motion has ended only when the number is this command's, the
+axes are at the target and two polls, more than a cycle of the controller apart, read the same:
 within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
-the last digit. Joints are the measured ones where the controller has them: the ordered ones stand
+the last digit. Joints are the measured ones where the controller has them: the ordered ones stay
 while a brake slips.
 
 Where the controller moves the slide, too, as external axis E1, the program moves it alone (HC_CMD
@@ -72,7 +72,7 @@ STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 STILL_DEG, STILL_MM = 0.0005, 0.01
 BRAKED_S = 3.0  # wire deadline: from a brake to standstill
-BRAKED_DWELL_S = 0.05  # between two reads that prove standstill
+BRAKED_DWELL_S = 0.05  # between two reads that show standstill
 
 
 class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -94,9 +94,9 @@ class KukaRobot:
     STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
     ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
     MAX_SEQUENCE = 1_000_000_000
-    POLL_LOOK_S = 0.5  # one poll counts for this long, at most
+    STEP_S = 0.5  # one poll counts for this long, at most
     CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
-    DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
+    DWELL_S = 0.05  # between two polls that show standstill; $AXIS_ACT changes once in 4 to 12 ms
     PROGRESS_DEG = 0.01
     FRAME_TOLERANCE = 0.001  # mm and deg
     PROGRESS_MM = 0.01
@@ -112,7 +112,7 @@ class KukaRobot:
         self._watch = Watchdog(ROBOT, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override = 100
-        # The values of a variable with which work may go on, and the alarm otherwise.
+        # The valid values of a variable, and the alarm of any other.
         self._good: dict[str, tuple[Sequence[str | bool | int], str]] = {
             **HEALTH,
             "$OV_PRO": (range(1, 101), "HC-B16"),
@@ -126,13 +126,13 @@ class KukaRobot:
         self._slide_seen: tuple[float, float] | None = None  # where E1 was, and when
         self._sequence = 0
         self._moving = False
-        self._ended_s: float | None = None  # when the last motion was seen to have ended
+        self._ended_s: float | None = None  # when the end of the last motion was detected
         self._stopped = False
 
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        """Open the wires, verify everything, then take back an earlier stop; E1 is held."""
+        """Open the wires, verify everything, then reset an earlier stop; E1 is held."""
         self._close_wires()
         self.slide_mm = None
         with on_failure(self._close_wires):
@@ -194,13 +194,13 @@ class KukaRobot:
             controller.stop()
 
     def close(self) -> None:
-        """Brake a motion that is under way, see all axes stand, hold E1, and close the wires.
+        """Brake a motion in progress, confirm all axes at rest, hold E1, and close the wires.
 
-        Raises `DeviceError` where they are not seen to stand.
+        Raises `DeviceError` where rest is not confirmed.
         """
         try:
             if self._moving and self._controller is not None:
-                with suppress(DeviceError):  # what is heard follows
+                with suppress(DeviceError):  # rest is confirmed below
                     self.stop()
                 with self._controller.ignoring_stop() as access:
                     await_rest(
@@ -258,7 +258,7 @@ class KukaRobot:
         self._slide_free = False
 
     def _judged_speed(self, allowed_mm_s: float) -> float:
-        """Return where the slide is; judge the least speed that two looks on its way allow for.
+        """Return where the slide is; judge the least speed that two polls of its motion allow for.
 
         From before the earlier question to after the later answer, so a late answer is no speed.
         """
@@ -341,7 +341,7 @@ class KukaRobot:
             controller.restore_override()
         controller.release()
         self._sequence = controller.integer("HC_SEQ")
-        for last in polls(self.CATCH_UP_S, self.POLL_LOOK_S):
+        for last in polls(self.CATCH_UP_S, self.STEP_S):
             if (acknowledged := controller.integer("HC_ACK")) == self._sequence:
                 break
             if last:
@@ -367,7 +367,7 @@ class KukaRobot:
         return self.begin(lambda n: self.wire().start(n, target, speed_percent))
 
     def begin(self, start: Callable[[int], None]) -> int:
-        """Start a motion by its number, where the controller is well; return that."""
+        """Start a motion, where the controller is ready; return its number."""
         self._check_stopped()
         self.wire().refresh()
         self.check(*self.wire().motion_checks)
@@ -381,7 +381,7 @@ class KukaRobot:
     def poll_motion(
         self, number: int, limits: MotionLimits, rounds: Iterator[tuple[str, ...]]
     ) -> tuple[str, ...]:
-        """Look at a motion; return the variables that were looked at, none once it has ended."""
+        """Poll a motion; return the variables that were read, none once it has ended."""
         if self.acknowledged(number):
             return ()
         names = next(rounds)
@@ -391,7 +391,7 @@ class KukaRobot:
         return names
 
     def _check_progress(self, limits: MotionLimits, number: int) -> None:
-        """Raise `DeviceError` where a motion stands or creeps."""
+        """Raise `DeviceError` where a motion stalls or creeps."""
         now_deg, expected = self._axes(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
@@ -410,7 +410,7 @@ class KukaRobot:
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
         expected = self._whole(target_deg)
-        for _ in polls(REST_S, self.POLL_LOOK_S):
+        for _ in polls(REST_S, self.STEP_S):
             taken_s = self._clock.pc_s()
             controller.refresh()
             axes, before = self._axes(), self._pose()
@@ -424,25 +424,24 @@ class KukaRobot:
         tolerance = f"{joints_text(expected)} +-{self.AXIS_TOLERANCE_DEG}"
         raise not_at_target(joints_text(axes), tolerance, axes, expected)
 
-    # -- for a sweep as well ------------------------------------------------------------------
+    # -- also for a sweep ----------------------------------------------------------------------
 
     def resume(self) -> None:
-        """Take back a brake of our own, unless the robot was stopped otherwise as well."""
+        """Reset a brake of our own, unless the robot was stopped otherwise as well."""
         if not self._stopped:
             self._reset_stop()
 
     def end_motion(self) -> None:
-        """Look at no motion any longer: it has ended, or is braked."""
         self._watch.stop()
 
     def commanded_deg(self) -> Array:
-        """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
+        """Return the joints (6,) in deg of the last target, or of the position at connect."""
         return self._rest_deg
 
     def acknowledged(self, number: int) -> bool:
         """Whether a motion has ended; raises `DeviceError` where it was stopped, or refused.
 
-        Each look is a sign of life to the program.
+        Each poll is a heartbeat for the program.
         """
         self._check_stopped()
         self.wire().heartbeat()
@@ -457,7 +456,7 @@ class KukaRobot:
         return ROBOT.connected(self._controller)
 
     def check_wait(self) -> None:
-        """Run in every wait on the wire."""
+        """Runs in every wait on a wire."""
         self._clock.check()
         self._watch.feed()
 
@@ -495,8 +494,8 @@ class KukaSweep:
 
     Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
     1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers
-    its old value (HC_OV_OLD) and the lowered one (HC_OV_SET); every way out of a sweep and every
-    connect give it back, at rest only, and only where nobody has changed it meanwhile.
+    its old value (HC_OV_OLD) and the lowered one (HC_OV_SET); every exit of a sweep and every
+    connect restore it, at rest only, and only unless it has been changed meanwhile.
     """
 
     PROGRESS_DEG = 0.002
@@ -564,7 +563,7 @@ class KukaSweep:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Brake a motion under way and give the override back."""
+        """Brake a motion in progress and restore the override."""
         self._restore(error)
 
     def kickoff(self) -> None:
@@ -609,7 +608,7 @@ class KukaSweep:
         except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise
-            error.add_note(f"not all was taken back: {failure}; the next connect does it")
+            error.add_note(f"not all was restored: {failure}; the next connect does it")
 
     @staticmethod
     def split_speed(share: float, override: int) -> tuple[int, int]:
@@ -636,7 +635,7 @@ def await_rest(
 ) -> None:
     """Wait until the program has taken the stop and no axis moves; also while a stop is on.
 
-    ``closing`` writes the stop again at each look, for the one that waited for no answer may be
+    ``closing`` writes the stop again at each poll, for the one whose reply was not awaited may be
     lost, and asks for the axes alone.
     """
     before, pause = np.full(len(names), np.inf), threading.Event()

@@ -18,7 +18,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 
-from drivers.device_errors import ROBOT
+from drivers.device_errors import ROBOT, ProtocolError
 from drivers.kuka import krl
 from drivers.kuka.controller import (
     PROGRAM_VERSION,
@@ -41,10 +41,6 @@ REPLY_S = 2.0
 _HEADER = struct.Struct(">HH")
 
 
-class C3Error(ValueError):
-    """Bytes that are no reply of the protocol."""
-
-
 @dataclass(frozen=True, slots=True)
 class Reply:
     """One reply: ``ok`` is the last byte alone."""
@@ -57,13 +53,13 @@ class Reply:
 
 
 def encode(tag: int, name: str, value: str | None = None) -> bytes:
-    """Return the request to read a variable, or to write a value; raises `C3Error`."""
+    """Return the request to read a variable, or to write a value; raises `ProtocolError`."""
     text, rest = name.encode("ascii"), b""
     if value is not None:
         written = value.encode("latin-1")
         rest = struct.pack(">H", len(written)) + written
     if not 0 < len(text) <= 250 or len(rest) > MAX_BODY:
-        raise C3Error(f"{name[:40]!r} or its value is too long for one request")
+        raise ProtocolError(f"{name[:40]!r} or its value is too long for one request")
     body = struct.pack(">BH", value is not None, len(text)) + text + rest
     return _HEADER.pack(tag, len(body)) + body
 
@@ -72,14 +68,14 @@ def decode_header(header: bytes) -> tuple[int, int]:
     """Return tag and length of the body, which has to be read next."""
     tag, length = _HEADER.unpack(header)
     if not 6 <= length <= MAX_BODY:
-        raise C3Error(f"a reply of {length} bytes is announced, 6 to {MAX_BODY} are possible")
+        raise ProtocolError(f"a reply of {length} bytes is announced, 6 to {MAX_BODY} are possible")
     return tag, length
 
 
 def decode_body(tag: int, body: bytes) -> Reply:
     kind, size = struct.unpack_from(">BH", body)
     if size != len(body) - 6:
-        raise C3Error(f"a value of {size} bytes in a body of {len(body)}")
+        raise ProtocolError(f"a value of {size} bytes in a body of {len(body)}")
     (error,) = struct.unpack_from(">H", body, 3 + size)
     return Reply(tag, kind, body[3 : 3 + size].decode("latin-1"), error, body[-1] == 1)
 
@@ -137,12 +133,12 @@ class C3Connection(ControllerLink):
             self._await(_HEADER.size, operation, deadline)
             found, length = decode_header(self._received[: _HEADER.size])
             if found != tag:
-                raise C3Error(f"a reply with tag {found} came, {tag} was asked")
+                raise ProtocolError(f"a reply with tag {found} came, {tag} was asked")
             end = _HEADER.size + length
             self._await(end, operation, deadline)
             body, self._received = self._received[_HEADER.size : end], self._received[end:]
             return decode_body(tag, body)
-        except C3Error as error:
+        except ProtocolError as error:
             self._dead = str(error)
             raise self._link.broken(operation, str(error)) from error
 
@@ -216,7 +212,7 @@ class C3Controller(Controller):
         self._start(number, target_deg.tolist(), self.PTP_JOINTS, speed_percent)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
-        """Write the target of E1; the program looks at no other axis of it."""
+        """Write the target of E1; the program uses no other axis of it."""
         joints_deg = self.numbers(PROGRESS, JOINTS)
         self._start(number, [*joints_deg, place_mm], self.PTP_SLIDE, speed_percent)
 
@@ -226,7 +222,7 @@ class C3Controller(Controller):
         self._line.write("HC_TGT", krl.structure("E6AXIS", target))
         self._line.write("HC_VEL", str(speed_percent))
         self._line.write("HC_CMD", str(command))
-        if self._due_s == math.inf:  # tell the program how long the PC may keep silent
+        if self._due_s == math.inf:  # the PC's heartbeat timeout
             self._line.write("HC_LIFE", str(round(HEARTBEAT_TIMEOUT_S * 1000)))
         self._due_s = time.monotonic() + self.HEARTBEAT_S
         self._line.write("HC_SEQ", str(number))

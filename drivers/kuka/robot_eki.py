@@ -3,18 +3,19 @@
 The controller is the server of two channels. Its submit program ``eki_krl/hilcell_eki.src`` answers
 each command of the first with its state, also while the robot moves or its program is halted, and
 brakes by the second; motions are made by ``krl/hilcell.src``, as with `drivers.kuka.robot_c3`.
-The commands of the thread that watches a motion are signs of life.
+The commands of the thread that supervises a motion are heartbeats.
 
 Nothing on the wire states a length: a document ends with the closing tag of its root. Each command
-carries all values, because EthernetKRL keeps a queue for each value, and one that is left out
+carries all values, because EthernetKRL has a queue for each value, and one that is left out
 shifts all that follow. Each answer is a state of the controller, with the Id of the command that it
-answers: motions have ids above 0, all other commands below. Only Finished_Id says that a motion has
-ended. An answer to an earlier command may come late, or before the one that is awaited: it is never
-used.
+answers: motions have ids above 0, all other commands below. Only Finished_Id shows that a motion
+has ended. An answer to an earlier command may come late, or before the one that is awaited: it is
+never used.
 
-A state is a flat document of elements with attributes, perhaps behind `<?xml ..?>`, which says
-nothing more. So no document type, entity or comment is ever needed: a document that has one is
-refused before it is parsed. Controllers differ in capitals, and write booleans as words or as 0, 1.
+A state is a flat document of elements with attributes, perhaps after `<?xml ..?>`, which adds
+nothing. So no document type, entity or comment is ever needed: a document that has one is
+refused before it is parsed. Controllers differ in capitals, and in booleans:
+TRUE, FALSE or 0, 1.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from functools import partial
 from typing import ClassVar
 from xml.parsers import expat
 
-from drivers.device_errors import ROBOT
+from drivers.device_errors import ROBOT, ProtocolError
 from drivers.kuka import krl
 from drivers.kuka.controller import (
     HEALTH,
@@ -80,7 +81,7 @@ SINGLE = {
 
 # The controller serves one client a channel and opens it again a moment after a client has gone, so
 # connecting is tried for a while.
-OPEN_S = 3.0  # the channel of a client that has gone is open again
+OPEN_S = 3.0  # then the channel of a client that has closed is open again
 
 
 class Kind(IntEnum):
@@ -95,10 +96,6 @@ class Kind(IntEnum):
     HOLD_SLIDE = 6
     FREE_SLIDE = 7
     MOVE_SLIDE = 8
-
-
-class EkiError(ValueError):
-    """Bytes that are no document of the controller's program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +119,7 @@ class State:
         try:
             return self.elements[element.casefold()][attribute.casefold()]
         except KeyError:
-            raise EkiError(f"{element}/@{attribute} is missing") from None
+            raise ProtocolError(f"{element}/@{attribute} is missing") from None
 
     def single(self, name: str) -> krl.Value:
         value = krl.parse(self.text(*SINGLE[name]))
@@ -147,7 +144,7 @@ def command(
     places = dict(zip((*JOINTS, SLIDE), (*axes, e1), strict=True))
     for name, value in places.items():
         if not math.isfinite(value):
-            raise EkiError(f"{name} {value} is not finite")
+            raise ProtocolError(f"{name} {value} is not finite")
     position = " ".join(f'{name}="{value:.6f}"' for name, value in places.items())
     return (
         f'<RobotCommand Id="{number}" Type="{kind}" Percent="{percent}" Life="{life_ms}">'
@@ -166,17 +163,17 @@ def split(received: bytes, root: str) -> tuple[list[bytes], bytes]:
     pieces = re.split(f"({end})".encode("ascii"), received, flags=re.IGNORECASE)
     for each in pieces[::2]:
         if len(each) > LONGEST:
-            raise EkiError(f"{len(each)} bytes without {end}, {LONGEST} are possible")
+            raise ProtocolError(f"{len(each)} bytes without {end}, {LONGEST} are possible")
     *whole, rest = pieces[::2]
     return [begun.lstrip() + close for begun, close in zip(whole, pieces[1::2], strict=True)], rest
 
 
 def parse(document: bytes, root: str) -> tuple[int, State]:
-    """Return the Id and the contents of an answer; raises `EkiError`."""
+    """Return the Id and the contents of an answer; raises `ProtocolError`."""
     if prolog := re.match(rb"<\?xml\s[^<>]{0,100}\?>\s*", document):
         document = document[prolog.end() :]
     if not document.isascii() or re.search(rb"<[!?]", document):
-        raise EkiError(f"a declaration, or bytes that are no ASCII: {document[:60]!r}")
+        raise ProtocolError(f"a declaration, or bytes that are no ASCII: {document[:60]!r}")
     elements: dict[str, dict[str, str]] = {}
     path: list[str] = []
 
@@ -184,10 +181,10 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
         tag = tag.casefold()
         path.append(tag)
         if len(path) > 2 or path[0] != root.casefold() or tag in elements:
-            raise EkiError(f"{'/'.join(path)[:80]} is out of place")
+            raise ProtocolError(f"{'/'.join(path)[:80]} is out of place")
         elements[tag] = {name.casefold(): value for name, value in attributes.items()}
         if len(elements[tag]) != len(attributes):
-            raise EkiError(f"{tag[:80]} has an attribute twice")
+            raise ProtocolError(f"{tag[:80]} has an attribute twice")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = begin
@@ -195,11 +192,11 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
     try:
         parser.Parse(document, True)
     except expat.ExpatError as error:
-        raise EkiError(f"no XML: {error}: {document[:60]!r}") from error
+        raise ProtocolError(f"no XML: {error}: {document[:60]!r}") from error
     state = State(elements)
     number = state.text("Command", "Id")
     if not re.fullmatch(r"-?[0-9]{1,10}", number):
-        raise EkiError(f"Command/@Id {number[:20]!r} is no whole number")
+        raise ProtocolError(f"Command/@Id {number[:20]!r} is no whole number")
     return int(number), state
 
 
@@ -251,7 +248,7 @@ class EkiChannel(ControllerLink):
         try:
             whole, self._received = split(self._received, self._root)
             return [parse(document, self._root) for document in whole]
-        except EkiError as error:
+        except ProtocolError as error:
             self._dead = str(error)
             raise ROBOT.failed(
                 "HC-B49",
@@ -284,7 +281,7 @@ def open_channel(
 
 
 class EkiController(Controller):
-    """A look is an exchange of documents."""
+    """A refresh is an exchange of documents."""
 
     DOCUMENTS_VERSION = 1
     LARGEST_ID = 1_000_000_000
@@ -354,7 +351,7 @@ class EkiController(Controller):
         return place_mm, self.value("HC_HELD") is True
 
     def heartbeat(self) -> None:
-        """Have the next command be a sign of life; others are none, so that a motion brakes whose
+        """Have the next command be a heartbeat; others are none, so that a motion brakes whose
         engine has died while this one asks for states.
         """
         self._life_ms = self.LIFE_MS

@@ -5,8 +5,8 @@ reply: the reply to "start measurement" comes at once, the result later as a pac
 status changes between them, two packets in one segment or one over two.
 
 Settings belong to the tracker, not to the connection: they are written, read back, and read again
-where another client changed them. The tracker tells all its clients which one was changed, but not
-to which value.
+where another client changed them. The tracker notifies all its clients of a change, but not
+of the value.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Change(IntEnum):
 
 
 class Setting(Enum):
-    """A setting: its words, the commands that read and write it, news of its change, its layout.
+    """A setting: its label, the commands that read and write it, its status changes, its layout.
 
     The face and what makes the frame are not written here.
     """
@@ -129,7 +129,7 @@ def failed(command: int, status: int) -> DeviceError:
 
 
 class Status(NamedTuple):
-    """A status in words, its alarm, and whether one measurement failed and the device is well."""
+    """Text and alarm of a status, and whether only one measurement failed."""
 
     text: str
     alarm: str
@@ -229,7 +229,7 @@ Packet = Reply | Failure | StatusChange | Single | Multi
 
 
 def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -> None:
-    """Raise the error of a packet that tells that a measurement failed, or of a bad result."""
+    """Raise the error of a failed measurement, or of a bad result."""
     if isinstance(packet, Failure) or (isinstance(packet, kind) and packet.status != 0):
         raise failed(Command.START_MEASUREMENT, packet.status)
     if packet == StatusChange(Change.NOT_READY):
@@ -353,7 +353,7 @@ def _text(field: bytes) -> str:
 
 
 class EmsconSettings:
-    """The values that the tracker is set to, and the news of those that somebody changed."""
+    """The values that the tracker is set to, and the changes by other clients."""
 
     def __init__(
         self,
@@ -375,20 +375,20 @@ class EmsconSettings:
         Lengths are converted from and to the tracker's own unit, so their last digits may differ.
         """
         found = self._numbers_of(setting.read, setting.layout)
-        self._changes.difference_update(setting.changes)  # our own; the reading is younger
+        self._changes.difference_update(setting.changes)  # our own; the reading is newer
         if not self._same(found, values):
             raise readback_error(setting.label, found, values)
         self._recorded[setting] = values
 
     def record(self, setting: Setting) -> tuple[float, ...]:
-        """Return a setting that is left as it is, and must stay so."""
+        """Return a setting that is left unchanged, and must stay so."""
         self._recorded[setting] = found = self._numbers_of(setting.read, setting.layout)
         return found
 
     def record_frame(self) -> None:
-        """Keep the frame in which the tracker measures; refuse one that stretches lengths.
+        """Record the frame in which the tracker measures; refuse one with a scale.
 
-        A controller that does not tell its system settings is older, and tells none of these.
+        A controller without system settings is older, and has none of these.
         """
         try:
             if not self._ask(Setting.SYSTEM_SETTINGS.read, b""):
@@ -412,11 +412,11 @@ class EmsconSettings:
             )
 
     def note_change(self, change: int) -> None:
-        """Take the news of a change; nothing is asked yet."""
+        """Note a change; nothing is asked yet."""
         self._changes.add(change)
 
     def verify(self) -> None:
-        """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
+        """Read each changed setting again; raises `DeviceError` where its value differs."""
         if Change.COMPENSATION in self._changes:
             raise changed("compensation", "it was changed", "the one of before")
         all_of_them = Change.SERVER_STARTED in self._changes
@@ -426,10 +426,10 @@ class EmsconSettings:
         self._changes.clear()
 
     def verify_setting(self, setting: Setting) -> None:
-        """Raise `DeviceError` where a setting is no longer the kept one."""
-        found, kept = self._numbers_of(setting.read, setting.layout), self._recorded[setting]
-        if not self._same(found, kept):
-            raise changed(setting.label, f"now reads {found}", f"{kept}")
+        """Raise `DeviceError` where a setting is no longer the recorded one."""
+        found, recorded = self._numbers_of(setting.read, setting.layout), self._recorded[setting]
+        if not self._same(found, recorded):
+            raise changed(setting.label, f"now reads {found}", f"{recorded}")
 
     @staticmethod
     def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:

@@ -71,7 +71,7 @@ class LeicaEmsconTracker:
     """Satisfies `hilcell.ports.Tracker`, `hilcell.ports.Streams` and `hilcell.ports.TwoFaces`."""
 
     AIR = "values that air can have"
-    SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
+    SEARCH_MS = 10_000  # how long the tracker may search; less than MOVE_S
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -147,7 +147,7 @@ class LeicaEmsconTracker:
             self._link.close()
         self._link = None
 
-    # -- for a stream as well -----------------------------------------------------------------
+    # -- also for a stream --------------------------------------------------------------------
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm; drop pending results first."""
@@ -213,7 +213,7 @@ class LeicaEmsconTracker:
     def _first_face(self) -> None:
         """Turn back a tracker that an engine before this one left in its second face.
 
-        Older controllers do not tell their face.
+        Older controllers do not report their face.
         """
         answer = self._request(Setting.FACE.read)
         if answer.status or not answer.body:
@@ -267,7 +267,7 @@ class LeicaEmsconTracker:
             result = self._await_result()
             self._check_single()
         except NoReading as error:
-            # Only a stop that was answered proves that nothing of this try can still come.
+            # Only an answered stop guarantees that no result of this try is still to come.
             status = self._request(Command.STOP_MEASUREMENT).status
             if status != 0:
                 found = f"{error.found}, and it was not stopped: {emscon.status_text(status)}"
@@ -293,7 +293,7 @@ class LeicaEmsconTracker:
     def _check_single(self) -> None:
         """Refuse a result that was not the only one, or whose settings were changed meanwhile.
 
-        A measurement that still goes on makes the tracker busy, so its result comes before the
+        A measurement still in progress makes the tracker busy, so its result comes before the
         reply.
         """
         self.settings.verify_setting(Setting.REFLECTOR)
@@ -374,7 +374,7 @@ class LeicaEmsconTracker:
         )
 
     def _status(self, command: int, deadline: Deadline) -> Reply:
-        """Return the reply to ``command``, refused or not; older results on the way are dropped."""
+        """Return the reply to ``command``, refused or not; older results are dropped."""
         while (packet := self.next_packet(deadline)) is not None:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
@@ -425,7 +425,7 @@ class EmsconStream:
     """Satisfies `hilcell.ports.Stream`: continuous time mode, samples by the tracker's own clock.
 
     Packets come late, cut and together, so a sample's time is only the one inside it. The mode
-    belongs to the tracker, not to the connection: it is put back to stationary on every way out,
+    belongs to the tracker, not to the connection: it is put back to stationary on every exit,
     and by the next connect after a kill.
     """
 
@@ -433,7 +433,7 @@ class EmsconStream:
     SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
     END_S = 5.0  # wire deadline: from the stop to its reply
     SEPARATION_SHARE = 0.5  # by which the samples' times may miss the separation that was set
-    ENOUGH = 3  # steps that say how the tracker counts; fewer may be a gap
+    ENOUGH = 3  # steps that show the unit of time; fewer may be a gap
 
     def __init__(
         self,
@@ -534,7 +534,7 @@ class EmsconStream:
         )
 
     def _samples(self, packets: Iterable[Packet]) -> list[Multi]:
-        """Return the packets of samples; raises the error that one of them tells."""
+        """Return the packets of samples; raises the error in one of them."""
         samples = list[Multi]()
         for packet in packets:
             if isinstance(packet, Multi) and not len(packet.device_s):
@@ -579,6 +579,6 @@ class EmsconStream:
             )
 
     def _blocks(self, samples: list[Multi], looked_s: float) -> list[StreamBlock]:
-        """Return the packets since a look before ``looked_s`` that found nothing left."""
+        """Return the packets since the poll before ``looked_s`` that emptied the buffer."""
         after_s, by_s, self._emptied_s = self._emptied_s, self._clock.now_s(), looked_s
         return [StreamBlock(each.device_s, each.xyz, after_s, by_s) for each in samples]

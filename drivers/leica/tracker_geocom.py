@@ -97,7 +97,7 @@ class Rpc(IntEnum):
         return error(alarm, self.label, status_text(code), act=act, status=code)
 
 
-CODES = {  # alarm and words
+CODES = {  # alarm and text
     **dict.fromkeys(range(769, 836), ("HC-T53", "unknown")),
     **dict.fromkeys(range(8704, 8710), ("HC-T54", "unknown")),
     2: ("HC-T23", "invalid parameter"),
@@ -251,7 +251,7 @@ class LeicaGeocomTracker:
     REPLY_S = 5.0
     MOVE_S = 30.0
 
-    # Reflectors that its target recognition tells apart, and what a place may be off: 6 mm at 4 m.
+    # Angle at which its target recognition separates reflectors: 6 mm at 4 m, with their offsets.
     SIGHTS_APART_RAD = 3e-3
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -300,7 +300,7 @@ class LeicaGeocomTracker:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._lines: TextLines | None = None
-        # An answer to a program that ran before is then nobody's.
+        # So an answer to an earlier program matches no request.
         self._transactions = count(time.time_ns() // 1_000_000)
         self._given_up: set[int] = set()
         self._settings: dict[str, tuple[Rpc, tuple[float, ...]]] = {}
@@ -410,7 +410,7 @@ class LeicaGeocomTracker:
         self._settings[what] = read, expected
 
     def _verify_settings(self) -> None:
-        """Read all settings again: somebody may have changed one at the keyboard."""
+        """Read all settings again: one may have been changed at the keyboard."""
         for what, (read, kept) in self._settings.items():
             reply = self._ask(read)
             if not reply.is_empty and self._same(self._decoded(reply, len(kept)), kept):
@@ -537,7 +537,7 @@ class LeicaGeocomTracker:
         return line
 
     def _parsed(self, line: str) -> Reply:
-        """Return a reply; the line is lost where it is none, or tells that the wire failed."""
+        """Return a reply; the line is lost where it is none, or reports a failure of the wire."""
         self._arrived_s = self._clock.pc_s()
         try:
             reply = parse(line)

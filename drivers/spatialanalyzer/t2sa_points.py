@@ -34,7 +34,7 @@ SEARCH_MM = 60.0
 MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm
 MOST_POINTS = 200_000
 LEAST_RANGE_MM = 1.0
-STEP_MM = 200.0  # along a direction, when places are looked for
+STEP_MM = 200.0  # along a direction, in the search for places
 COLUMNS = ["name", "x", "y", "z"]
 
 
@@ -54,8 +54,8 @@ class NamedPoints:
         """Return the point to measure a place (3,) through: name, position (3,), mm beside.
 
         It is the nearest in direction. Where ``others_mm``, reflectors (3,) beside the place, were
-        found from there, it is one on their far side, if that is ``within_mm`` beside the place at
-        its range.
+        measured from there, it is one on their far side, if that is ``within_mm`` beside the place
+        at its range.
         """
         range_mm = float(np.linalg.norm(near_mm))
         most = range(1, min(self.AROUND, len(self.names)) + 1)
@@ -134,7 +134,7 @@ def points_of(cell: Cell, search_mm: float) -> NamedPoints:
 
 
 def _volume(cell: Cell, wider_mm: float) -> Callable[[Array], NDArray[np.bool_]]:
-    """Return what tells which places (N, 3), tracker's frame, a reflector of the cell can be at.
+    """Return a test whether a reflector of the cell can be at places (N, 3), tracker's frame.
 
     They are those of the arm's reach, and by the nests.
     """

@@ -93,7 +93,7 @@ class Reply(NamedTuple):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it states that nothing is under way."""
+        """Whether it states that no command is in progress."""
         return self.accepted and self.text.startswith(READY)
 
     @property
@@ -103,7 +103,7 @@ class Reply(NamedTuple):
 
     @property
     def found(self) -> str:
-        """Return the code with its meaning and the bridge's own words."""
+        """The code with its meaning and the bridge's own text."""
         _, meaning = CODES.get(self.code, UNKNOWN)
         return f"ERR-{self.code} ({meaning}): {self.text[:MAX_TEXT]}"
 
@@ -233,7 +233,7 @@ class T2saTracker:
         return TrackerReading(mean_mm, std_mm, count, reflector, None, self._arrived_s)
 
     def stop(self) -> None:
-        """Halt the measurement under way, without waiting for an answer."""
+        """Halt the measurement in progress, without waiting for an answer."""
         lines, self._stopped = self._lines, True  # another thread may be closing
         if lines is not None:
             lines.send(self.HALT, "stop")
@@ -246,7 +246,7 @@ class T2saTracker:
     # -- connecting ---------------------------------------------------------------------------
 
     def _ready(self) -> str:
-        """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
+        """Return the bridge's state as soon as it is ready; raises where it stays busy."""
         ask, limit_s = partial(self._exchange, self.STATUS), MEASURE_S
         reply = retry_while_busy(
             ask, lambda each: not each.is_ready, limit_s, self._clock, BUSY_PAUSE_S
@@ -324,9 +324,9 @@ class T2saTracker:
     # -- measuring ----------------------------------------------------------------------------
 
     def _single(self, near_mm: Array, others_mm: dict[str, Array]) -> Array:
-        """Return one position (3,); where another reflector is found, aim on its far side.
+        """Return one position (3,); where another reflector is caught, aim on its far side.
 
-        ``others_mm`` are those that were found in its place, by their named points.
+        ``others_mm`` are those that were caught in its place, by their named points.
         """
         limit_mm, search_mm = self._options.find_radius_mm, self._options.search_mm
         points, off_mm = TRACKER.connected(self._points), np.inf
@@ -347,7 +347,7 @@ class T2saTracker:
         raise off_target(off_mm, limit_mm)
 
     def _measured(self, name: str, named_mm: Array) -> Array:
-        """Return the position (3,) of the reflector that is found from a named point."""
+        """Return the position (3,) of the reflector that is caught from a named point."""
         xyz_mm = self._position(self.MEASURE, name)
         if not bool(np.all(np.isfinite(xyz_mm))):
             raise TRACKER.no_reading(
@@ -387,7 +387,7 @@ class T2saTracker:
             raise self._lost(str(error), "decode") from error
 
     def _exchange(self, command: str) -> Reply:
-        """Request once and return the reply; results that nobody asked for are dropped."""
+        """Request once and return the reply; results that were not asked for are dropped."""
         measures = command.startswith(self.MEASURE)
         asks_result = measures or command.startswith(self.POSITION)
         reply = self._answer(command, lambda reply: asks_result or not reply.is_result)

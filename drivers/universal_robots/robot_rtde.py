@@ -1,9 +1,9 @@
 """A robot of Universal Robots by RTDE and a script of ours, ``ur_script/hilcell.script``.
 
 The script is sent once. The PC then writes a target and a number into registers; the script moves
-and acknowledges with that number. An acknowledgement alone proves nothing: motion has ended only
-when the joints stand at the target and a dwell's packages show no speed and no spread. Every
-package that comes meanwhile is judged. A PC that dies gives no sign of life, and the script brakes.
+and acknowledges with that number. An acknowledgement alone does not suffice: motion has ended only
+when the joints are at the target and a dwell's packages show no speed and no spread. Every
+package that comes meanwhile is judged. A PC that dies sends no heartbeat, and the script brakes.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from hilcell.wire.channel import Host, Port
 
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement, or a brake of a sweep, to standstill
-LOOK_S = 0.5  # one look counts for this long, at most
-DWELL_S = 0.05  # of the packages that tell standstill
+STEP_S = 0.5  # one poll counts for this long, at most
+DWELL_S = 0.05  # of the packages that show standstill
 LOST, STOPPED = 8, 9  # errors of the script
 ERRORS = {
     1: ("HC-B20", "unknown command"),
@@ -68,12 +68,12 @@ class UrRtdeRobot:
     """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
 
     HEARTBEAT_S = 0.2
-    STARTED_S = 5.0  # wire deadline: from sending the script to its first word
+    STARTED_S = 5.0  # wire deadline: from sending the script to its first state
     ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
     BRAKED_S = 2.0  # wire deadline: a script that brakes (stopj, 2 rad/s2) goes on
-    CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
-    PROGRESS_S = 0.2  # between two looks at the progress of a motion
-    COUNT_S = 1.0  # the script's counter stands no longer
+    CLOCK_S = 0.5  # wire deadline: until the controller's time advances
+    PROGRESS_S = 0.2  # between two checks of the progress of a motion
+    COUNT_S = 1.0  # the script's counter must change within it
     AXIS_TOLERANCE_RAD = 2e-4
     STILL_RAD_S = 2e-3  # of a motion that was braked
     PROGRESS_DEG = 0.01
@@ -102,12 +102,12 @@ class UrRtdeRobot:
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._session = 0
         self._order = Order(0, np.zeros(6), 0.0)
-        self.rest_rad = np.zeros(6)  # where the robot was sent last, or was found
+        self.rest_rad = np.zeros(6)  # the last target, or the position at connect
         self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
         self._heartbeat_due_s = self._seen_s = 0.0
         self._asked_s = 0.0  # when the state of the last reading was asked for
         self._moving = self._stopped = self._started = False
-        self._ended_s: float | None = None  # when the last motion was seen to have ended
+        self._ended_s: float | None = None  # when the end of the last motion was detected
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -206,7 +206,7 @@ class UrRtdeRobot:
             return
         if self._is_own_script(before):
             self._panel().ask("stop")
-        for _ in polls(self.ENDED_S, LOOK_S):
+        for _ in polls(self.ENDED_S, STEP_S):
             state = link.fresh()
             if state.runtime_state == Runtime.STOPPED and at_rest([state]):
                 self._started = False
@@ -218,10 +218,10 @@ class UrRtdeRobot:
     def _is_own_script(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
 
-        Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
-        `DeviceRefused` for another program.
+        Our script's counter stops while it brakes, so it has the time of a brake to continue.
+        Raises `DeviceRefused` for another program.
         """
-        for _ in polls(self.BRAKED_S, LOOK_S):
+        for _ in polls(self.BRAKED_S, STEP_S):
             state = self.link().fresh()
             if state.count != before.count:
                 return True
@@ -232,7 +232,7 @@ class UrRtdeRobot:
         raise ROBOT.refused("HC-B67", "connect", found, expected=expected, act=act)
 
     def _start_script(self) -> None:
-        """Send the script; return when it has said that it runs."""
+        """Send the script; return when its state shows that it runs."""
         link, options = self.link(), self._options
         # The script may begin before these registers arrive, which must move nothing then.
         self._order = Order(0, link.fresh().joints_rad, 0.0, command=Order.NOTHING)
@@ -241,11 +241,11 @@ class UrRtdeRobot:
         try:
             self._started = True
             line.send(script_text(self._session), "send the script")
-            for _ in polls(self.STARTED_S, LOOK_S):
+            for _ in polls(self.STARTED_S, STEP_S):
                 state = link.fresh()
                 if state.session == self._session and state.acknowledged == 0:
                     break
-                line.receive(65536, Deadline(0.0))  # states that nobody needs
+                line.receive(65536, Deadline(0.0))  # states, not used
             else:
                 self._check_remote()
                 raise self._script_ended(state, f"no word of it within {self.STARTED_S:.0f} s")
@@ -280,14 +280,14 @@ class UrRtdeRobot:
         return number
 
     def heartbeat(self) -> None:
-        """Give the script a sign of life."""
+        """Send the script a heartbeat."""
         self._heartbeat_due_s = time.monotonic() + self.HEARTBEAT_S
         self.link().write(self._order)
 
     def acknowledged(self, number: int) -> bool:
-        """Wait for the next packages; return whether one says that a motion has ended.
+        """Wait for the next packages; return whether one shows that a motion has ended.
 
-        Raises `DeviceError` where one says that something is wrong, or the script refused it.
+        Raises `DeviceError` for a faulty state, or where the script refused the motion.
         """
         states = self.link().following(self._seen_s)
         self._seen_s = states[-1].by_s
@@ -306,7 +306,7 @@ class UrRtdeRobot:
             raise state_error
 
     def check_state(self, state: UrState) -> None:
-        """Raise `DeviceError` where a state forbids to go on."""
+        """Raise `DeviceError` where a state forbids to continue."""
         self._check_health(state)
         if state.runtime_state != Runtime.PLAYING or state.session != self._session:
             raise self._script_ended(state, "")
@@ -316,7 +316,7 @@ class UrRtdeRobot:
             raise self._script_ended(state, f"its counter stands at {state.count}")
 
     def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
-        """Raise `DeviceError` where a motion stands or creeps."""
+        """Raise `DeviceError` where a motion stalls or creeps."""
         now_deg, expected = np.degrees(state.joints_rad), f"acknowledged {number}"
         where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
         if limits.stalled(now_deg):
@@ -326,7 +326,7 @@ class UrRtdeRobot:
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
-        for _ in polls(REST_S, LOOK_S):
+        for _ in polls(REST_S, STEP_S):
             began_s, states = self._clock.pc_s(), self._dwell()
             for state in states:
                 self.check_state(state)
@@ -349,11 +349,11 @@ class UrRtdeRobot:
         self._clock.wait(DWELL_S)
         self._asked_s = self._clock.pc_s()
         last = link.fresh()
-        for _ in polls(self.CLOCK_S, LOOK_S):
+        for _ in polls(self.CLOCK_S, STEP_S):
             if last.timestamp_s > first.timestamp_s:
                 dwell = (each for each in link.following(first.by_s) if each.by_s <= last.by_s)
                 return [first, *dwell]
-            last = link.next()  # several packages may have been under way
+            last = link.next()  # several packages may have been in transit
         found = f"the controller's time stands at {last.timestamp_s:.3f} s"
         expected, act = f"a later time within {self.CLOCK_S:g} s", "restart the controller; resume"
         raise ROBOT.failed("HC-B26", "read", found, expected=expected, act=act)
@@ -364,7 +364,7 @@ class UrRtdeRobot:
             state.joints_rad, state.pose, still, self._asked_s, self._ended_s, by_factory_links=True
         )
 
-    # -- for a sweep as well ------------------------------------------------------------------
+    # -- also for a sweep ----------------------------------------------------------------------
 
     def link(self) -> UrLink:
         return ROBOT.connected(self._link)
@@ -497,7 +497,7 @@ class UrSweep:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Brake a motion under way."""
+        """Brake a motion in progress."""
         self._robot.watch.stop()
         if not self._moving:
             return
@@ -554,16 +554,16 @@ class UrSweep:
 class Release:
     """The end of a session: our script has ended and the arm is at rest, and both are confirmed.
 
-    It looks without the run's clock, which no longer waits after a stop. A stop that was sent
-    proves nothing: the dashboard may refuse it, be busy, or have closed an idle connection long
+    It polls without the run's clock, which no longer waits after a stop. A stop that was sent
+    guarantees nothing: the dashboard may refuse it, be busy, or have closed an idle connection long
     ago, and a register may not be read. So fresh packages are judged, and the stop is sent again
-    over all wires until they show rest. It gives no sign of life: a script that does not read the
+    over all wires until they show rest. It sends no heartbeat: a script that does not read the
     stop either still brakes a motion by itself.
     """
 
     RELEASE_S = 5.0  # wire deadline: a brake (stopj, 2 rad/s2) from full speed, 3 s to standstill
     AGAIN_S = 0.5  # between two stops
-    ANSWER_S = 0.5  # for the dashboard's answer, where the packages prove nothing
+    ANSWER_S = 0.5  # for the dashboard's answer, where the packages do not show rest
 
     def __init__(self, link: UrLink | None, panel: Dashboard | None, session: int) -> None:
         self._link, self._panel, self._session = link, panel, session
@@ -585,9 +585,9 @@ class Release:
             raise failures[0]
 
     def leave_at_rest(self) -> None:
-        """Return when no program plays and the joints stand; raises `DeviceError`."""
+        """Return when no program plays and the joints are at rest; raises `DeviceError`."""
         link = self._link
-        for _ in polls(self.RELEASE_S, LOOK_S):
+        for _ in polls(self.RELEASE_S, STEP_S):
             try:
                 self._stop_again()
                 if link is None:
@@ -600,7 +600,7 @@ class Release:
                 raise self._unconfirmed(error.found) from error
             states = [first, *(state for state in between if state.by_s <= by_s)]
             last, ended = states[-1], all(s.runtime_state == Runtime.STOPPED for s in states)
-            # At rest no joint moves while the controller's time goes on.
+            # At rest no joint moves while the controller's time advances.
             if ended and at_rest(states) and last.timestamp_s > first.timestamp_s:
                 return
             self._read_answer(Deadline(0.0))

@@ -178,7 +178,7 @@ INPUTS = (
 )
 
 
-RUNNING, NORMAL = 7, 1  # with which work may go on
+RUNNING, NORMAL = 7, 1  # valid states
 ROBOT_MODES = {
     -1: "no controller",
     0: "disconnected",
@@ -190,7 +190,7 @@ ROBOT_MODES = {
     6: "backdrive",
     8: "updating firmware",
 }
-# Status, its words, its alarm.
+# Status, its text, its alarm.
 SAFETY: dict[int, tuple[str, str]] = {
     2: ("reduced", "HC-B61"),
     3: ("protective stop", "HC-B62"),
@@ -267,7 +267,7 @@ class UrState:
         return matrix(from_rotvec(self.tcp[3:]), self.tcp[:3] * 1000.0)
 
     def problem(self, *, moving: bool) -> DeviceError | None:
-        """Return the error of a state that forbids to go on; ``moving`` makes it a fault.
+        """Return the error of a state that forbids to continue; ``moving`` makes it a fault.
 
         Causes come before their consequences: a protective stop ends the script as well.
         """
@@ -290,7 +290,7 @@ class UrState:
 
     @property
     def runtime(self) -> str:
-        """Return the state of the program in words."""
+        """The state of the program as text."""
         known = {each.value: each.name.lower() for each in Runtime}
         return f"runtime_state is {self.runtime_state} ({known.get(self.runtime_state, 'unknown')})"
 
@@ -309,7 +309,7 @@ class Order:
     command: int = MOVE_JOINTS
 
     def registers(self, life: int) -> dict[str, Numbers]:
-        """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
+        """Return the numbers of the inputs; another ``life`` is the PC's heartbeat."""
         integers = (self.sequence, self.command, life, self.stop)
         floats = (*self.target_rad.tolist(), self.speed_rad_s)
         return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}
@@ -319,11 +319,11 @@ class UrLink:
     """One connection. Writes and ``end_script`` may come from any thread, all else from one."""
 
     POLYSCOPE = "PolyScope 3.12, 5.6 or later"
-    MAX_NUMBER = 1_000_000_000  # of a motion, a sign of life, a question
+    MAX_NUMBER = 1_000_000_000  # of a motion, a heartbeat, a question
     ANSWER_S = 3.0
     SILENT_S = 1.0  # without a package
-    LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
-    IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
+    FETCH_S = 0.01  # a single poll of the link, so that a stop is noticed in time
+    IDLE_S = 0.1  # between two fetches while no thread asks
     KEPT = 4096  # packages
     SIZE = 65536
     JOIN_S = 2.0
@@ -338,11 +338,11 @@ class UrLink:
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
         self._fetching = threading.Lock()
         self._states: deque[UrState] = deque(maxlen=self.KEPT)
-        self._emptied_s = 0.0  # when the buffer was last seen empty
+        self._emptied_s = 0.0  # when the buffer was last empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
         self._order, self._ending = Order(0, np.zeros(6), 0.0, command=Order.NOTHING), 0
-        # The register keeps the last number of the connection before.
+        # The register has the last number of the connection before.
         self._question = secrets.randbelow(self.MAX_NUMBER) + 1
         with on_failure(self._link.close):
             self._set_up()
@@ -382,7 +382,7 @@ class UrLink:
             with self._fetching:
                 found = self._since(by_s)
                 if not found and self._failure is None:
-                    self._fetch(0.0 if last else self.LOOK_S)
+                    self._fetch(0.0 if last else self.FETCH_S)
                     found = self._since(by_s)
             if found:
                 return found
@@ -391,7 +391,7 @@ class UrLink:
         raise self._link.broken("receive", f"no package for {self.SILENT_S:.1f} s")
 
     def write(self, order: Order) -> None:
-        """Write the registers, with the next sign of life; raises `DeviceError`."""
+        """Write the registers, with the next heartbeat; raises `DeviceError`."""
         with self._writing:
             self._life = self._life % self.MAX_NUMBER + 1
             self._order = order
@@ -400,7 +400,7 @@ class UrLink:
     def end_script(self, session: int) -> None:
         """Have the script of a session brake and end; no later write takes that back.
 
-        Gives no sign of life. Raises `DeviceError`.
+        Gives no heartbeat. Raises `DeviceError`.
         """
         with self._writing:
             self._ending = session
@@ -460,7 +460,7 @@ class UrLink:
             self._check()
             try:
                 if not self._arrived:
-                    data = self._link.receive(self.SIZE, Deadline(0.0 if last else self.LOOK_S))
+                    data = self._link.receive(self.SIZE, Deadline(0.0 if last else self.FETCH_S))
                     self._arrived.extend(self._packages.feed(data))
             except ProtocolError as error:
                 raise self._no_rtde(kind, str(error)) from error
@@ -479,7 +479,7 @@ class UrLink:
     # -- fetching -----------------------------------------------------------------------------
 
     def _empty(self) -> None:
-        """Fetch what nobody wants, until `close`."""
+        """Fetch packages that no thread asks for, until `close`."""
         while not self._closing.wait(self.IDLE_S):
             if self._fetching.acquire(blocking=False):
                 try:
@@ -488,7 +488,7 @@ class UrLink:
                     self._fetching.release()
 
     def _fetch(self, wait_s: float) -> None:
-        """Take what has arrived, or does within a time; a failure is kept."""
+        """Decode what has arrived, or arrives within a time; a failure is stored."""
         if self._failure is not None:
             return
         try:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.kuka import krl
-from drivers.kuka.krl import KrlError
+from drivers.kuka.krl import ProtocolError
 
 
 @pytest.mark.parametrize(
@@ -53,9 +53,9 @@ def test_structures_are_understood(text: str, values: list[float]) -> None:
     ],
 )  # fmt: skip
 def test_anything_else_is_refused(text: str) -> None:
-    with pytest.raises(KrlError):
+    with pytest.raises(ProtocolError):
         krl.parse(text)
-    with pytest.raises(KrlError):
+    with pytest.raises(ProtocolError):
         krl.numbers(text, ("X",))
 
 
@@ -67,13 +67,13 @@ def test_anything_else_is_refused(text: str) -> None:
     ],
 )  # fmt: skip
 def test_a_structure_is_refused_as_a_whole(text: str) -> None:
-    with pytest.raises(KrlError):
+    with pytest.raises(ProtocolError):
         krl.numbers(text, ("X",))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_only_finite_targets_are_written(value: float) -> None:
-    with pytest.raises(KrlError, match="A1"):
+    with pytest.raises(ProtocolError, match="A1"):
         krl.structure("E6AXIS", {"A1": value})
 
 
@@ -85,10 +85,10 @@ def test_a_structure_survives_the_trip(components: dict[str, float]) -> None:
 
 @given(st.text(max_size=60))
 def test_any_text_is_understood_or_refused(text: str) -> None:
-    with suppress(KrlError):
+    with suppress(ProtocolError):
         assert all(map(math.isfinite, krl.numbers(text, ("X",))))
     try:
         value = krl.parse(text)
-    except KrlError:
+    except ProtocolError:
         return
     assert not isinstance(value, float) or math.isfinite(value)

@@ -407,7 +407,7 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     peer: KukaPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
-    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
+    monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
     robot = connect()
     soon(lambda: peer.requests.count("read $MODE_OP") >= 5)
     assert peer.connections == 2  # only now: a connection is made before it is accepted

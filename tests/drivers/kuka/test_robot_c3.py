@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers import supervision
 from drivers.kuka import robot_c3 as c3
-from drivers.kuka.robot_c3 import C3Connection, C3Error
+from drivers.kuka.robot_c3 import C3Connection, ProtocolError
 from hilcell.ports import DeviceError, Stopped
 from tests.drivers.peers import Server, WireTime, scripted, wire_time
 
@@ -57,7 +57,7 @@ def test_both_independent_peers_agree() -> None:
 def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
     try:
         reply = c3.decode_body(1, data) if len(data) >= 6 else None
-    except C3Error:
+    except ProtocolError:
         return
     assert reply is None or len(reply.value) == len(data) - 6
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.device_errors import ProtocolError
 from drivers.kuka import controller, robot_eki
 from drivers.kuka import robot_eki as eki
-from drivers.kuka.krl import KrlError
-from drivers.kuka.robot_eki import EkiError, KukaEkiRobot
+from drivers.kuka.robot_eki import KukaEkiRobot
 from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
 from tests.drivers.kuka.eki_peer import EkiPeer
 from tests.drivers.kuka.kuka_bed import ALARMS, JOINTS, TARGET_RAD
@@ -179,7 +179,7 @@ def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
     peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
-    monkeypatch.setattr(controller.KeepAlive, "LOOK_S", 0.01)
+    monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
     monkeypatch.setattr(controller, "time", time)
     robot = robot_for(peer, time)
     robot.connect()
@@ -257,9 +257,9 @@ def test_a_command_has_all_values() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_no_target_that_is_not_finite(bad: float) -> None:
-    with pytest.raises(EkiError, match="A2"):
+    with pytest.raises(ProtocolError, match="A2"):
         eki.command(7, eki.Kind.MOVE, axes=(0.0, bad, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(EkiError, match="E1"):
+    with pytest.raises(ProtocolError, match="E1"):
         eki.command(7, eki.Kind.MOVE, e1=bad)
 
 
@@ -278,7 +278,7 @@ def test_documents_come_in_any_pieces(cuts: list[int]) -> None:
 
 def test_a_document_without_an_end_is_an_error() -> None:
     eki.split(b"<RobotState>" + b" " * (eki.LONGEST - 12), eki.STATE)
-    with pytest.raises(EkiError, match="8193"):
+    with pytest.raises(ProtocolError, match="8193"):
         eki.split(b"<RobotState>" + b" " * (eki.LONGEST - 11), eki.STATE)
 
 
@@ -287,9 +287,9 @@ def test_values_of_a_state() -> None:
     assert number == 17
     assert state.single("HC_ACK") == 5
     assert state.numbers("$AXIS_ACT", ["A1"]) == [1.5]
-    with pytest.raises(KrlError):
+    with pytest.raises(ProtocolError):
         state.numbers("$AXIS_ACT", ["A2"])
-    with pytest.raises(EkiError, match="Status/@Mode_Op"):
+    with pytest.raises(ProtocolError, match="Status/@Mode_Op"):
         state.single("$MODE_OP")
 
 
@@ -342,7 +342,7 @@ def test_booleans_as_text_or_numbers(text: str, value: object) -> None:
     ],
 )
 def test_other_documents_are_refused(document: bytes) -> None:
-    with pytest.raises(EkiError):
+    with pytest.raises(ProtocolError):
         eki.parse(document, eki.STATE)
 
 
@@ -353,5 +353,5 @@ def test_any_bytes_are_a_document_or_an_error(data: bytes) -> None:
             whole, _ = eki.split(document, eki.STATE)
             for each in whole:
                 eki.parse(each, eki.STATE)
-        except EkiError:
+        except ProtocolError:
             pass
