@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from datetime import datetime
@@ -239,6 +240,7 @@ PAGES: dict[str, type[BaseScreen]] = {
     "o": ReportPage,
 }
 
+Stage, Press = RecordingApp, Pilot[int]  # what a test is given
 Act = Callable[[RecordingApp, Pilot[int]], Awaitable[None]]
 
 
@@ -260,6 +262,25 @@ def run_app(
 
     asyncio.run(run())
     return app
+
+
+def on_screen(state: str = "", **stage: Any) -> Callable[[Callable[..., Any]], Callable[..., None]]:
+    """Run a test on the screen of a state; its own ``state``, ``update`` or ``size`` come first."""
+
+    def decorated(test: Callable[..., Any]) -> Callable[..., None]:
+        def run(**given: Any) -> None:
+            own: dict[str, Any] = {"state": state} | stage
+            own |= {name: given[name] for name in ("state", "update", "size") if name in given}
+            run_app(lambda app, pilot: test(app, pilot, **given), **own)
+
+        run.__name__, run.__doc__, run.__module__ = test.__name__, test.__doc__, test.__module__
+        signature = inspect.signature(test)
+        _, _, *parameters = signature.parameters.values()  # app and pilot are no fixtures
+        run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        run.pytestmark = getattr(test, "pytestmark", [])  # type: ignore[attr-defined]
+        return run
+
+    return decorated
 
 
 def footer(app: RecordingApp) -> str:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from textual.pilot import Pilot
 
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.run_view import EngineState, RunView
@@ -22,9 +21,12 @@ from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import (
     PAGES,
     RUNS,
+    Press,
     RecordingApp,
     RecordingSession,
+    Stage,
     footer,
+    on_screen,
     press,
     run_app,
     settle,
@@ -88,16 +90,13 @@ def allowed(state: str) -> set[str]:
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_what_each_state_allows(state: str) -> None:
+@on_screen()
+async def test_what_each_state_allows(app: Stage, pilot: Press, state: str) -> None:
     """The keys that are shown, the space bar, the stop and the abort, one after the other."""
-
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        the_footer_shows_what_is_allowed_and_nothing_else(app, state)
-        await the_space_bar_pauses_goes_on_or_resumes(app, pilot, state)
-        app.recorded.asked.clear()
-        await a_live_run_is_stopped_at_once_and_aborted_after_a_question(app, pilot, state)
-
-    run_app(act, state)
+    the_footer_shows_what_is_allowed_and_nothing_else(app, state)
+    await the_space_bar_pauses_goes_on_or_resumes(app, pilot, state)
+    app.recorded.asked.clear()
+    await a_live_run_is_stopped_at_once_and_aborted_after_a_question(app, pilot, state)
 
 
 def the_footer_shows_what_is_allowed_and_nothing_else(app: RecordingApp, state: str) -> None:
@@ -112,9 +111,7 @@ def the_footer_shows_what_is_allowed_and_nothing_else(app: RecordingApp, state: 
     assert space is None or screen.footer_key("pause").word == space[2]
 
 
-async def the_space_bar_pauses_goes_on_or_resumes(
-    app: RecordingApp, pilot: Pilot[int], state: str
-) -> None:
+async def the_space_bar_pauses_goes_on_or_resumes(app: Stage, pilot: Press, state: str) -> None:
     await press(pilot, "space")
     space = SPACE[state]
     assert isinstance(app.screen, Confirm) == (space is not None and space[1])
@@ -130,7 +127,7 @@ async def the_space_bar_pauses_goes_on_or_resumes(
 
 
 async def a_live_run_is_stopped_at_once_and_aborted_after_a_question(
-    app: RecordingApp, pilot: Pilot[int], state: str
+    app: Stage, pilot: Press, state: str
 ) -> None:
     live, heard = state in LIVE, state in HEARD
     await press(pilot, "escape")
@@ -150,99 +147,88 @@ async def a_live_run_is_stopped_at_once_and_aborted_after_a_question(
 # -- the space bar ---------------------------------------------------------------------------------
 
 
-def test_the_space_bar_pauses_from_every_page_that_says_so() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for key in "eilp":
-            await press(pilot, key)
-            assert "space" in footer(app)
-            await press(pilot, "space", "q")
-
-    assert run_app(act, "running").recorded.asked == [("pause", {})] * 4
-
-
-def test_a_key_held_down_opens_its_page_once() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        depth = len(app.screen_stack)
-        for key in ("e", "h"):
-            type_ahead(app, *[key] * 4)
-            await settle(pilot)
-            assert len(app.screen_stack) == depth + 1, key
-            assert isinstance(app.screen, PAGES[key])
-            await press(pilot, "q")
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_the_space_bar_pauses_from_every_page_that_says_so(app: Stage, pilot: Press) -> None:
+    for key in "eilp":
+        await press(pilot, key)
+        assert "space" in footer(app)
+        await press(pilot, "space", "q")
+    assert app.recorded.asked == [("pause", {})] * 4
 
 
-def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for number, key in enumerate(("l", "h")):
-            await press(pilot, key)
-            type_ahead(app, "q", "space")
-            await settle(pilot)
-            assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm], key
-            type_ahead(app, "q", "h", "q", "space", "enter")
-            await settle(pilot)
-            assert isinstance(app.screen, Confirm), key  # it moves the machine: not in one burst
-            assert len(app.engines) == number
-            await press(pilot, "enter")
-            assert len(app.engines) == number + 1
-
-    run_app(act, "fault")
-
-
-def test_pages_turned_in_a_circle_are_not_piled_up() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        depth = len(app.screen_stack)
-        await press(pilot, *["h", "question_mark", "l"] * 2)
-        assert len(app.screen_stack) == depth + 3
-        assert isinstance(app.screen, LogPage)
-
-    run_app(act, "running")
-
-
-def test_a_lasting_trouble_does_not_replace_other_notices() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        trouble = RunUpdate([], trouble="the journal is gone")
-        app.show_notice("the engine ended, exit 7")
-        app.receive(app.recorded, trouble)
+@on_screen("running")
+async def test_a_key_held_down_opens_its_page_once(app: Stage, pilot: Press) -> None:
+    depth = len(app.screen_stack)
+    for key in ("e", "h"):
+        type_ahead(app, *[key] * 4)
         await settle(pilot)
-        assert "exit 7" in text_of(app)
-        await press(pilot, "w")
-        app.receive(app.recorded, trouble)
-        await settle(pilot)
-        assert "the journal is gone" in text_of(app)
+        assert len(app.screen_stack) == depth + 1, key
+        assert isinstance(app.screen, PAGES[key])
+        await press(pilot, "q")
 
-    run_app(act, "gone")
+
+@on_screen("fault")
+async def test_keys_typed_ahead_of_a_page_s_end_act_in_their_order(
+    app: Stage, pilot: Press
+) -> None:
+    for number, key in enumerate(("l", "h")):
+        await press(pilot, key)
+        type_ahead(app, "q", "space")
+        await settle(pilot)
+        assert [type(each) for each in app.screen_stack[-2:]] == [RunScreen, Confirm], key
+        type_ahead(app, "q", "h", "q", "space", "enter")
+        await settle(pilot)
+        assert isinstance(app.screen, Confirm), key  # it moves the machine: not in one burst
+        assert len(app.engines) == number
+        await press(pilot, "enter")
+        assert len(app.engines) == number + 1
+
+
+@on_screen("running")
+async def test_pages_turned_in_a_circle_are_not_piled_up(app: Stage, pilot: Press) -> None:
+    depth = len(app.screen_stack)
+    await press(pilot, *["h", "question_mark", "l"] * 2)
+    assert len(app.screen_stack) == depth + 3
+    assert isinstance(app.screen, LogPage)
+
+
+@on_screen("gone")
+async def test_a_lasting_trouble_does_not_replace_other_notices(app: Stage, pilot: Press) -> None:
+    trouble = RunUpdate([], trouble="the journal is gone")
+    app.show_notice("the engine ended, exit 7")
+    app.receive(app.recorded, trouble)
+    await settle(pilot)
+    assert "exit 7" in text_of(app)
+    await press(pilot, "w")
+    app.receive(app.recorded, trouble)
+    await settle(pilot)
+    assert "the journal is gone" in text_of(app)
 
 
 @pytest.mark.parametrize("key", ["a", "ctrl+q"])
-def test_a_question_about_a_run_ends_with_it(key: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, key)
-        assert isinstance(app.screen, Confirm)
-        app.receive(app.recorded, RunUpdate([], engine=EngineState.ANSWERING))
+@on_screen("running")
+async def test_a_question_about_a_run_ends_with_it(app: Stage, pilot: Press, key: str) -> None:
+    await press(pilot, key)
+    assert isinstance(app.screen, Confirm)
+    app.receive(app.recorded, RunUpdate([], engine=EngineState.ANSWERING))
+    await settle(pilot)
+    assert isinstance(app.screen, Confirm)
+    app.receive(app.recorded, RunUpdate([], engine=EngineState.NONE))
+    await settle(pilot)
+    assert isinstance(app.screen, RunScreen)
+
+
+@on_screen("suspended")
+async def test_a_notice_about_a_state_ends_with_it(app: Stage, pilot: Press) -> None:
+    for ready in (False, False, True):
+        prompt = msgspec.structs.replace(PROMPT, ready=ready)
+        said = msgspec.structs.replace(status("suspended"), prompt=prompt)
+        update = RunUpdate([], engine=EngineState.ANSWERING, status=said)
+        app.receive(app.recorded, update)
         await settle(pilot)
-        assert isinstance(app.screen, Confirm)
-        app.receive(app.recorded, RunUpdate([], engine=EngineState.NONE))
-        await settle(pilot)
-        assert isinstance(app.screen, RunScreen)
-
-    run_app(act, "running")
-
-
-def test_a_notice_about_a_state_ends_with_it() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for ready in (False, False, True):
-            prompt = msgspec.structs.replace(PROMPT, ready=ready)
-            said = msgspec.structs.replace(status("suspended"), prompt=prompt)
-            update = RunUpdate([], engine=EngineState.ANSWERING, status=said)
-            app.receive(app.recorded, update)
-            await settle(pilot)
-            if not ready:
-                await press(pilot, "enter")
-            assert ("Enter works once" in text_of(app)) is not ready
-
-    run_app(act, "suspended")
+        if not ready:
+            await press(pilot, "enter")
+        assert ("Enter works once" in text_of(app)) is not ready
 
 
 # -- stop ------------------------------------------------------------------------------------------
@@ -262,28 +248,27 @@ PLACES: dict[str, tuple[str, ...]] = {
 }
 
 
-def test_escape_stops_from_everywhere_and_never_asks() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        home = app.screen
-        for number, (place, keys) in enumerate(PLACES.items(), start=1):
-            await press(pilot, *keys, "escape")
-            assert app.recorded.stops == number, place
-            assert isinstance(app.screen, BaseScreen), place
-            assert "STOP" in text_of(app), place
-            assert app.glyphs.states["running"] in text_of(app).splitlines()[0], place
-            while app.screen is not home:
-                app.pop_screen()
-                await settle(pilot)
-            home.query_one(Table).focus()
-
-    assert run_app(act, "running").recorded.asked == []
+@on_screen("running")
+async def test_escape_stops_from_everywhere_and_never_asks(app: Stage, pilot: Press) -> None:
+    home = app.screen
+    for number, (place, keys) in enumerate(PLACES.items(), start=1):
+        await press(pilot, *keys, "escape")
+        assert app.recorded.stops == number, place
+        assert isinstance(app.screen, BaseScreen), place
+        assert "STOP" in text_of(app), place
+        assert app.glyphs.states["running"] in text_of(app).splitlines()[0], place
+        while app.screen is not home:
+            app.pop_screen()
+            await settle(pilot)
+        home.query_one(Table).focus()
+    assert app.recorded.asked == []
 
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_a_stop_that_has_ended_its_engine_is_no_stop_that_nobody_hears(
     heard: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         app.recorded.stop_received = heard  # by the stop of the key's own thread
         await press(pilot, "escape")
         assert ("stopped: " in text_of(app)) is heard
@@ -293,36 +278,30 @@ def test_a_stop_that_has_ended_its_engine_is_no_stop_that_nobody_hears(
     run_app(act, "running")
 
 
-def test_a_notice_is_seen_on_every_page() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for key in PAGES:
-            await press(pilot, key)
-            app.show_notice("something happened")
-            await settle(pilot)
-            assert "something happened" in text_of(app), key
-            await press(pilot, "q")
-
-    run_app(act, "running", size=(80, 24))
+@on_screen("running", size=(80, 24))
+async def test_a_notice_is_seen_on_every_page(app: Stage, pilot: Press) -> None:
+    for key in PAGES:
+        await press(pilot, key)
+        app.show_notice("something happened")
+        await settle(pilot)
+        assert "something happened" in text_of(app), key
+        await press(pilot, "q")
 
 
-def test_escape_stops_over_a_prompt() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "escape")
-
-    app = run_app(act, "suspended")
+@on_screen("suspended")
+async def test_escape_stops_over_a_prompt(app: Stage, pilot: Press) -> None:
+    await press(pilot, "escape")
     assert (app.recorded.stops, app.recorded.asked) == (1, [])
 
 
-def test_escape_leaves_the_plan_without_a_start() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "enter")
-        assert isinstance(app.screen, PlanSummary)
-        await press(pilot, "escape")
-        assert isinstance(app.screen, StartScreen)
-        await press(pilot, "escape")
-        assert isinstance(app.screen, StartScreen)
-
-    run_app(act)
+@on_screen()
+async def test_escape_leaves_the_plan_without_a_start(app: Stage, pilot: Press) -> None:
+    await press(pilot, "enter")
+    assert isinstance(app.screen, PlanSummary)
+    await press(pilot, "escape")
+    assert isinstance(app.screen, StartScreen)
+    await press(pilot, "escape")
+    assert isinstance(app.screen, StartScreen)
 
 
 # -- abort, detach, quit ---------------------------------------------------------------------------
@@ -332,7 +311,7 @@ def test_escape_leaves_the_plan_without_a_start() -> None:
     ("key", "place"), [("ctrl+q", ("slash", "a")), ("ctrl+c", ("ctrl+p",)), ("ctrl+q", ("a",))]
 )
 def test_quitting_over_a_live_run_offers_to_detach(key: str, place: tuple[str, ...]) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, *place, key)
         assert isinstance(app.screen, Confirm)
         assert "detach" in text_of(app)
@@ -351,7 +330,7 @@ def test_quitting_over_a_live_run_offers_to_detach(key: str, place: tuple[str, .
 
 
 def test_quitting_over_a_past_run_just_quits() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await pilot.press("ctrl+q")
 
     app = run_app(act, "gone")
@@ -359,7 +338,7 @@ def test_quitting_over_a_past_run_just_quits() -> None:
 
 
 def test_detaching_leaves_on_purpose() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await pilot.press("d")
 
     app = run_app(act, "running")
@@ -367,11 +346,11 @@ def test_detaching_leaves_on_purpose() -> None:
 
 
 def test_a_new_run_is_begun_over_a_past_one_only() -> None:
-    async def past(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def past(app: Stage, pilot: Press) -> None:
         await press(pilot, "n")
         assert isinstance(app.screen, StartScreen)
 
-    async def live(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def live(app: Stage, pilot: Press) -> None:
         await press(pilot, "n")
         assert isinstance(app.screen, RunScreen)
 
@@ -380,7 +359,7 @@ def test_a_new_run_is_begun_over_a_past_one_only() -> None:
 
 
 def test_looking_at_another_run_over_a_live_one_asks() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         home = app.screen
         await press(pilot, "h", "down", "enter")
         assert "show the other run" in text_of(app)
@@ -408,35 +387,34 @@ def asking(**more: object) -> RunUpdate:
     [(asking(), True), (asking(ready=False), False), (asking(ready=False, check=False), True)],
     ids=["ready", "too far", "no check"],
 )
-def test_enter_answers_a_prompt_only_when_it_is_ready(update: RunUpdate, answered: bool) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "enter")
-        assert isinstance(app.screen, RunScreen)
-        assert ("Enter works once" in text_of(app)) is not answered
-
-    app = run_app(act, update=update, size=(80, 24))
+@on_screen(size=(80, 24))
+async def test_enter_answers_a_prompt_only_when_it_is_ready(
+    app: Stage, pilot: Press, update: RunUpdate, answered: bool
+) -> None:
+    await press(pilot, "enter")
+    assert isinstance(app.screen, RunScreen)
+    assert ("Enter works once" in text_of(app)) is not answered
     assert app.recorded.asked == ([("answer", {})] if answered else [])
 
 
-def test_enter_in_the_filter_answers_no_prompt() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "slash", "g", "enter")
-
-    assert run_app(act, "suspended").recorded.asked == []
+@on_screen("suspended")
+async def test_enter_in_the_filter_answers_no_prompt(app: Stage, pilot: Press) -> None:
+    await press(pilot, "slash", "g", "enter")
+    assert app.recorded.asked == []
 
 
 # -- measuring again -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("state", ["running", "gone"])
-def test_a_point_is_re_measured_after_a_question(state: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "end", "r")
-        assert isinstance(app.screen, Confirm)
-        assert "grid point 0-0-4" in text_of(app)
-        await press(pilot, "n", "r", "y")
-
-    app = run_app(act, state)
+@on_screen()
+async def test_a_point_is_re_measured_after_a_question(
+    app: Stage, pilot: Press, state: str
+) -> None:
+    await press(pilot, "end", "r")
+    assert isinstance(app.screen, Confirm)
+    assert "grid point 0-0-4" in text_of(app)
+    await press(pilot, "n", "r", "y")
     if state in LIVE:
         assert app.recorded.asked == [("retake", {"key": "grid/0-0-4"})]
     else:
@@ -444,34 +422,30 @@ def test_a_point_is_re_measured_after_a_question(state: str) -> None:
 
 
 @pytest.mark.parametrize("unattended", [True, False])
-def test_a_run_is_resumed_as_it_was_begun(unattended: bool) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        log = app.recorded.view.log
-        log.plan = msgspec.structs.replace(log.inputs, unattended=unattended)
-        await press(pilot, "space", "enter")
-
-    app = run_app(act, "gone")
+@on_screen("gone")
+async def test_a_run_is_resumed_as_it_was_begun(app: Stage, pilot: Press, unattended: bool) -> None:
+    log = app.recorded.view.log
+    log.plan = msgspec.structs.replace(log.inputs, unattended=unattended)
+    await press(pilot, "space", "enter")
     [(folder, words)] = app.engines
     assert words[:4] == ["resume", folder.name, "--runs", str(folder.parent)]
     assert ("--unattended" in words) == unattended
 
 
-def test_a_point_that_may_not_be_re_measured_says_why() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "home", "r")
-        assert isinstance(app.screen, RunScreen)
-        assert "floor nest F1: " in text_of(app)
+@on_screen("running")
+async def test_a_point_that_may_not_be_re_measured_says_why(app: Stage, pilot: Press) -> None:
+    await press(pilot, "home", "r")
+    assert isinstance(app.screen, RunScreen)
+    assert "floor nest F1: " in text_of(app)
+    assert app.recorded.asked == []
 
-    assert run_app(act, "running").recorded.asked == []
 
-
-def test_a_point_is_re_measured_from_its_own_page() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "end", "enter")
-        assert isinstance(app.screen, DetailPage)
-        await press(pilot, "r", "y")
-
-    assert run_app(act, "running").recorded.asked == [("retake", {"key": "grid/0-0-4"})]
+@on_screen("running")
+async def test_a_point_is_re_measured_from_its_own_page(app: Stage, pilot: Press) -> None:
+    await press(pilot, "end", "enter")
+    assert isinstance(app.screen, DetailPage)
+    await press(pilot, "r", "y")
+    assert app.recorded.asked == [("retake", {"key": "grid/0-0-4"})]
 
 
 def view_of(name: str) -> RunView:
@@ -523,85 +497,82 @@ def test_a_refused_space_bar_gives_the_reason(state: str) -> None:
 HIGH = (137, 30)  # the verdict leaves a row for an alarm
 
 
-def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "space")
-        assert isinstance(app.screen, RunScreen)
-        assert "the run is over" in text_of(app)
-        app.receive(app.recorded, RunUpdate([], calibrated=False))
-        await settle(pilot)
-        assert "HC-J11" in text_of(app)
-        await press(pilot, "space")
-        assert "nothing moves" in text_of(app)
-        assert app.engines == []
-        await press(pilot, "enter")
-
-    assert len(run_app(act, "done", size=HIGH).engines) == 1
+@on_screen("done", size=HIGH)
+async def test_a_calibration_without_a_file_is_written_after_a_question(
+    app: Stage, pilot: Press
+) -> None:
+    await press(pilot, "space")
+    assert isinstance(app.screen, RunScreen)
+    assert "the run is over" in text_of(app)
+    app.receive(app.recorded, RunUpdate([], calibrated=False))
+    await settle(pilot)
+    assert "HC-J11" in text_of(app)
+    await press(pilot, "space")
+    assert "nothing moves" in text_of(app)
+    assert app.engines == []
+    await press(pilot, "enter")
+    assert len(app.engines) == 1
 
 
 @pytest.mark.parametrize("over", ["a", "ctrl+p"])
-def test_updates_are_shown_under_a_question_and_under_the_palette(over: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, over)
-        for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
-            app.receive(app.recorded, RunUpdate([], engine, status("paused")))
-            await settle(pilot)
-            assert word in text_of(app)
-
-    run_app(act, "paused")
-
-
-def test_a_calibration_saved_later_is_reported() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for calibrated in (False, True):
-            app.receive(app.recorded, RunUpdate([], calibrated=calibrated))
-            await settle(pilot)
-        assert "the calibration has its file" in text_of(app)
-        assert "HC-J11" in text_of(app)
-        await press(pilot, "k")
-        assert "HC-J11" not in text_of(app)
-
-    run_app(act, "done", size=HIGH)
-
-
-def test_an_unreadable_journal_is_reported_while_it_is_unreadable() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        app.receive(app.recorded, RunUpdate([], trouble="journal: cannot be read"))
+@on_screen("paused")
+async def test_updates_are_shown_under_a_question_and_under_the_palette(
+    app: Stage, pilot: Press, over: str
+) -> None:
+    await press(pilot, over)
+    for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
+        app.receive(app.recorded, RunUpdate([], engine, status("paused")))
         await settle(pilot)
-        assert "cannot be read" in text_of(app)
-        app.receive(app.recorded, RunUpdate([]))
-        await settle(pilot)
-        assert "cannot be read" not in text_of(app)
+        assert word in text_of(app)
 
-    run_app(act, "done")
+
+@on_screen("done", size=HIGH)
+async def test_a_calibration_saved_later_is_reported(app: Stage, pilot: Press) -> None:
+    for calibrated in (False, True):
+        app.receive(app.recorded, RunUpdate([], calibrated=calibrated))
+        await settle(pilot)
+    assert "the calibration has its file" in text_of(app)
+    assert "HC-J11" in text_of(app)
+    await press(pilot, "k")
+    assert "HC-J11" not in text_of(app)
+
+
+@on_screen("done")
+async def test_an_unreadable_journal_is_reported_while_it_is_unreadable(
+    app: Stage, pilot: Press
+) -> None:
+    app.receive(app.recorded, RunUpdate([], trouble="journal: cannot be read"))
+    await settle(pilot)
+    assert "cannot be read" in text_of(app)
+    app.receive(app.recorded, RunUpdate([]))
+    await settle(pilot)
+    assert "cannot be read" not in text_of(app)
 
 
 @pytest.mark.parametrize("state", ["done", "gone"])
-def test_a_stop_where_nothing_runs_says_so(state: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "escape")
-        assert "nothing runs here; if anything moves, use the E-stop" in text_of(app)
-
-    assert run_app(act, state).recorded.stops == 0
+@on_screen()
+async def test_a_stop_where_nothing_runs_says_so(app: Stage, pilot: Press, state: str) -> None:
+    await press(pilot, "escape")
+    assert "nothing runs here; if anything moves, use the E-stop" in text_of(app)
+    assert app.recorded.stops == 0
 
 
 @pytest.mark.parametrize("keys", [("ctrl+p",), ("backspace",), ("x", "backspace", "backspace")])
-def test_the_palette_says_how_to_go_back_and_does(keys: tuple[str, ...]) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "ctrl+p")
-        assert "^p or Backspace: back   Esc: STOP" in text_of(app)
-        await press(pilot, *keys)
-        assert isinstance(app.screen, RunScreen)
+@on_screen("running")
+async def test_the_palette_says_how_to_go_back_and_does(
+    app: Stage, pilot: Press, keys: tuple[str, ...]
+) -> None:
+    await press(pilot, "ctrl+p")
+    assert "^p or Backspace: back   Esc: STOP" in text_of(app)
+    await press(pilot, *keys)
+    assert isinstance(app.screen, RunScreen)
+    assert app.recorded.stops == 0
 
-    assert run_app(act, "running").recorded.stops == 0
 
-
-def test_in_a_text_box_only_its_own_keys_are_shown() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "slash")
-        keys = text_of(app).splitlines()[-1]
-        assert keys.strip("▌ ").split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
-        await press(pilot, "tab")
-        assert " space  pause " in text_of(app).splitlines()[-2]
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_in_a_text_box_only_its_own_keys_are_shown(app: Stage, pilot: Press) -> None:
+    await press(pilot, "slash")
+    keys = text_of(app).splitlines()[-1]
+    assert keys.strip("▌ ").split("  ") == ["Enter to the rows", "Esc STOP", "^q quit"]
+    await press(pilot, "tab")
+    assert " space  pause " in text_of(app).splitlines()[-2]

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 
 import pytest
 from textual.content import Content
-from textual.pilot import Pilot
 
 from hilcell.alarms import Alarm, Latch, Latched, alarms_of
 from hilcell.journal.log import Log
@@ -22,7 +21,7 @@ from hilcell.tui.text.alarms import (
     saved_text,
 )
 from tests.hilcell.alarms.journals import BEGUN, event, log_of, point, state
-from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingApp, run_app, text_of
+from tests.hilcell.tui.recording_app import DEFAULT_KEYS, Press, Stage, run_app, text_of
 from tests.hilcell.tui.sample_runs import measuring
 from tests.hilcell.tui.views import drawn, view_of
 
@@ -102,7 +101,7 @@ def test_only_steps_that_are_known_to_be_done_are_ticked() -> None:
 @pytest.mark.parametrize("columns", [60, 80, 140])
 @pytest.mark.parametrize("rows", [14, 16, 20, 24, 40])
 def test_the_box_keeps_its_title_its_cause_and_the_present_step(columns: int, rows: int) -> None:
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def look(app: Stage, pilot: Press) -> None:
         text = text_of(app)
         for words in ("HC-T99  Tracker fault", "alarm 1 of 1", "cause ○", "► 1  Clear"):
             assert words in text

@@ -17,7 +17,6 @@ from textual._xterm_parser import XTermParser
 from textual.binding import Binding
 from textual.events import Key
 from textual.keys import Keys, _normalize_key_list
-from textual.pilot import Pilot
 from textual.widgets import Input
 
 from hilcell.cell.settings import SettingsError
@@ -50,7 +49,10 @@ from hilcell.tui.widgets import Choice, Table, TextField
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (
     DEFAULT_KEYS,
+    Press,
     RecordingApp,
+    Stage,
+    on_screen,
     press,
     run_app,
     settle,
@@ -278,54 +280,48 @@ def values(app: RecordingApp) -> dict[str, str]:
     return {str(box.id): box.value for box in app.screen.query(Input)}
 
 
-def test_text_goes_into_the_field_that_a_tab_before_it_chose() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(
-            app,
-            "tab",
-            *keys_of_key_order("Harold Smith"),
-            "tab",
-            *keys_of_key_order("Job 7"),
-            "down",
-            "2",
-        )
-        await settle(pilot)
-        assert isinstance(app.screen, StartScreen)
-        assert values(app) == {"cell": "paper", "operator": "Harold Smith", "job": "Job 7"} | {
-            "seed": "2"
-        }
-
-    run_app(act)
-
-
-def test_a_field_is_edited_in_the_order_typed() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(app, "shift+tab", "ctrl+u", *"replax", "backspace", "y", "home", "x", "delete")
-        type_ahead(app, "tab", "shift+tab", "end", "2")
-        await settle(pilot)
-        assert values(app)["cell"] == "xeplay2"
-
-    run_app(act)
+@on_screen()
+async def test_text_goes_into_the_field_that_a_tab_before_it_chose(
+    app: Stage, pilot: Press
+) -> None:
+    type_ahead(
+        app,
+        "tab",
+        *keys_of_key_order("Harold Smith"),
+        "tab",
+        *keys_of_key_order("Job 7"),
+        "down",
+        "2",
+    )
+    await settle(pilot)
+    assert isinstance(app.screen, StartScreen)
+    assert values(app) == {"cell": "paper", "operator": "Harold Smith", "job": "Job 7"} | {
+        "seed": "2"
+    }
 
 
-def test_a_second_code_from_a_scanner_starts_nothing() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(
-            app, "tab", *keys_of_key_order("Ann"), "tab", *keys_of_key_order("JOB-7"), "enter"
-        )
-        await settle(pilot)
-        assert isinstance(app.screen, PlanSummary)
-        assert "operator Ann" in text_of(app)
-        type_ahead(app, *keys_of_key_order("JOB-8"), "enter")
-        await settle(pilot)
-        assert isinstance(app.screen, PlanSummary)
-        assert "job JOB-7" in text_of(app)
+@on_screen()
+async def test_a_field_is_edited_in_the_order_typed(app: Stage, pilot: Press) -> None:
+    type_ahead(app, "shift+tab", "ctrl+u", *"replax", "backspace", "y", "home", "x", "delete")
+    type_ahead(app, "tab", "shift+tab", "end", "2")
+    await settle(pilot)
+    assert values(app)["cell"] == "xeplay2"
 
-    run_app(act)
+
+@on_screen()
+async def test_a_second_code_from_a_scanner_starts_nothing(app: Stage, pilot: Press) -> None:
+    type_ahead(app, "tab", *keys_of_key_order("Ann"), "tab", *keys_of_key_order("JOB-7"), "enter")
+    await settle(pilot)
+    assert isinstance(app.screen, PlanSummary)
+    assert "operator Ann" in text_of(app)
+    type_ahead(app, *keys_of_key_order("JOB-8"), "enter")
+    await settle(pilot)
+    assert isinstance(app.screen, PlanSummary)
+    assert "job JOB-7" in text_of(app)
 
 
 def test_a_detach_in_a_burst_asks() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         type_ahead(app, "w", "d")
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
@@ -334,96 +330,85 @@ def test_a_detach_in_a_burst_asks() -> None:
     assert run_app(act, "running").detached == []
 
 
-def test_an_enter_in_a_burst_is_no_answer_to_a_prompt() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(app, "w", "enter")
-        await settle(pilot)
-        assert "press it alone" in text_of(app)
-        assert app.recorded.asked == []
-        await press(pilot, "enter")
-
-    assert run_app(act, "suspended").recorded.asked == [("answer", {})]
+@on_screen("suspended")
+async def test_an_enter_in_a_burst_is_no_answer_to_a_prompt(app: Stage, pilot: Press) -> None:
+    type_ahead(app, "w", "enter")
+    await settle(pilot)
+    assert "press it alone" in text_of(app)
+    assert app.recorded.asked == []
+    await press(pilot, "enter")
+    assert app.recorded.asked == [("answer", {})]
 
 
 @pytest.mark.parametrize("state", ["paused", "fault", "running"])
-def test_a_scanned_code_moves_nothing_and_leaves_nothing(state: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for code in (" \ny", "r\n", "d"):
-            type_ahead(
-                app, "f9", *["enter" if key == "\n" else key for key in keys_of_key_order(code)]
-            )
-            await settle(pilot)
-            while not isinstance(app.screen, RunScreen):
-                await press(pilot, "q")
-        assert app.detached == []
-
-    app = run_app(act, state)
+@on_screen()
+async def test_a_scanned_code_moves_nothing_and_leaves_nothing(
+    app: Stage, pilot: Press, state: str
+) -> None:
+    for code in (" \ny", "r\n", "d"):
+        type_ahead(app, "f9", *["enter" if key == "\n" else key for key in keys_of_key_order(code)])
+        await settle(pilot)
+        while not isinstance(app.screen, RunScreen):
+            await press(pilot, "q")
+    assert app.detached == []
     assert app.engines == []
     assert [word for word, _ in app.recorded.asked if word != "pause"] == []
 
 
-def test_choices_follow_the_keys_before_them() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(
-            app,
-            "home",
-            "end",
-            "down",
-            "down",
-            "down",
-            "up",
-            *["tab"] * 4,
-            "space",
-            "tab",
-            "right",
-            "down",
-        )
-        await settle(pilot)
-        assert [each.index for each in app.screen.query(Choice)] == [1, 1, 2]
-
-    run_app(act)
+@on_screen()
+async def test_choices_follow_the_keys_before_them(app: Stage, pilot: Press) -> None:
+    type_ahead(
+        app,
+        "home",
+        "end",
+        "down",
+        "down",
+        "down",
+        "up",
+        *["tab"] * 4,
+        "space",
+        "tab",
+        "right",
+        "down",
+    )
+    await settle(pilot)
+    assert [each.index for each in app.screen.query(Choice)] == [1, 1, 2]
 
 
-def test_the_point_under_the_cursor_is_the_one_acted_upon() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Table)
-        type_ahead(app, "end", "up", "r")
-        await settle(pilot)
-        assert isinstance(app.screen, Confirm)
-        assert f"grid point {rows.rows[-2].key.removeprefix('grid/')} " in text_of(app)
-        type_ahead(app, "n", "home", "enter")
-        await settle(pilot)
-        assert isinstance(app.screen, DetailPage)
-        assert rows.rows[0].key in text_of(app)
-        type_ahead(app, "q", "end", "enter", "q", "r")
-        await settle(pilot)
-        assert isinstance(app.screen, Confirm)
-        assert f"grid point {rows.rows[-1].key.removeprefix('grid/')} " in text_of(app)
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_the_point_under_the_cursor_is_the_one_acted_upon(app: Stage, pilot: Press) -> None:
+    rows = app.screen.query_one(Table)
+    type_ahead(app, "end", "up", "r")
+    await settle(pilot)
+    assert isinstance(app.screen, Confirm)
+    assert f"grid point {rows.rows[-2].key.removeprefix('grid/')} " in text_of(app)
+    type_ahead(app, "n", "home", "enter")
+    await settle(pilot)
+    assert isinstance(app.screen, DetailPage)
+    assert rows.rows[0].key in text_of(app)
+    type_ahead(app, "q", "end", "enter", "q", "r")
+    await settle(pilot)
+    assert isinstance(app.screen, Confirm)
+    assert f"grid point {rows.rows[-1].key.removeprefix('grid/')} " in text_of(app)
 
 
-def test_the_run_under_the_cursor_is_the_one_marked() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "h")
-        type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
-        await settle(pilot)
-        marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
-        assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
-
-    run_app(act)
+@on_screen()
+async def test_the_run_under_the_cursor_is_the_one_marked(app: Stage, pilot: Press) -> None:
+    await press(pilot, "h")
+    type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
+    await settle(pilot)
+    marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
+    assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
 
 
-def test_a_filter_ends_with_its_enter() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        type_ahead(app, "slash", *"grad", "backspace", "backspace", *"id", "enter", "end", "r")
-        await settle(pilot)
-        assert app.screen_stack[-2].query_one(Input).value == "grid"
-        assert isinstance(app.screen_stack[-2], RunScreen)
-        key = app.screen_stack[-2].query_one(Table).key
-        assert f"grid point {key.removeprefix('grid/')} " in text_of(app)
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_a_filter_ends_with_its_enter(app: Stage, pilot: Press) -> None:
+    type_ahead(app, "slash", *"grad", "backspace", "backspace", *"id", "enter", "end", "r")
+    await settle(pilot)
+    assert app.screen_stack[-2].query_one(Input).value == "grid"
+    assert isinstance(app.screen_stack[-2], RunScreen)
+    key = app.screen_stack[-2].query_one(Table).key
+    assert f"grid point {key.removeprefix('grid/')} " in text_of(app)
 
 
 __all__ = ["isolated"]
@@ -472,13 +457,11 @@ def test_each_action_stands_there_with_the_word_of_its_footer() -> None:
 
 
 @pytest.mark.usefixtures("isolated")
-def test_no_line_of_the_help_is_wider_than_the_screen() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "question_mark")
-        assert "Keys of the run" in text_of(app)
-        assert "▲▼        choose a point" in text_of(app)
-
-    run_app(act, "running", size=(80, 70))
+@on_screen("running", size=(80, 70))
+async def test_no_line_of_the_help_is_wider_than_the_screen(app: Stage, pilot: Press) -> None:
+    await press(pilot, "question_mark")
+    assert "Keys of the run" in text_of(app)
+    assert "▲▼        choose a point" in text_of(app)
     fixed = {title: each.all_fixed_keys() for title, each in HelpPage.SCREENS.items()}
     for width in (22, 39, 59, 79):
         lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, fixed), width).splitlines()

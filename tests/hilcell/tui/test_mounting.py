@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from textual.pilot import Pilot
 
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from tests.hilcell.tui.all_screens import isolated
-from tests.hilcell.tui.recording_app import PAGES, RecordingApp, press, run_app, settle
+from tests.hilcell.tui.recording_app import PAGES, Press, Stage, press, run_app, settle
 
 __all__ = ["isolated"]
 
@@ -29,7 +28,7 @@ def test_each_screen_handles_an_event_once(handler: str, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(BaseScreen, handler, count)
 
-    async def open_all(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def open_all(app: Stage, pilot: Press) -> None:
         for key in PAGES:
             await press(pilot, key)
             await press(pilot, "q")

@@ -10,7 +10,6 @@ import pytest
 from msgspec.structs import replace
 from textual.command import CommandList, CommandPalette
 from textual.css.query import NoMatches
-from textual.pilot import Pilot
 from textual.widgets import Input
 from textual.worker import WorkerFailed
 
@@ -46,8 +45,10 @@ from tests.hilcell.identification.test_sweeps import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, RUNS, SAID, SHOWN, isolated
 from tests.hilcell.tui.recording_app import (
     PAGES,
-    RecordingApp,
+    Press,
+    Stage,
     footer,
+    on_screen,
     press,
     run_app,
     settle,
@@ -70,7 +71,7 @@ pytestmark = pytest.mark.usefixtures("isolated")
 def test_letters_typed_into_a_filter_do_not_act() -> None:
     typed = "adnkrwbopileht q"
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         type_ahead(app, "slash", *("space" if letter == " " else letter for letter in typed))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
@@ -85,7 +86,7 @@ def test_letters_typed_into_a_filter_do_not_act() -> None:
 def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: str) -> None:
     """A thin link delivers keys in bursts: an "a" meant for a filter must not abort."""
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         type_ahead(app, first, "slash", "a", "d", "space", "y", "enter")
         await settle(pilot)
         assert app.screen.query_one("#find", Input).value == "ad y"
@@ -94,122 +95,108 @@ def test_what_is_typed_ahead_goes_where_it_was_meant_to(first: str) -> None:
     assert (app.recorded.asked, app.recorded.closed) == ([], [])
 
 
-def test_enter_twice_in_the_palette_closes_nothing_else() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "ctrl+p", *"theme")
-        await until(pilot, lambda: "the next theme" in text_of(app))
-        type_ahead(app, "enter", "enter", "enter")
-        await settle(pilot)
-        assert len(app.screen_stack) in (2, 3)  # the run, perhaps with its point
-        assert app.theme == "daylight"
-        await press(pilot, "ctrl+p", "escape")
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_enter_twice_in_the_palette_closes_nothing_else(app: Stage, pilot: Press) -> None:
+    await press(pilot, "ctrl+p", *"theme")
+    await until(pilot, lambda: "the next theme" in text_of(app))
+    type_ahead(app, "enter", "enter", "enter")
+    await settle(pilot)
+    assert len(app.screen_stack) in (2, 3)  # the run, perhaps with its point
+    assert app.theme == "daylight"
+    await press(pilot, "ctrl+p", "escape")
 
 
-def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Table)
-        await press(pilot, "slash", *"0-0-3", "enter")
-        assert [row.key for row in rows.rows] == ["grid/0-0-3"]
-        assert app.screen.focused is rows
-        await press(pilot, "slash", *["backspace"] * 5, "enter")
-        assert len(rows.rows) == 8
-        assert not app.screen.query_one("#find").display
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_a_filter_is_kept_and_an_empty_one_closes(app: Stage, pilot: Press) -> None:
+    rows = app.screen.query_one(Table)
+    await press(pilot, "slash", *"0-0-3", "enter")
+    assert [row.key for row in rows.rows] == ["grid/0-0-3"]
+    assert app.screen.focused is rows
+    await press(pilot, "slash", *["backspace"] * 5, "enter")
+    assert len(rows.rows) == 8
+    assert not app.screen.query_one("#find").display
 
 
-def test_the_worst_and_the_bad_are_found_with_a_key() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        rows = app.screen.query_one(Table)
-        await press(pilot, "w")
-        assert rows.key == "validate/S1100/chosen/001"  # raw errors are larger, but meant to be
-        assert "w order" in footer(app)
-        assert " worst first " in text_of(app)
-        await press(pilot, "b")
-        assert [row.key for row in rows.rows] == ["validate/S1100/chosen/001"]
-        assert " bad by |e| " in text_of(app)
-        await press(pilot, "slash", *"paper", "enter")
-        assert "no such point is bad; b shows all" in text_of(app)
-        await press(pilot, "slash", "ctrl+u", "enter", "b", "w")
-        assert " point  " in text_of(app)
-        assert rows.rows[0].key == "world/F1"
-
-    run_app(act, "intolerant")
+@on_screen("intolerant")
+async def test_the_worst_and_the_bad_are_found_with_a_key(app: Stage, pilot: Press) -> None:
+    rows = app.screen.query_one(Table)
+    await press(pilot, "w")
+    assert rows.key == "validate/S1100/chosen/001"  # raw errors are larger, but meant to be
+    assert "w order" in footer(app)
+    assert " worst first " in text_of(app)
+    await press(pilot, "b")
+    assert [row.key for row in rows.rows] == ["validate/S1100/chosen/001"]
+    assert " bad by |e| " in text_of(app)
+    await press(pilot, "slash", *"paper", "enter")
+    assert "no such point is bad; b shows all" in text_of(app)
+    await press(pilot, "slash", "ctrl+u", "enter", "b", "w")
+    assert " point  " in text_of(app)
+    assert rows.rows[0].key == "world/F1"
 
 
-def test_an_alarm_whose_cause_nobody_watches_stands_though_it_is_acknowledged() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        assert "beam broken" in text_of(app)
-        await press(pilot, "k")
-        assert "beam broken" in text_of(app)
+@on_screen("fault")
+async def test_an_alarm_whose_cause_nobody_watches_stands_though_it_is_acknowledged(
+    app: Stage, pilot: Press
+) -> None:
+    assert "beam broken" in text_of(app)
+    await press(pilot, "k")
+    assert "beam broken" in text_of(app)
+    assert isinstance(app.screen, RunScreen)
+    assert not app.screen.footer_key("acknowledge").works
+    await press(pilot, "e")
+    assert "beam broken" in text_of(app)
+    assert "not acknowledged" not in text_of(app)
+
+
+@on_screen("running")
+async def test_pages_open_and_close(app: Stage, pilot: Press) -> None:
+    for number, (key, page) in enumerate(PAGES.items()):
+        await press(pilot, key)
+        assert isinstance(app.screen, page)
+        await press(pilot, ("q", "backspace")[number % 2])
         assert isinstance(app.screen, RunScreen)
-        assert not app.screen.footer_key("acknowledge").works
-        await press(pilot, "e")
-        assert "beam broken" in text_of(app)
-        assert "not acknowledged" not in text_of(app)
-
-    run_app(act, "fault")
 
 
-def test_pages_open_and_close() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for number, (key, page) in enumerate(PAGES.items()):
-            await press(pilot, key)
-            assert isinstance(app.screen, page)
-            await press(pilot, ("q", "backspace")[number % 2])
-            assert isinstance(app.screen, RunScreen)
-
-    run_app(act, "running")
-
-
-def test_plots_are_turned_by_arrows_and_numbers() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "p", "right")
-        assert "in rising order" in text_of(app)
-        await press(pilot, "left", "left")
-        assert "strip's reading" in text_of(app)
-        await press(pilot, "3")
-        assert "nothing measured for this plot yet" in text_of(app)
-        await press(pilot, "5")
-        assert "nothing measured for this plot yet" in text_of(app)  # there were no sweeps
-
-    run_app(act, "done", size=(120, 36))
+@on_screen("done", size=(120, 36))
+async def test_plots_are_turned_by_arrows_and_numbers(app: Stage, pilot: Press) -> None:
+    await press(pilot, "p", "right")
+    assert "in rising order" in text_of(app)
+    await press(pilot, "left", "left")
+    assert "strip's reading" in text_of(app)
+    await press(pilot, "3")
+    assert "nothing measured for this plot yet" in text_of(app)
+    await press(pilot, "5")
+    assert "nothing measured for this plot yet" in text_of(app)  # there were no sweeps
 
 
-def test_station_scale_and_series_of_a_plot_have_keys() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "p")
-        assert "S  all stations" in text_of(app)
-        assert "log scale" in text_of(app)
-        await press(pilot, "S", "g", "v")
-        text = text_of(app)
-        assert "S  all stations" not in text
-        assert "S  S1100" in text
-        assert "log scale" not in text
-        assert "■ as sent" in text
-        assert "■ paper" not in text
-        await press(pilot, "4", "g")
-        assert "linear scale only" in text_of(app)
-
-    run_app(act, "done", size=(120, 36))
+@on_screen("done", size=(120, 36))
+async def test_station_scale_and_series_of_a_plot_have_keys(app: Stage, pilot: Press) -> None:
+    await press(pilot, "p")
+    assert "S  all stations" in text_of(app)
+    assert "log scale" in text_of(app)
+    await press(pilot, "S", "g", "v")
+    text = text_of(app)
+    assert "S  all stations" not in text
+    assert "S  S1100" in text
+    assert "log scale" not in text
+    assert "■ as sent" in text
+    assert "■ paper" not in text
+    await press(pilot, "4", "g")
+    assert "linear scale only" in text_of(app)
 
 
-def test_the_palette_does_what_it_names() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "ctrl+p", *"interlocks")
-        assert isinstance(app.screen, CommandPalette)
-        await until(pilot, lambda: "what may move" in text_of(app))
-        await pilot.press("enter")
-        await until(pilot, lambda: isinstance(app.screen, InterlockPage))
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_the_palette_does_what_it_names(app: Stage, pilot: Press) -> None:
+    await press(pilot, "ctrl+p", *"interlocks")
+    assert isinstance(app.screen, CommandPalette)
+    await until(pilot, lambda: "what may move" in text_of(app))
+    await pilot.press("enter")
+    await until(pilot, lambda: isinstance(app.screen, InterlockPage))
 
 
 @pytest.mark.parametrize("closing", [True, False])
 def test_a_search_that_finds_the_palette_closed_ends_no_screen(closing: bool) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, "ctrl+p")
         palette = app.screen
         if closing:
@@ -230,42 +217,38 @@ def test_a_search_that_finds_the_palette_closed_ends_no_screen(closing: bool) ->
             run_app(act, "running")
 
 
-def test_the_palette_names_all_that_can_be_done_before_one_types() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "ctrl+p")
-        await until(pilot, lambda: "stop everything now" in text_of(app))
-        for action in ("abort", "re-measure", "bad only", "worst first", "filter"):
-            assert action in text_of(app)
-        assert "new run" not in text_of(app)  # not while one is live
+@on_screen("running", size=(137, 45))
+async def test_the_palette_names_all_that_can_be_done_before_one_types(
+    app: Stage, pilot: Press
+) -> None:
+    await press(pilot, "ctrl+p")
+    await until(pilot, lambda: "stop everything now" in text_of(app))
+    for action in ("abort", "re-measure", "bad only", "worst first", "filter"):
+        assert action in text_of(app)
+    assert "new run" not in text_of(app)  # not while one is live
 
-    run_app(act, "running", size=(137, 45))
 
-
-def test_the_next_theme_comes_with_a_key() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        seen = []
-        for _ in NAMES:
-            await press(pilot, "t")
-            seen.append(app.theme)
-        assert seen == [*NAMES[1:], NAMES[0]]
-
-    run_app(act, "running")
+@on_screen("running")
+async def test_the_next_theme_comes_with_a_key(app: Stage, pilot: Press) -> None:
+    seen = []
+    for _ in NAMES:
+        await press(pilot, "t")
+        seen.append(app.theme)
+    assert seen == [*NAMES[1:], NAMES[0]]
 
 
 @pytest.mark.parametrize("which", ["abort", "plan"])
-def test_a_question_yields_to_its_answers(which: str) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        if which == "abort":
-            await press(pilot, "a")
-        else:
-            app.push_screen(PlanSummary(Order(runs=Path("r")), PLAN))
-        await settle(pilot)
-        assert "Enter" in text_of(app)
-        await pilot.resize_terminal(24, 6)
-        await settle(pilot)
-        assert "Enter" in text_of(app)
-
-    run_app(act, "running", size=(80, 24))
+@on_screen("running", size=(80, 24))
+async def test_a_question_yields_to_its_answers(app: Stage, pilot: Press, which: str) -> None:
+    if which == "abort":
+        await press(pilot, "a")
+    else:
+        app.push_screen(PlanSummary(Order(runs=Path("r")), PLAN))
+    await settle(pilot)
+    assert "Enter" in text_of(app)
+    await pilot.resize_terminal(24, 6)
+    await settle(pilot)
+    assert "Enter" in text_of(app)
 
 
 # -- other keys ------------------------------------------------------------------------------------
@@ -275,7 +258,7 @@ def test_keys_from_a_file_act_in_place_of_the_usual_ones(tmp_path: Path) -> None
     file = tmp_path / "keys.toml"
     file.write_text('[keys]\nabort = "z"\npause = ["f8", "g"]\nstop = "s"\nquit = "Q"\n')
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         assert " z  abort " in text_of(app)
         assert " f8  pause " in text_of(app)
         await press(pilot, "a", "space", "ctrl+q", "ctrl+c")
@@ -303,7 +286,7 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         go_on.wait()
         return []
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         monkeypatch.setattr(index, "read_index", slow)
         page = HistoryPage()
         await app.push_screen(page)
@@ -318,22 +301,20 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("key", ["l", "h", "e", "p"])
-def test_every_page_of_a_simulated_run_has_its_edge(key: str) -> None:
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, key)
-        assert app.screen.styles.border_left[0] == "outer"
-        assert app.screen.has_class("simulated")
+@on_screen("running", size=(80, 24))
+async def test_every_page_of_a_simulated_run_has_its_edge(
+    app: Stage, pilot: Press, key: str
+) -> None:
+    await press(pilot, key)
+    assert app.screen.styles.border_left[0] == "outer"
+    assert app.screen.has_class("simulated")
 
-    run_app(look, "running", size=(80, 24))
 
-
-def test_what_is_cut_in_the_log_has_its_mark() -> None:
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "l")
-        held = next(line for line in text_of(app).splitlines() if "rail held" in line)
-        assert held.rstrip("▌ ").endswith("…")
-
-    run_app(look, "running", size=(80, 24))
+@on_screen("running", size=(80, 24))
+async def test_what_is_cut_in_the_log_has_its_mark(app: Stage, pilot: Press) -> None:
+    await press(pilot, "l")
+    held = next(line for line in text_of(app).splitlines() if "rail held" in line)
+    assert held.rstrip("▌ ").endswith("…")
 
 
 @pytest.mark.parametrize("width", [38, 59, 78, 99, 139])
@@ -357,15 +338,15 @@ def test_a_run_that_did_not_finish_states_its_fault_and_no_table() -> None:
 
 
 @pytest.mark.usefixtures("isolated")
-def test_output_of_another_kind_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        for text in ("", "no JSON", "[1]", "{\n}"):
-            monkeypatch.setitem(SAID, "show", text)
-            await press(pilot, "o")
-            assert "no figures" in text_of(app)
-            await press(pilot, "q")
-
-    run_app(act, "done")
+@on_screen("done")
+async def test_output_of_another_kind_is_refused(
+    app: Stage, pilot: Press, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for text in ("", "no JSON", "[1]", "{\n}"):
+        monkeypatch.setitem(SAID, "show", text)
+        await press(pilot, "o")
+        assert "no figures" in text_of(app)
+        await press(pilot, "q")
 
 
 T = "2026-03-04T08:00:01.250+00:00"

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from textual.pilot import Pilot
 from textual.screen import Screen
 
 from hilcell.journal.log import Log
@@ -21,7 +20,15 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.session import RunUpdate
 from hilcell.tui.text import finished, points
 from tests.hilcell.tui.all_screens import isolated
-from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
+from tests.hilcell.tui.recording_app import (
+    Press,
+    RecordingApp,
+    Stage,
+    on_screen,
+    run_app,
+    settle,
+    text_of,
+)
 from tests.hilcell.tui.sample_runs import sample_run
 
 __all__ = ["isolated"]
@@ -43,7 +50,7 @@ def test_ages_alone_lay_nothing_out_and_compute_no_budget(
 ) -> None:
     calls = [counted(monkeypatch, owner, name) for owner, name in COSTLY]
 
-    async def let_time_pass(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def let_time_pass(app: Stage, pilot: Press) -> None:
         before = text_of(app)
         for each in calls:
             each.clear()
@@ -72,7 +79,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> list[str]
 def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.MonkeyPatch) -> None:
     shows = counted(monkeypatch, run.RunScreen, "show")
 
-    async def tick(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def tick(app: Stage, pilot: Press) -> None:
         shows.clear()
         app._shown_s = math.inf  # just now, however slow the machine is
         super(RecordingApp, app)._tick()
@@ -96,7 +103,7 @@ def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
 ) -> None:
     monkeypatch.setattr(Pace, "REDRAW_S", math.inf)
 
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def look(app: Stage, pilot: Press) -> None:
         rule = next(line for line in text_of(app).splitlines() if "─ interlocks ─" in line)
         assert rule.partition("│")[0].endswith("─")
         assert len(rule.partition("│")[0]) == app.screen.query_one("#left").size.width + 1
@@ -116,7 +123,7 @@ def test_a_procedure_is_imported_off_the_thread_that_takes_keys(
     monkeypatch.setattr(finished, "load_entry", load)
     monkeypatch.setattr(run, "decode_verdict", lambda view: None)
 
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def look(app: Stage, pilot: Press) -> None:
         assert threads
         assert threading.main_thread() not in threads
 
@@ -129,7 +136,7 @@ def test_updates_that_come_faster_than_they_are_shown_are_shown_as_one(
     """They queued without limit: the screen said RUNNING two minutes after the end."""
     shows = counted(monkeypatch, HilcellApp, "_show")
 
-    async def burst(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def burst(app: Stage, pilot: Press) -> None:
         shows.clear()
         story = sample_run("running")
         for end in range(2, len(story.records) + 1):
@@ -151,7 +158,7 @@ def test_what_was_not_painted_for_long_is_covered_and_then_painted_again(
 ) -> None:
     painted = counted(monkeypatch, RunScreen, "refresh")
 
-    async def late(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def late(app: Stage, pilot: Press) -> None:
         app._show()
         painted.clear()
         assert not app._is_late()
@@ -167,9 +174,7 @@ def test_what_was_not_painted_for_long_is_covered_and_then_painted_again(
     run_app(late, "running", size=SIZES[0])
 
 
-def test_a_run_that_is_over_is_never_late() -> None:
-    async def late(app: RecordingApp, pilot: Pilot[int]) -> None:
-        app._shown_s = -math.inf
-        assert not app._is_late()
-
-    run_app(late, "done", size=SIZES[0])
+@on_screen("done", size=SIZES[0])
+async def test_a_run_that_is_over_is_never_late(app: Stage, pilot: Press) -> None:
+    app._shown_s = -math.inf
+    assert not app._is_late()

@@ -12,7 +12,6 @@ from typing import Any, cast
 
 import msgspec
 import pytest
-from textual.pilot import Pilot
 
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Record, StorageError
@@ -30,7 +29,7 @@ from tests.hilcell.run import bed as beds
 from tests.hilcell.run.bed import Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.tui.engine_peer import Peer
-from tests.hilcell.tui.recording_app import RUNS, RecordingApp, RecordingSession, press, run_app
+from tests.hilcell.tui.recording_app import RUNS, Press, RecordingSession, Stage, press, run_app
 from tests.hilcell.tui.sample_runs import (
     FAULT,
     FAULT_TEXT,
@@ -400,7 +399,7 @@ def test_an_alarm_that_came_after_the_last_record_seen_still_waits() -> None:
 def test_the_key_sends_the_codes_and_the_last_record_seen() -> None:
     run = measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, "k")
         newest = run.records[-1].seq
         assert app.recorded.asked == [

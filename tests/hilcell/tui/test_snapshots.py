@@ -14,14 +14,15 @@ from pathlib import Path
 
 import pytest
 from textual.command import CommandList, CommandPalette
-from textual.pilot import Pilot
 
 from hilcell.tui.terminal import UNICODE
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
     RUNS,
     SIZE,
+    Press,
     RecordingApp,
+    Stage,
     options,
     press,
     settle,
@@ -82,7 +83,7 @@ def _difference(name: str, seen: str) -> str:
     return "\n".join(lines)
 
 
-async def _pages(app: RecordingApp, pilot: Pilot[int], state: str) -> dict[str, str]:
+async def _pages(app: Stage, pilot: Press, state: str) -> dict[str, str]:
     """Return the run's screen and the pages that are kept of this state."""
     await settle(pilot)
     home, seen = app.screen, {f"{state}-run": text_at_rest(app)}

@@ -7,7 +7,6 @@ from datetime import timedelta
 
 import pytest
 from msgspec.structs import replace
-from textual.pilot import Pilot
 from textual.widgets import Input
 
 from hilcell.cell.file import load_cell
@@ -21,7 +20,9 @@ from hilcell.tui.terminal import UNICODE
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (
     RUNS,
+    Press,
     RecordingApp,
+    Stage,
     options,
     press,
     run_app,
@@ -54,7 +55,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Order]:
 def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = planned(monkeypatch)
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         assert [each.procedure for each in asked] == ["calibrate"]
         assert asked[0].runs == RUNS  # where it looks for a calibration
         await press(pilot, "down")
@@ -67,7 +68,7 @@ def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = planned(monkeypatch)
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         before = len(asked)
         await press(pilot, "tab", "A", "n", "n")
         assert app.screen.query_one("#operator", Input).value == "Ann"
@@ -116,7 +117,7 @@ def test_a_refused_plan_has_its_reasons_and_starts_nothing(
 
     monkeypatch.setattr(process, "dry_run", refuse)
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         assert "▲ validate: 3 targets" in text_of(app)
         assert "Enter  does nothing: the plan is refused" in text_of(app)
         await press(pilot, "enter")
@@ -129,7 +130,7 @@ def test_a_refused_plan_has_its_reasons_and_starts_nothing(
 def test_enter_asks_and_only_a_yes_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     planned(monkeypatch)
 
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, "enter")
         assert isinstance(app.screen, PlanSummary)
         assert app.engines == []

@@ -7,7 +7,6 @@ from itertools import combinations
 import msgspec
 import numpy as np
 import pytest
-from textual.pilot import Pilot
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
@@ -16,7 +15,7 @@ from hilcell.run.control import DeviceStatus, PromptStatus
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.prompt import Place, PromptText, Site
-from tests.hilcell.tui.recording_app import RecordingApp, run_app, text_of
+from tests.hilcell.tui.recording_app import Press, Stage, run_app, text_of
 from tests.hilcell.tui.sample_runs import PROMPT
 from tests.hilcell.tui.test_alarm_panel import _style
 from tests.hilcell.tui.views import drawn, view_of
@@ -112,7 +111,7 @@ def test_an_old_figure_is_dashes() -> None:
 @pytest.mark.parametrize("columns", [60, 80, 140])
 @pytest.mark.parametrize("rows", [16, 20, 24, 40])
 def test_the_box_keeps_the_place_the_reading_and_enter(columns: int, rows: int) -> None:
-    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+    async def look(app: Stage, pilot: Press) -> None:
         seen = text_of(app)
         for words in ("? Seat the reflector in P1", "At P1", "reflector visible", " Enter "):
             assert words in seen

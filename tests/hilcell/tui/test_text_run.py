@@ -12,7 +12,6 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from textual.pilot import Pilot
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
@@ -36,7 +35,7 @@ from hilcell.tui.text.points import WIDE, Deviation, PointRows, columns_for
 from hilcell.tui.text.run import RunText, Shown
 from hilcell.tui.text.side import side_lines
 from tests.hilcell.tui.all_screens import isolated
-from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, text_of
+from tests.hilcell.tui.recording_app import Press, Stage, on_screen, press, text_of
 from tests.hilcell.tui.sample_runs import (
     SampleRun,
     measuring,
@@ -541,22 +540,20 @@ __all__ = ["isolated"]
 pytestmark = pytest.mark.usefixtures("isolated")
 
 
-def test_a_point_is_chosen_only_by_somebody() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        await press(pilot, "b", "b")  # the points, in place of an alarm
-        assert "last point: grid point 0-0-4" in text_of(app)
-        await press(pilot, "up")
-        assert "chosen point: grid point 0-0-3" in text_of(app)
-
-    run_app(act, "fault")
+@on_screen("fault")
+async def test_a_point_is_chosen_only_by_somebody(app: Stage, pilot: Press) -> None:
+    await press(pilot, "b", "b")  # the points, in place of an alarm
+    assert "last point: grid point 0-0-4" in text_of(app)
+    await press(pilot, "up")
+    assert "chosen point: grid point 0-0-3" in text_of(app)
 
 
-def test_the_space_bar_promises_nothing_while_an_engine_starts() -> None:
-    async def act(app: RecordingApp, _: Pilot[int]) -> None:
-        assert "space  pause" in text_of(app)
-        assert "go on" not in text_of(app)
-
-    run_app(act, "checking", size=(80, 24))
+@on_screen("checking", size=(80, 24))
+async def test_the_space_bar_promises_nothing_while_an_engine_starts(
+    app: Stage, pilot: Press
+) -> None:
+    assert "space  pause" in text_of(app)
+    assert "go on" not in text_of(app)
 
 
 def view_in(story: SampleRun, state: str = "running") -> RunView:
@@ -705,7 +702,8 @@ WITHIN = msgspec.structs.replace(JUDGED, mean_mm=0.033, mean_tolerance_mm=0.12)
     ("key", "verdict", "words"),
     [
         ("validation.S1100", WITHIN, "validation at S1100 passes: mean 0.033 mm, limit 0.120 mm"),
-        ("validation.others", WITHIN, "validation at the other stations passes: mean 0.033 mm, limit 0.120 mm"),
+        ("validation.others", WITHIN,
+         "validation at the other stations passes: mean 0.033 mm, limit 0.120 mm"),
         ("known-length", LENGTHS, "known length passes"),
         ("revisits.closing", msgspec.structs.replace(REVISITED, holds=False),
          "revisited poses at the end fails"),
